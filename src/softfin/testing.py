@@ -12,11 +12,11 @@ from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, roll
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import ALLOWED_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.core.quantities import TICK_S, Command, Limits, Reading, command_of
 
 STROKE_TICKS = ACTION_TICKS[0]
 
-Problem = tuple[str, str]
+Problem = tuple[str, ...]
 """Message: what is wrong, and what is required."""
 
 
@@ -34,6 +34,13 @@ def check_plant(plant: Any) -> None:
         raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
 
 
+def _stroke(plant: Plant) -> Command:
+    """Return a command within any plant's limits that moves it: half of the way from rest to the further limit."""
+    limits = Limits(*plant.limits)
+    furthest = max(limits.angle_max, limits.angle_min, key=abs)
+    return Command(jnp.float32(furthest / 2), jnp.float32(limits.velocity_max))
+
+
 def _members(plant: Any) -> Iterator[Problem]:
     if missing := [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]:
         yield f"has no {', '.join(missing)}", "a plant has limits, init(key) and advance(state, command, ticks)"
@@ -42,13 +49,13 @@ def _members(plant: Any) -> Iterator[Problem]:
     except (TypeError, ValueError):
         yield f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers"
     else:
-        if limits.problem():
-            yield f"limits = {limits}", ALLOWED_LIMITS
+        if problem := limits.problem():
+            yield (problem,)
 
 
 def _purity(plant: Plant) -> Iterator[Problem]:
     """Advance without compiling, which would freeze what a plant keeps outside its state."""
-    command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
+    command = _stroke(plant)
     state = plant.init(jax.random.key(0))
     results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]
     if not all(isinstance(result, tuple) and isinstance(result[-1], Reading) for result in results):
@@ -71,7 +78,8 @@ def _purity(plant: Plant) -> Iterator[Problem]:
 
 def _batches(plant: Plant) -> Iterator[Problem]:
     keys = jax.random.split(jax.random.key(1), 2)
-    angles = jnp.asarray([[0.5, -0.5, 0.2], [-0.5, 0.5, 0.0]], jnp.float32)
+    actions = jnp.asarray([[0.5, -0.5, 0.2], [-0.5, 0.5, 0.0]], jnp.float32)
+    angles = command_of(plant.limits, (actions, jnp.ones_like(actions))).angle
     velocities = jnp.full_like(angles, plant.limits.velocity_max)
 
     def strokes(key: Any, commands: Command) -> Any:
@@ -109,14 +117,14 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
-    slope = jax.jit(jax.grad(mean_force))(jnp.float32(0.3))
+    slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):
         yield f"the gradient of the force by the command is {slope}", "it must be finite; look for sqrt at 0"
 
 
 def _held_action(plant: Plant) -> Iterator[Problem]:
     own: Any = getattr(plant, "hold_action", None)
-    command = Command(jnp.float32(0.5), jnp.float32(plant.limits.velocity_max))
+    command = _stroke(plant)
     whole = jax.jit(lambda state, ticks: own(state, command, ticks))
     for ticks in sorted(set(ACTION_TICKS)) if own is not None else ():
         state: State = plant.init(jax.random.key(0))

@@ -2,9 +2,10 @@ import math
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from softfin.core.quantities import PAPER_LIMITS, Limits, tick_at
+from softfin.core.quantities import PAPER_LIMITS, Command, Limits, Log, Reading, command_limits, tick_at
 
 
 @pytest.mark.parametrize("order", [("softfin.core.quantities", "jax"), ("jax", "softfin.core.quantities")])
@@ -41,6 +42,11 @@ def test_limits_come_back_as_they_were_described():
         ({"velocity_max_rad_s": math.inf}, "velocity_max_rad_s is inf"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.5708"),
         ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
+        (
+            {"angle_min_rad": 0.2},
+            "0.2, angle_max_rad is 1.5708; angle 0, at which a fin rests, must be within them; .*rig zero",
+        ),
+        ({"angle_max_rad": -0.2}, "angle_max_rad is -0.2; angle 0, at which a fin rests, must be within them"),
         ({"angle_min_rad": "0"}, "angle_min_rad is '0'; it must be a number"),
         ({"angle_min_rad": None}, "angle_min_rad is missing; it must be a number"),
         ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True; it must be a number"),
@@ -56,6 +62,26 @@ def test_a_fin_of_one_velocity_can_be_learnt_but_not_trained_for():
     limits = PAPER_LIMITS._replace(velocity_min=2.0, velocity_max=2.0)
     assert limits.problem(one_velocity=True) is None
     assert "velocity_min < velocity_max" in (limits.problem() or "")
+
+
+def log_of_commands(*angles):
+    command = Command(np.array(angles, np.float32), np.full(len(angles), 2.0, np.float32))
+    return Log(command, Reading(*(np.zeros(len(angles), np.float32) for _ in range(3)), np.zeros((len(angles), 2))))
+
+
+@pytest.mark.parametrize(
+    ("angles", "ends"),
+    [
+        ((-0.5, 0.25), (-0.5, 0.25)),
+        ((0.02, 0.5), (0.0, 0.5)),
+        ((-0.5, -0.02), (-0.5, 0.0)),
+        ((0.25, 0.5), (0.25, 0.5)),
+    ],
+)
+def test_a_range_of_commands_that_ends_near_rest_ends_there(angles, ends):
+    limits = command_limits([log_of_commands(angles[0]), log_of_commands(angles[1])])
+    assert limits == Limits(*ends, 2.0, 2.0)
+    assert (limits.problem(one_velocity=True) is None) == (ends[0] <= 0 <= ends[1])
 
 
 @pytest.mark.parametrize(

@@ -77,6 +77,18 @@ def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
     assert opened.metadata["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
 
 
+def test_a_velocity_of_zeros_in_one_of_several_logs_stops_until_the_fix_is_given(tmp_path, logs):
+    folder = folder_of(tmp_path / "logs", logs)
+    columns = columns_of(logs[2])
+    columns["velocity_rad_s"][:] = 0
+    write_bag(folder / "joint", topics_of(columns))
+    with pytest.raises(LogError, match=r"^logs: joint, .*0 rad/s throughout while the angle .*--columns velocity=- "):
+        open_logs(folder).check_issues("logs", ignore_errors=False)
+    opened = open_logs(folder, ImportConfig.build({"columns": "velocity=-"}))
+    opened.check_issues("logs", ignore_errors=False)
+    assert all(np.ptp(log.reading.velocity) > 1 for log in opened.train)
+
+
 def test_one_file_is_enough(tmp_path, logs):
     path = folder_of(tmp_path / "all", logs) / "run0.csv"
     assert [one.name for one in open_logs(path).logs] == ["run0.csv"]

@@ -184,6 +184,14 @@ def test_policies_are_scored_in_the_plant_as_it_is_now(whole: tuple[TrainingResu
     np.testing.assert_array_equal(before, error(PlainFin(gain=0.1)))
 
 
+def test_policies_are_scored_without_the_noise_of_the_sensed_angle(whole: tuple[TrainingResult, Path]) -> None:
+    policies = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:]), whole[0].policies)
+    noisy = SMALL.changed(["task.sensing.noise_rad=0.5"])
+    evaluation = TrainingRun(AnalyticFin(), noisy, (0, 1), None).evaluate(policies, 0)
+    expected = TrainingRun(AnalyticFin(), SMALL, (0, 1), None).evaluate(policies, 0)
+    np.testing.assert_array_equal(evaluation.error, expected.error)
+
+
 def test_an_episode_without_a_whole_window_is_refused_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"episode_actions = 3: an episode of 100 samples .* window of 200"):
         trained(tmp_path, config=SMALL.changed(["task.episode_actions=3"]))

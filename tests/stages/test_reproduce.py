@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.progress import silent
 from softfin.core.quantities import Command, Reading
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, together
@@ -94,6 +94,22 @@ def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_p
     # The second run is stopped, and a third one begun.
     claim(True)
     assert (kept / RESULTS).read_text() == "of the first run"
+
+
+def test_with_resume_and_overwrite_another_run_is_replaced_and_the_same_one_goes_on(tmp_path):
+    out = tmp_path / "run"
+
+    def claim(seed, overwrite):
+        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), seed, silent).claim(True, overwrite)
+
+    claim(0, overwrite=False)
+    (out / "dataset").mkdir()
+    claim(0, overwrite=True)
+    assert (out / "dataset").exists()
+    with pytest.raises(ArtifactError, match=r"is of another run \(seed was 0 and is 1\).*or --overwrite"):
+        claim(1, overwrite=False)
+    claim(1, overwrite=True)
+    assert not (out / "dataset").exists()
 
 
 def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_plants_can_move_in_one(tmp_path):

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import pytest
 
 from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.plant import hold_action
 from softfin.core.quantities import Limits
 from softfin.storage.registry import find_plant, is_live, is_surrogate
 from softfin.surrogate import Surrogate, save_surrogate
@@ -87,6 +88,41 @@ def test_good_plants_pass_the_conformance_kit(plant):
     check_plant(plant())
 
 
+class StrictFin(PlainFin):
+    """Its readings mean nothing once a command has been beyond its limits."""
+
+    def __init__(self, limits):
+        super().__init__()
+        self.limits = limits
+
+    def advance(self, state, command, ticks):
+        angle_min, angle_max, velocity_min, velocity_max = map(jnp.float32, self.limits)
+        is_angle_taken = (angle_min <= command.angle) & (command.angle <= angle_max)
+        is_velocity_taken = (velocity_min <= command.velocity) & (command.velocity <= velocity_max)
+        state, reading = super().advance(state, command, ticks)
+        force = jnp.where(is_angle_taken & is_velocity_taken, reading.force, jnp.nan)
+        return state, reading._replace(force=force)
+
+
+class StrictFinOfItsOwnActions(StrictFin):
+    def hold_action(self, state, command, ticks):
+        return hold_action(StrictFin(self.limits), state, command, ticks)
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        StrictFin(Limits(-0.35, 0.35, 1.0, 3.0)),
+        StrictFinOfItsOwnActions(Limits(-1.2, 0.4, 0.5, 2.0)),
+        StrictFin(Limits(0.0, 0.02, 0.0, 0.2)),
+        # In single precision this velocity is 1.2e-6 rad/s higher.
+        StrictFin(Limits(-6.28, 0.0, 1.0, 32.06)),
+    ],
+)
+def test_the_conformance_kit_keeps_to_any_plants_own_limits(plant):
+    check_plant(plant)
+
+
 class Broken(PlainFin):
     """A plant with one fault, given as a change of what advance returns."""
 
@@ -123,6 +159,7 @@ class Branching(PlainFin):
     [
         (object(), "has no limits, init, advance"),
         (Backwards(), "angle_min < angle_max"),
+        (StrictFin(Limits(0.2, 2.8, 1.0, 2.0)), "angle 0, at which a fin rests, must be within them; count all angles"),
         (Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))), r"reading.force has shape \(33,\) for 33 ticks"),
         (Broken(lambda s, r: (s, r._replace(angle=r.angle.astype(jnp.float16)))), "reading.angle is float16"),
         (Broken(lambda s, r: (s, r._replace(force=r.force / 0))), "reading.force is not finite"),

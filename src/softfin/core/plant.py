@@ -37,7 +37,7 @@ class Plant(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """The commands that the plant takes [rad, rad/s]; beyond them its readings mean nothing."""
+        """The commands that the plant takes, angle 0 among them [rad, rad/s]; beyond them its readings mean nothing."""
 
     def init(self, key: PRNGKeyArray) -> State:
         """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise, conditions)."""
@@ -96,8 +96,9 @@ def check_commands(limits: Limits, commands: Command) -> None:
         if isinstance(channel, jax.core.Tracer):
             continue
         values = np.asarray(channel)
-        # Limits are kept in double precision, commands in single.
-        outside = ~((values >= low - 1e-6) & (values <= high + 1e-6))
+        # Limits are kept in double precision, commands in single, whose error grows with the size of a limit.
+        tolerance = 1e-6 * max(1.0, abs(low), abs(high))
+        outside = ~((values >= low - tolerance) & (values <= high + tolerance))
         if outside.any():
             raise CommandError(
                 f"command {name} = {values[outside].flat[0]:g} {unit}: the plant takes {low:g} to {high:g} {unit}"

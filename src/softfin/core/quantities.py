@@ -4,6 +4,7 @@ Axes: thrust that pushes the robot forward is +x. At angle theta the fin points 
 shaft. Forces are those of the fin on its mount.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -83,6 +84,15 @@ MOST_ANGLE_RAD = 2 * np.pi
 MOST_VELOCITY_RAD_S = 50.0
 """Eight turns a second: no fin in water comes near it."""
 
+REST_TOLERANCE_RAD = 0.03
+"""Distance from angle 0 at which a shaft is at rest there; random commands hardly come closer to the end of a range."""
+
+REST_FIX = (
+    "count all angles, those of the limits too, from where the fin rests; on a rig turn the fin there and run "
+    "softfin rig zero --arm, in logs subtract it from the angle and its command"
+)
+"""Remedy for a range of angles without angle 0, at which every experiment, episode and log begins and ends."""
+
 ALLOWED_LIMITS = (
     f"a fin's are finite, with -{MOST_ANGLE_RAD:.3f} <= angle_min < angle_max <= {MOST_ANGLE_RAD:.3f} rad and "
     f"0 <= velocity_min < velocity_max <= {MOST_VELOCITY_RAD_S:g} rad/s"
@@ -118,6 +128,11 @@ class Limits(NamedTuple):
             raise ValueError(problem)
         return limits
 
+    @property
+    def contains_rest(self) -> bool:
+        """Whether angle 0, at which a fin rests, may be commanded."""
+        return self.angle_min <= 0 <= self.angle_max
+
     def problem(self, one_velocity: bool = False) -> str | None:
         """Describe what is wrong with these limits and what is allowed; None where a fin may have them.
 
@@ -132,6 +147,11 @@ class Limits(NamedTuple):
         velocities = self.velocity_min < self.velocity_max or (one_velocity and self.velocity_min == self.velocity_max)
         if not (self.angle_min < self.angle_max and velocities):
             return f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; {ALLOWED_LIMITS}"
+        if not self.contains_rest:
+            return (
+                f"limits: angle_min_rad is {self.angle_min:g}, angle_max_rad is {self.angle_max:g}; angle 0, at which "
+                f"a fin rests, must be within them; {REST_FIX}"
+            )
         return None
 
 
@@ -142,6 +162,24 @@ def command_of(limits: Limits, action: Any) -> Command:
         limits.angle_min + angle * (limits.angle_max - limits.angle_min),
         limits.velocity_min + velocity * (limits.velocity_max - limits.velocity_min),
     )
+
+
+def command_limits(logs: Sequence[Log]) -> Limits:
+    """Return the range of the commands in logs, which are the limits of a surrogate that learns from them.
+
+    A range that ends close to angle 0 ends there: random commands never quite reach it, but the fin rests there.
+    """
+    angles = [np.asarray(log.command.angle, np.float32) for log in logs]
+    velocities = [np.asarray(log.command.velocity, np.float32) for log in logs]
+    angle_min = min(float(angle.min()) for angle in angles)
+    angle_max = max(float(angle.max()) for angle in angles)
+    if 0 < angle_min <= REST_TOLERANCE_RAD:
+        angle_min = 0.0
+    if -REST_TOLERANCE_RAD <= angle_max < 0:
+        angle_max = 0.0
+    velocity_min = min(float(velocity.min()) for velocity in velocities)
+    velocity_max = max(float(velocity.max()) for velocity in velocities)
+    return Limits(angle_min, angle_max, velocity_min, velocity_max)
 
 
 PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)

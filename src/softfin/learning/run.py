@@ -157,8 +157,14 @@ class TrainingRun:
         return agents, metrics
 
     def evaluate(self, policies: Policy, update: int) -> PolicyEvaluation:
-        """Evaluate every agent's policy without noise; raises RunError where the plant's forces are not finite."""
-        evaluation = _evaluate(self.config.task, self.plant, policies, self.references)
+        """Evaluate every agent's policy without noise; raises RunError where the plant's forces are not finite.
+
+        Noise of the sensed angle is for learning, too: the policy that is kept is the best one as `softfin evaluate`
+        evaluates it.
+        """
+        without_noise = self.config.task.sensing.model_copy(update={"noise_rad": 0.0})
+        task = self.config.task.model_copy(update={"sensing": without_noise})
+        evaluation = _evaluate(task, self.plant, policies, self.references)
         errors = np.asarray(evaluation.error).sum(axis=(1, 2))
         self._check_finite("the force while the policies are evaluated", errors, update)
         return evaluation

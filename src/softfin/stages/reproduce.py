@@ -12,6 +12,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
+from softfin.core.errors import ArtifactError
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
@@ -120,9 +121,14 @@ class _Reproduction:
         plant = identity(find_plant(self.plant), computed=True)
         metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, KIND):
-            before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
-            check_same(self.out, before, metadata)
-            return
+            try:
+                before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
+                check_same(self.out, before, metadata)
+            except ArtifactError:
+                if not overwrite:
+                    raise
+            else:
+                return
         artifacts.check_vacant(self.out, overwrite)
         if (self.out / RESULTS).is_file():
             shutil.rmtree(self.replaced, ignore_errors=True)

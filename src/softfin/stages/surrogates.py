@@ -7,6 +7,7 @@ from typing import Any
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.progress import Progress, silent
+from softfin.core.quantities import command_limits
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
@@ -15,7 +16,7 @@ from softfin.storage.registry import find_plant, name_of
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, Surrogate, load_surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
-from softfin.surrogate.channels import SKIPPED, command_limits, ranges
+from softfin.surrogate.channels import SKIPPED, ranges
 from softfin.surrogate.compare.compare import CompareConfig, candidates
 from softfin.surrogate.compare.compare import compare as _compare
 from softfin.surrogate.compare.report import write_comparison
@@ -49,8 +50,10 @@ def fit(
     metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
-        if problem := command_limits(opened.train).problem(one_velocity=True):
-            raise LogError(f"{dataset}: the commands to learn from: {problem}; are they in degrees? see --angles deg")
+        limits = command_limits(opened.train)
+        if problem := limits.problem(one_velocity=True):
+            hint = "; are they in degrees? see --angles deg" if limits.contains_rest else ""
+            raise LogError(f"{dataset}: the commands to learn from: {problem}{hint}")
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:

@@ -35,9 +35,11 @@ class RunDirectory:
     def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
         """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with `overwrite`.
 
-        The fingerprint, of configuration, data and seed, tells one run from another. Raises ArtifactError where neither
-        was asked for, or where unfinished work, or a part of it, is that of another run.
+        With both it is taken over if it is whole and of this very run, else emptied. The fingerprint, of configuration,
+        data and seed, tells one run from another. Raises ArtifactError where neither was asked for, or where unfinished
+        work, or a part of it, is that of another run and must not be overwritten.
         """
+        self.overwrite = overwrite
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
         finished = out / TRAINING_LOG / RUN
@@ -50,8 +52,13 @@ class RunDirectory:
         # Also those of parts.
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
-            for path in found:
-                self._read(path)
+            try:
+                for path in found:
+                    self._read(path)
+            except ArtifactError:
+                if not overwrite:
+                    raise
+                shutil.rmtree(self.folder)
         elif self.folder.exists():
             if not overwrite and found:
                 raise ArtifactError(
@@ -71,7 +78,10 @@ class RunDirectory:
         artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole}))
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
-        """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet."""
+        """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet.
+
+        One that does not fit counts as none if it may be overwritten.
+        """
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
@@ -83,6 +93,8 @@ class RunDirectory:
         )
         for name in sorted(there | here):
             if there.get(name) != here.get(name):
+                if self.overwrite:
+                    return None
                 both = f"{there.get(name, 'missing')} there and {here.get(name, 'missing')} here"
                 raise ArtifactError(f"{path}: does not fit this training state ({name} is {both}); start anew with "
                                     "--overwrite")  # fmt: skip

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, LogError
-from softfin.core.quantities import AnyArray, Limits, Log
+from softfin.core.quantities import AnyArray, Log
 from softfin.storage import artifact as artifacts
 
 COMMANDS = ("command_angle_rad", "command_velocity_rad_s")
@@ -106,11 +106,6 @@ def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, li
     """Least and greatest value of some channels in logs; of the readings it is the training range of a surrogate."""
     columns = columns_of(logs)
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
-
-
-def command_limits(logs: Sequence[Log]) -> Limits:
-    """Range of the commands in the logs: the limits of a surrogate that learns from them."""
-    return Limits(*(end for ends in ranges(logs, COMMANDS).values() for end in ends))
 
 
 def learnt_from(plant: object) -> dict[str, Any]:

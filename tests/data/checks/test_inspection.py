@@ -198,6 +198,22 @@ def seam(columns: Columns) -> None:
     columns["angle_rad"][3300:] -= 2.5
 
 
+def still_velocity(columns: Columns) -> None:
+    columns["velocity_rad_s"][:] = 0
+
+
+def far_from_rest(columns: Columns) -> None:
+    for name in ("angle_rad", "command_angle_rad"):
+        columns[name] += 1.8
+
+
+def counts(columns: Columns) -> None:
+    for name in ("angle_rad", "command_angle_rad"):
+        columns[name] = np.round(2048 + columns[name] * 4096 / (2 * np.pi))
+    for name in ("velocity_rad_s", "command_velocity_rad_s"):
+        columns[name] = np.round(columns[name] / 0.024)
+
+
 def no_velocity(columns: Columns) -> None:
     columns["command_velocity_rad_s"][:] = 0
 
@@ -230,6 +246,9 @@ FAULTS = [
     (offset, "force offset", "tare"),
     (seam, "jumps", "--rows-per-log"),
     (no_velocity, "command velocity", "map the column"),
+    (still_velocity, "constant velocity", "--columns velocity=-"),
+    (far_from_rest, "no rest", "softfin rig zero --arm"),
+    (counts, "counts", "2048 at its centre"),
 ]
 
 
@@ -242,13 +261,36 @@ def test_each_fault_is_found_by_name_with_its_fix(fault, name, fix):
 
 ALONE = [
     swap, negate_x, negate_y, turn, degrees, late_force, late_command, mirrored_command, mirrored_angle, spikes,
-    many_spikes, clipped, velocity_sign, offset,
+    many_spikes, clipped, velocity_sign, offset, still_velocity, counts,
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", ALONE, ids=[fault.__name__ for fault in ALONE])
 def test_a_fault_is_not_taken_for_others(fault):
     assert len(grave(inspected(fault))) == 1
+
+
+def test_a_velocity_of_zeros_is_an_error_in_one_log_of_several_and_not_on_a_fin_at_rest():
+    faulty, still = (columns_of(log) for log in tank_logs(2))
+    still_velocity(faulty)
+    issue = next(one for one in inspect(named(*tank_logs(2), log_of(faulty))).issues if one.name != "columns")
+    assert (issue.severity, issue.name, issue.logs) == ("error", "constant velocity", ("test/2",))
+    for name in ("angle_rad", "command_angle_rad"):
+        still[name][:] = 0
+    # One wrong sample does not make it move.
+    still["angle_rad"][3000] = 0.3
+    still_velocity(still)
+    assert "constant velocity" not in grave(inspect(named(*tank_logs(2), log_of(still))))
+
+
+def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
+    def change(columns: Columns) -> None:
+        degrees(columns)
+        for name in ("command_angle_rad", "angle_rad", "velocity_rad_s", "command_velocity_rad_s"):
+            columns[name] = np.round(columns[name])
+
+    fix = grave(inspected(change))["degrees"]
+    assert fix.startswith("--angles deg; if these whole numbers are counts of an encoder instead, convert them")
 
 
 def test_messages_hold_the_numbers():

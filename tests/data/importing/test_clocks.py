@@ -77,6 +77,33 @@ def test_jitter_of_less_than_half_a_sample_passes_too():
     np.testing.assert_array_equal(log.log.reading.angle, one.channels["angle"].astype(np.float32))
 
 
+@pytest.mark.parametrize("hz", [50, 100, 1000])
+@pytest.mark.parametrize(("start", "end"), [(-np.pi, np.pi), (0, 2 * np.pi)])
+def test_an_encoder_that_wraps_is_an_error_and_unwrapped_if_that_is_ignored(hz, start, end):
+    time = np.arange(0, 10, 1 / hz)
+    angle = (3.5 if start else 0.4) * np.sin(2 * time)
+    wrapped = (angle - start) % (end - start) + start
+    channels = {name: np.cos(time + i) for i, name in enumerate(NAMES) if name != "velocity"}
+    (one,), issues = logs(Track(time, channels | {"angle": wrapped}))
+    issue = next(one for one in issues if one.name == "wraps")
+    assert (issue.severity, issue.column) == ("error", "angle")
+    assert abs(wrapped[issue.row] - wrapped[issue.row - 1]) > 6
+    assert "set the encoder's zero to where the fin rests" in issue.fix
+    expected = np.interp(one.log.reading.time, time, angle)
+    np.testing.assert_allclose(one.log.reading.angle, expected, atol=0.02)
+    assert np.abs(one.log.reading.velocity).max() < 8
+
+
+def test_a_lost_count_and_degrees_are_no_wrapped_encoder():
+    one = track()
+    one.channels["angle"][500:] += 2.5
+    assert "wraps" not in kinds(logs(one)[1])
+    degrees = track()
+    degrees.channels["angle"] = 5 * np.degrees(degrees.channels["angle"])
+    assert np.abs(np.diff(degrees.channels["angle"])).max() > 6
+    assert "wraps" not in kinds(logs(degrees)[1])
+
+
 def test_a_long_gap_splits_and_is_never_bridged():
     keep = np.r_[0:400, 430:1000]
     pieces, issues = logs(rows_of(track(), keep))

@@ -68,6 +68,21 @@ def test_a_mapping_counts_before_softfins_own_names_and_before_guesses():
     assert chosen([*AUTHORS, "theta"], columns="angle=theta")["angle"] == "theta"
 
 
+def test_the_control_table_of_a_dynamixel_is_read_and_shown():
+    names = [
+        "time", "goal_position", "goal_velocity", "profile_velocity", "profile_acceleration", "present_position",
+        "present_velocity", "present_current", "position_trajectory", "force_x", "force_y",
+    ]  # fmt: skip
+    found = choose_columns(names, ImportConfig(), "dynamixel.csv")
+    taken = {channel: column.name for channel, column in found.items()}
+    assert taken == {
+        "time": "time", "command_angle": "goal_position", "command_velocity": "profile_velocity",
+        "angle": "present_position", "velocity": "present_velocity", "force_x": "force_x", "force_y": "force_y",
+    }  # fmt: skip
+    assert "angle='present_position' in rad (assumed)" in describe_columns(found)
+    assert "or 'profile_speed'" in refusal([*names, "profile_speed"])
+
+
 def test_two_columns_that_may_be_the_same_channel_are_refused_with_the_option_that_decides():
     message = refusal([*AUTHORS, "theta [deg]"])
     assert message == (
@@ -154,6 +169,7 @@ def test_without_a_column_of_time_the_rate_must_be_told():
         ({"force_unit": "V"}, "'N', 'mN', 'kN', 'gf', 'kgf' or 'lbf'"),
         ({"velocity_rad_s": 180}, "less than or equal to 40"),
         ({"negate": "force_x"}, "force_x"),
+        ({"negate": "command_velocity"}, "negate.* Input should be 'command_angle', 'angle' or 'velocity'"),
         ({"force": "x,x"}, "force"),
         ({"rate_hz": 0}, "greater than 0"),
     ],

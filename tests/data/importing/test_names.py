@@ -77,6 +77,11 @@ def test_any_text_is_read_or_not_but_never_fails(text):
         ("Fx", "force_x", None), ("force_y [N]", "force_y", "N"), ("Force (x) [mN]", "force_x", "mN"),
         ("wrench.force.x", "force_x", None), ("force_x_mN", "force_x", "mN"), ("theta(t) [deg]", "angle", "deg"),
         ("/fin/joint_states/fin/position", "angle", None), ("timestamp_us", "time", "us"), ("t/ms", "time", "ms"),
+        ("present_position", "angle", None), ("Goal Position", "command_angle", None),
+        ("Present Position [°]", "angle", "deg"), ("dxl_present_velocity_rpm", "velocity", "rpm"),
+        ("/dynamixel_workbench/joint_states/position", "angle", None), ("Present Speed", "velocity", None),
+        ("profile_velocity", "command_velocity", None), ("goal_velocity", "command_velocity", None),
+        ("Moving Speed [rpm]", "command_velocity", "rpm"),
         ("millis", "time", "ms"), ("time [µs]", "time", "us"), ("AngleDeg", "angle", "deg"), ("timeMs", "time", "ms"),
     ],
 )  # fmt: skip
@@ -87,7 +92,9 @@ def test_names_as_people_write_them(name, channel, unit):
 @pytest.mark.parametrize(
     "name",
     ["temperature", "Fz", "", "torque_x", "target_force_x", "reference_x_n", "reference", "command id", "pos_x", "s",
-     "n", "min", "rad", "tin", "tread", "step", "command time", "[deg]"],
+     "n", "min", "rad", "tin", "tread", "step", "command time", "[deg]",
+     "present_current", "present_load", "position_trajectory", "profile_acceleration", "realtime_tick",
+     "present_position [pulse]"],
 )  # fmt: skip
 def test_what_is_no_channel_is_not_taken_for_one(name):
     assert read_name(name) is None

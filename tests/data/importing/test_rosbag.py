@@ -98,6 +98,12 @@ def test_a_joint_without_velocities_has_its_derived(tmp_path, columns):
     np.testing.assert_allclose(one.log.reading.velocity[5:-5], (angle[6:-4] - angle[4:-6]) / 0.02, atol=1e-3)
 
 
+def test_a_velocity_that_is_not_to_be_read_is_derived(bag):
+    (one,), issues = opened(bag, columns="velocity=-")
+    assert "velocity derived" in [issue.name for issue in issues]
+    np.testing.assert_allclose(one.log.reading.velocity, np.gradient(one.log.reading.angle, 0.01), atol=1e-3)
+
+
 def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns):
     topics = topics_of(columns)
     topics["/fin/command"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/command"]]

@@ -103,12 +103,12 @@ def test_a_fin_without_a_zero_is_not_enabled() -> None:
         assert made.emulated.state in AT_REST
 
 
-@pytest.mark.parametrize(("low", "refused"), [(0.1, False), (0.2, True)])
-def test_a_fin_is_enabled_a_little_beyond_its_limits_and_no_further(low: float, refused: bool) -> None:
-    with bench(angle_min_rad=low, angle_max_rad=0.5) as made:
+@pytest.mark.parametrize(("angle", "refused"), [(0.6, False), (0.7, True)])
+def test_a_fin_is_enabled_a_little_beyond_its_limits_and_no_further(angle: float, refused: bool) -> None:
+    with bench(angle_min_rad=-1.0, angle_max_rad=0.5, zero_offset_rad=angle) as made:
         made.drive.open()
         made.drive.home_here()
-        with pytest.raises(RigError, match=r"outside 0\.2 \.\. 0\.5") if refused else nullcontext():
+        with pytest.raises(RigError, match=r"outside -1 \.\. 0\.5") if refused else nullcontext():
             made.drive.enable()
         assert (made.emulated.state in AT_REST) is refused
 

@@ -5,11 +5,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softfin.core.quantities import AXES, RATE_HZ, TICK_S
+from softfin.core.quantities import AXES, MOST_ANGLE_RAD, RATE_HZ, REST_FIX, TICK_S, command_limits
 from softfin.data.checks.alignment import SHORTEST_S, rate_of
-from softfin.data.checks.statistics import Columns, LogStatistics, channels_in_degrees, true_runs, velocity_slope
+from softfin.data.checks.statistics import (
+    STILL_RAD_S,
+    Columns,
+    LogStatistics,
+    channels_in_counts,
+    channels_in_degrees,
+    true_runs,
+    velocity_slope,
+)
 from softfin.data.importing.clocks import NamedLog
-from softfin.data.importing.importing import ANGLES, ImportConfig, compose_frames
+from softfin.data.importing.importing import ANGLES, SIGNED, ImportConfig, compose_frames
 from softfin.data.issues import Issue, Severity, counted
 
 STUCK_S = 1.0
@@ -27,6 +35,12 @@ USUAL_LAG_MS = 30.0
 
 FRAME_LEAST = 0.12
 """Least correlation of a fin's force in any frame; the roughest log of the published nets has 0.2."""
+
+COUNTS_FIX = (
+    "convert them in the file: angles are (count - count at rest) * 2 * pi / counts per turn, velocities too are in "
+    "the drive's own unit; a Dynamixel X has 4096 counts per turn, 2048 at its centre, and 0.229 rpm per unit"
+)
+"""Remedy for the raw values of a drive's registers; only the drive's manual says what they mean."""
 
 UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
@@ -52,13 +66,24 @@ class CheckedLog(NamedTuple):
         return Issue(severity, name, self.statistics.name, message, fix, column, row)
 
 
+def check_counts(log: CheckedLog) -> Iterator[Issue]:
+    """Angles in counts of an encoder that were read as radians."""
+    for channel in channels_in_counts(log.raw):
+        values = getattr(log.raw, channel)
+        message = f"spans {values.min():.4g} .. {values.max():.4g}: counts of an encoder, neither rad nor degrees"
+        yield log.issue("error", "counts", channel, message, COUNTS_FIX)
+
+
 def check_degrees(log: CheckedLog) -> Iterator[Issue]:
     """Angles in degrees that were read as radians."""
     if wrong := channels_in_degrees(log.raw, log.config.velocity_rad_s is not None):
         ranges = {name: getattr(log.raw, name) for name in wrong}
         spans = "; ".join(f"{name} spans {values.min():.4g} .. {values.max():.4g}" for name, values in ranges.items())
         option = "deg" if set(wrong) == set(ANGLES) else ",".join(f"{channel}=deg" for channel in wrong)
-        yield log.issue("error", "degrees", wrong[0], f"{spans}: degrees, not rad", f"--angles {option}")
+        fix = f"--angles {option}"
+        if all((values == np.round(values)).all() for values in ranges.values()):
+            fix = f"{fix}; if these whole numbers are counts of an encoder instead, {COUNTS_FIX}"
+        yield log.issue("error", "degrees", wrong[0], f"{spans}: degrees, not rad", fix)
 
 
 def check_spikes(log: CheckedLog) -> Iterator[Issue]:
@@ -130,6 +155,13 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
     """A velocity that is not the angle's rate."""
     correlation, slope = velocity_slope(log.columns)
     if slope == 0:
+        # Many publishers of joint states leave the velocity at 0.
+        # The rate of one sample in a hundred may be a spike's; an angle may change steadily, too.
+        velocity = log.columns.velocity[0]
+        if np.percentile(np.abs(rate_of(log.calm.angle) - velocity), 99) > STILL_RAD_S:
+            message = f"the velocity is {velocity:.3g} rad/s throughout while the angle changes"
+            fix = "--columns velocity=- derives it from the angle"
+            yield log.issue("error", "constant velocity", "velocity", message, fix)
         return
     message = f"velocity is {slope:.3g} times the angle's rate (correlation {correlation:.2f})"
     if correlation < -0.5:
@@ -165,7 +197,7 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
         if _is_mirrored(log.statistics):
             column, message = "angle", f"{message}, and the force fits the mirrored angle"
         # The option as it must be now: a channel that is negated already is so no more.
-        names = [name for name in ANGLES if (name in log.config.negate) != (name == column)]
+        names = [name for name in SIGNED if (name in log.config.negate) != (name == column)]
         fix = f"--negate {','.join(names)}" if names else "leave --negate out"
         yield log.issue("error", "command sign", column, message, fix)
     elif following < 0.3:
@@ -232,7 +264,18 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     if not any(one.part == "test" for one in logs):
         fix = "choose some: --test PATTERN; or put them into a folder test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
-    commands = [one.log.command for one in logs if one.part == "train"]
+    training = [one.log for one in logs if one.part == "train"]
+    if training:
+        limits = command_limits(training)
+        # Larger ones are not in radians, which is another issue.
+        is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MOST_ANGLE_RAD
+        if is_in_radians and limits.angle_min < limits.angle_max and not limits.contains_rest:
+            message = (
+                f"the commanded angles are {limits.angle_min:.3g} to {limits.angle_max:.3g} rad, without angle 0, at "
+                "which a fin rests"
+            )
+            yield Issue("error", "no rest", "all logs", message, REST_FIX, "command_angle")
+    commands = [log.command for log in training]
     pairs = [np.stack([command.angle, command.velocity], axis=1).astype(np.float64) for command in commands]
     steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
     # Under 300 random commands hardly any of 36 cells stays empty.

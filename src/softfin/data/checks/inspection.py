@@ -12,6 +12,7 @@ from softfin.data.checks.alignment import SHORTEST_S
 from softfin.data.checks.checks import (
     LOG_CHECKS,
     CheckedLog,
+    check_counts,
     check_dataset,
     check_following,
     check_force_axes,
@@ -69,6 +70,7 @@ def inspect(
     """Check logs; `issues` are those that were met when they were read with `config`."""
     config = config or ImportConfig()
     found, statistics, series = list(issues), [], []
+    comparable: list[LogStatistics] = []
     for index, named in enumerate(logs):
         # Channels are repaired where one fault would hide the next.
         raw = columns_of(named.log)
@@ -78,18 +80,24 @@ def inspect(
         rough = {channel: without_spikes(getattr(columns, channel)) for channel in ("angle", "force_x", "force_y")}
         calm = columns._replace(**rough)
         statistics.append(measure(calm, named))
-        series.append(calm)
         log = CheckedLog(raw, columns, calm, statistics[-1], config)
-        found += [issue for check in LOG_CHECKS for issue in check(log)]
+        in_counts = list(check_counts(log))
+        if in_counts:
+            # As long as an angle's scale and zero are unknown, no other check means anything.
+            found += in_counts
+        else:
+            series.append(calm)
+            comparable.append(statistics[-1])
+            found += [issue for check in LOG_CHECKS for issue in check(log)]
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
-    if len(logs) > 1 and all(one.rows < SHORTEST_S * RATE_HZ for one in statistics):
+    if len(comparable) > 1 and all(one.rows < SHORTEST_S * RATE_HZ for one in comparable):
         # Short logs end to end: the seams are few beside the steps within.
         joined = Columns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
         together = measure(joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together"))
         pooled = CheckedLog(joined, joined, joined, together, config)
         found += [*check_following(pooled), *check_force_axes(pooled), *check_lags([together], config)]
-    issues = [*found, *check_lags(statistics, config), *check_dataset(logs)]
+    issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
 
 

@@ -22,6 +22,9 @@ MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocit
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The
 size of a measured velocity proves nothing: the published nets' own jumps reach 145 rad/s."""
 
+MOST_DEGREES = 360.0
+"""Size beyond which an angle is not in degrees either, but in a drive's counts."""
+
 STILL_RAD_S = 0.05
 """Rate of the angle below which the fin is at rest."""
 
@@ -63,6 +66,12 @@ def columns_of(log: Log) -> Columns:
     command, reading = log
     series = (command.angle, command.velocity, reading.angle, reading.velocity, *np.asarray(reading.force).T)
     return Columns(*(np.asarray(values, np.float64) for values in series))
+
+
+def channels_in_counts(columns: Columns) -> list[str]:
+    """Find angles in counts of an encoder."""
+    names = ("command_angle", "angle")
+    return [name for name in names if np.percentile(np.abs(getattr(columns, name)), 99) > MOST_DEGREES]
 
 
 def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:

@@ -9,7 +9,7 @@ import itertools
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
@@ -27,6 +27,11 @@ CUTOFF_HZ = 40.0
 
 KERNEL_S = 0.1
 """Length of the filter [s]: 25 Hz pass and 56 Hz are gone."""
+
+TURN_RAD = 2 * np.pi
+
+TURN_TOLERANCE_RAD = 0.5
+"""Motion within a row beside a jump by a turn: that of a fast fin in 20 ms."""
 
 EARLY_S = 1e-6
 """Lateness at which a stamp is still on time [s]: clocks in double precision are no better."""
@@ -135,6 +140,18 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         return valid, issues
     if len(valid.time) < 2:
         raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
+    if "angle" in valid.channels:
+        wraps = find_wraps(valid.channels["angle"])
+        if wraps.size:
+            message = f"jumps by a whole turn in {wraps.size:,} of {len(valid.time):,} rows: the encoder wraps"
+            fix = (
+                "set the encoder's zero to where the fin rests, so that it does not wrap within the fin's range, and "
+                "record again; with errors ignored the angle is unwrapped, to about 0"
+            )
+            row = int(np.flatnonzero(good)[forward][wraps[0]])
+            issues.append(Issue("error", "wraps", name, message, fix, "angle", row))
+            # Before anything is derived, filtered or interpolated across a jump.
+            valid = Track(valid.time, valid.channels | {"angle": unwrapped(valid.channels["angle"])})
     rate = 1 / float(np.median(np.diff(valid.time)))
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
@@ -148,6 +165,19 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
         issues.append(Issue("note", "resampled", name, message, column="time"))
     return valid, issues
+
+
+def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
+    """Find the rows in which an angle within one turn has jumped by a turn, as neither fins nor lost counts do."""
+    if np.ptp(angle) > TURN_RAD + TURN_TOLERANCE_RAD:
+        return np.array([], int)
+    return np.flatnonzero(np.abs(np.diff(angle)) > TURN_RAD - TURN_TOLERANCE_RAD) + 1
+
+
+def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
+    """Remove an angle's jumps by a turn; of all turns the one whose median is nearest to rest, angle 0."""
+    continuous = np.unwrap(angle)
+    return np.asarray(continuous - TURN_RAD * np.round(np.median(continuous) / TURN_RAD))
 
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:

@@ -53,6 +53,8 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
         if read is not None and name not in found.values() and read[0] not in {*found, *config.columns, *stated}:
             candidates.setdefault(read[0], []).append(name)
     for channel, several in candidates.items():
+        if channel == "command_velocity":
+            several = _preferred_velocities(several)
         if len(several) > 1:
             raise LogError(
                 f"{source}: which column is {channel}? It may be {_listed(several, ' or ')}; "
@@ -75,6 +77,12 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
             unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
             columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
     return columns
+
+
+def _preferred_velocities(names: list[str]) -> list[str]:
+    """Prefer profile velocities: a goal velocity next to one is that of a drive's velocity mode."""
+    profiles = [name for name in names if "profile" in split_unit(name, "velocity")[0]]
+    return profiles or names
 
 
 def stated_unit(channel: str, config: ImportConfig) -> str | None:
@@ -105,8 +113,7 @@ def converted(
         kind = KINDS[channel]
         unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
         result[channel] = values if unit == SI[kind] else values * UNITS[kind][unit]
-    # The commanded velocity is a magnitude without a sign to turn.
-    negated = {*config.negate, *(["velocity"] if "angle" in config.negate else [])} - {"command_velocity"}
+    negated = {*config.negate, *(["velocity"] if "angle" in config.negate else [])}
     for channel in negated & result.keys():
         result[channel] = -result[channel]
     if "force_x" in result:

@@ -16,7 +16,12 @@ NO_COLUMN = "-"
 AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
 
 ANGLES: tuple[AngleChannel, ...] = get_args(AngleChannel)
-"""Channels that may be in degrees, or of the wrong sign."""
+"""Channels that may be in degrees."""
+
+SignedChannel = Literal["command_angle", "angle", "velocity"]
+
+SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
+"""Channels that may be of the wrong sign; a commanded velocity is a magnitude."""
 
 Topic = Literal["command", "joint", "wrench"]
 
@@ -48,7 +53,7 @@ class ImportConfig(Configuration):
     """Unit of both columns of force; by default the one in their names, else N."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """Axes of the recording that are +x (thrust that pushes the robot forward) and +y: ``y,-x``."""
-    negate: tuple[AngleChannel, ...] = ()
+    negate: tuple[SignedChannel, ...] = ()
     """Angle channels of the wrong sign, as ``command_angle``; the velocity goes with its angle where it has a sign."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Time by which the commands were stamped later than the angle [ms]; they are moved earlier by it."""

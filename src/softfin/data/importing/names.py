@@ -59,16 +59,17 @@ PHRASES = {
         "velocity", "vel", "speed", "omega", "ω", "angular velocity", "ang vel", "angular vel", "angular speed",
         "angle rate", "angular rate", "theta dot", "angle velocity", "angle vel",
     ],
-    "command_velocity": ["profile velocity", "profile vel", "profile speed"],
+    # The last one is a Dynamixel's of protocol 1.
+    "command_velocity": ["profile velocity", "profile vel", "profile speed", "moving speed"],
     "force_x": ["force x", "fx", "f x"],
     "force_y": ["force y", "fy", "f y"],
 }  # fmt: skip
 """Names of each channel, in any order of their words; with one of `COMMAND_WORDS`, of the commanded one."""
 
 NEUTRAL_WORDS = {
-    "actual", "act", "measured", "meas", "reading", "value", "joint", "shaft", "motor", "servo", "drive", "fin",
-    "encoder", "sensor", "wrench", "ft", "state", "states", "feedback", "header", "elapsed", "unix", "epoch", "ros",
-    "in", "point",
+    "actual", "act", "present", "measured", "meas", "reading", "value", "joint", "shaft", "motor", "servo", "drive",
+    "fin", "encoder", "sensor", "wrench", "ft", "state", "states", "feedback", "header", "elapsed", "unix", "epoch",
+    "ros", "in", "point", "dynamixel", "dxl", "workbench",
 }  # fmt: skip
 """Words that do not change what a name means."""
 

@@ -13,7 +13,8 @@ from softfin.core.errors import LogError, one_line
 from softfin.core.printable import printable
 from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import converted
-from softfin.data.importing.importing import ImportConfig, Topic
+from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
+from softfin.data.importing.names import Channel
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity
 from softfin.storage.bag.messages import DEFAULT_TOPICS, JOINT_STATE, WRENCH_STAMPED, type_store
@@ -27,7 +28,7 @@ TYPES: dict[Topic, tuple[str, ...]] = {
     "wrench": (WRENCH_STAMPED, "geometry_msgs/msg/Wrench"),
 }
 
-CHANNELS = {
+CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
     "command": ("command_angle", "command_velocity"),
     "joint": ("angle", "velocity"),
     "wrench": ("force_x", "force_y"),
@@ -102,7 +103,7 @@ def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, n
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
     first, second = CHANNELS[role]
     channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
-    if role != "wrench" and np.isnan(pairs[:, 1]).all():
+    if role != "wrench" and (np.isnan(pairs[:, 1]).all() or config.columns.get(second) == NO_COLUMN):
         del channels[second]
     if role == "command" and second not in channels:
         if config.velocity_rad_s is None:

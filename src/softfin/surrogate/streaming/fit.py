@@ -21,10 +21,9 @@ from softfin.core.compilation import sooner_compiled, used_once
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
-from softfin.core.quantities import Log, Reading
+from softfin.core.quantities import Log, Reading, command_limits
 from softfin.core.randomness import key_of
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.channels import command_limits
 from softfin.surrogate.streaming.ensemble import (
     Member,
     calibrated,
