@@ -7,7 +7,6 @@ that knows its own output, so the window's delay does not destabilise it. The in
 controller's cells and the reachable forces, so the observer does not wind up at their edge.
 """
 
-import sys
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -81,8 +80,7 @@ class DisturbanceObserver:
     config: DisturbanceObserverConfig = field(default=DisturbanceObserverConfig(), metadata=STATIC)
 
     def __post_init__(self) -> None:
-        if "jax" in sys.modules:
-            register_pytrees(type(self))
+        register_pytrees(type(self))
 
     @property
     def limits(self) -> Limits:

@@ -18,6 +18,7 @@ import jax
 
 from softfin.core.choices import EngineName
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
+from softfin.core.program_cache import use_program_cache
 from softfin.core.progress import Progress
 from softfin.installation import how_to_add
 
@@ -171,6 +172,8 @@ def _started() -> Iterator[str]:
 
 def _worked(work: Work, item: Any) -> Any:
     """Runs on the worker; errors of ours come back as they are, not within a traceback."""
+    # A worker is a process of softfin's own, and this is where it starts.
+    use_program_cache()
     try:
         return work(item, None)
     except SoftfinError as error:
