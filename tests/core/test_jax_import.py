@@ -57,7 +57,7 @@ from pathlib import Path
 {first}
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
-from softfin.control.store import STEPS, load_controller
+from softfin.control.store import CONTROLLER_STEPS, load_controller
 
 controllers = [load_controller(Path(name)) for name in sys.argv[1:]]
 controllers += [DisturbanceObserver(controller) for controller in controllers]
@@ -68,7 +68,7 @@ import numpy as np
 classes = {{type(controller) for controller in controllers}}
 steps = {{type(controller.step) for controller in controllers if isinstance(controller, LoadedController)}}
 assert classes == {{LoadedController, DisturbanceObserver}}
-assert steps == set(STEPS.values())
+assert steps == set(CONTROLLER_STEPS.values())
 for controller in controllers:
     leaves = jax.tree.leaves(controller)
     assert leaves and all(isinstance(leaf, (np.ndarray, np.generic, float, int)) for leaf in leaves), leaves

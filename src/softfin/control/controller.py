@@ -22,7 +22,7 @@ ControllerState: TypeAlias = Any
 
 Pair: TypeAlias = tuple[float, float]
 
-LARGEST = 1e6
+MAX_MEASUREMENT = 1e6
 """Measurements beyond it are errors [rad, N]."""
 
 
@@ -140,7 +140,7 @@ class LoadedController:
             now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(np.float32)
             state, action = self.step.act(ops, state, now)
             return state, command_of(self.limits, action)
-        if not all(abs(measurement) <= LARGEST for measurement in (angle, *force, *reference)):
+        if not all(abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)):
             raise RunError(
                 f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, reference "
                 f"({reference[0]:g}, {reference[1]:g}) N: a controller needs finite numbers; check drive and sensor"

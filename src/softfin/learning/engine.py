@@ -28,7 +28,7 @@ STORE_BYTES = 256 * 2**20
 CONNECTION_S = 5.0
 """Longest wait for a cluster's address to accept a connection [s]."""
 
-HEAD = """
+CLUSTER_PROGRAM = """
 import os, sys, ray
 started = ray.init("local", include_dashboard=False, _node_ip_address="127.0.0.1",
                    object_store_memory=int(sys.argv[1]), log_to_driver=False, logging_level="ERROR")
@@ -161,7 +161,7 @@ def _unusable(cluster: str, reason: str) -> ConfigurationError:
 @contextmanager
 def _started() -> Iterator[str]:
     """The address of a cluster on this machine; it ends with this process, however that ends."""
-    command = [sys.executable, "-P", "-c", HEAD, str(STORE_BYTES)]
+    command = [sys.executable, "-P", "-c", CLUSTER_PROGRAM, str(STORE_BYTES)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as head:
         assert head.stdout is not None
         address = head.stdout.readline().strip()

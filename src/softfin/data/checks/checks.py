@@ -28,7 +28,7 @@ USUAL_LAG_MS = 30.0
 FRAME_LEAST = 0.12
 """Least correlation of a fin's force in any frame; the roughest log of the published nets has 0.2."""
 
-UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
+CHANNEL_UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
 
 class CheckedLog(NamedTuple):
@@ -63,7 +63,7 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
 
 def check_spikes(log: CheckedLog) -> Iterator[Issue]:
     """Outliers of one or two samples."""
-    for channel, unit in UNITS.items():
+    for channel, unit in CHANNEL_UNITS.items():
         values, calm = getattr(log.columns, channel), getattr(log.calm, channel)
         rows = np.flatnonzero(values != calm)
         if rows.size:
@@ -93,7 +93,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target moves.
     moving = np.abs(rate_of(columns.angle)) > 0.2
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
-    for channel, unit in UNITS.items():
+    for channel, unit in CHANNEL_UNITS.items():
         driven, cause = (behind, "the command is elsewhere") if channel == "angle" else (moving, "the fin moves")
         values = getattr(columns, channel)
         # A fifth of a second for the dead time, and for the force a drive may press in vain.
