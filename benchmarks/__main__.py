@@ -4,6 +4,8 @@ import importlib
 import json
 import sys
 
+from softfin.core.program_cache import use_program_cache
+
 NAMES = (
     "tank",
     "task",
@@ -23,6 +25,7 @@ NAMES = (
 
 
 def main() -> None:
+    use_program_cache()
     rows = []
     for name in sys.argv[1:] or NAMES:
         sys.stderr.write(f"{name} ...\n")

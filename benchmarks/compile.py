@@ -19,6 +19,7 @@ from benchmarks.compilation import LOWER, TRACE, XLA, Compilation
 from benchmarks.controllers import published
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
+from softfin.core.program_cache import use_program_cache
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.store import save_surrogate
 
@@ -68,6 +69,7 @@ def child(words: Sequence[str]) -> None:
     """Run one command in this process; its figures go to ``figures.json``."""
     from softfin.cli import main as softfin
 
+    use_program_cache()
     compilation = Compilation()
     start = time.perf_counter()
     softfin(words)

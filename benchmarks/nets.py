@@ -6,11 +6,11 @@ Speed does not depend on the weights' values, and the published files are not pa
 import jax
 
 from softfin.surrogate import Surrogate
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
+from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, ChannelScaling, Scaling
 from softfin.surrogate.paper.network import LSTM, POSNET, Dense, Dropout, Network, NetworkConfig
 
 PUBLISHED_FORCENET = NetworkConfig(
-    channels=(ANGLE, *COMMANDS),
+    channels=(ANGLE, *COMMAND_COLUMNS),
     outputs=FORCES,
     layers=(
         LSTM(units=128, sequence=True),
@@ -22,7 +22,7 @@ PUBLISHED_FORCENET = NetworkConfig(
     ),
 )
 
-RANGES = {ANGLE: 1.6, COMMANDS[0]: 1.6, COMMANDS[1]: 1.6, FORCES[0]: 18.0, FORCES[1]: 18.0}
+RANGES = {ANGLE: 1.6, COMMAND_COLUMNS[0]: 1.6, COMMAND_COLUMNS[1]: 1.6, FORCES[0]: 18.0, FORCES[1]: 18.0}
 
 
 def paper_layout(forcenet: NetworkConfig) -> Surrogate:

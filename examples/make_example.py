@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from softfin.stages.example import EXAMPLE, KIND
+from softfin.stages.example import EXAMPLE, EXAMPLE_KIND
 from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import read_log
 
@@ -68,7 +68,7 @@ def main() -> None:
         "files": {file.relative_to(EXAMPLE).as_posix(): digest(file) for file in files},
         "provenance": origin,
     }
-    (EXAMPLE / f"{KIND}.json").write_text(artifacts.encode_description(KIND, description))
+    (EXAMPLE / f"{EXAMPLE_KIND}.json").write_text(artifacts.encode_description(EXAMPLE_KIND, description))
     (EXAMPLE / "README.md").write_text(readme(description))
 
 

@@ -34,6 +34,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 gc.set_threshold(50_000, 20, 10)
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
 
+from softfin.core.program_cache import use_program_cache  # noqa: E402  # its types are checked, too
+
+use_program_cache()
+
 PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published"))
 
 

@@ -23,7 +23,7 @@ from softfin.learning.controllers import save_controller
 from softfin.storage.dataset import write_dataset
 from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
-from softfin.surrogate.channels import COMMANDS, ChannelScaling, Scaling
+from softfin.surrogate.channels import COMMAND_COLUMNS, ChannelScaling, Scaling
 from softfin.surrogate.streaming import profile
 from tests.control.test_controllers import untrained
 from tests.data import bags
@@ -195,7 +195,9 @@ def paper_surrogate(path: Path) -> None:
     """The paper's nets, for all commands that a controller gives."""
     nets = paper.surrogate()
     scaling = dict(nets.scaling.channels)
-    for name, low, high in zip(COMMANDS, (PAPER_LIMITS.angle_min, 0.5), (PAPER_LIMITS.angle_max, 3.2), strict=True):
+    for name, low, high in zip(
+        COMMAND_COLUMNS, (PAPER_LIMITS.angle_min, 0.5), (PAPER_LIMITS.angle_max, 3.2), strict=True
+    ):
         width = high - low
         scaling[name] = ChannelScaling(scale=1 / width, offset=-low / width, data_min=low, data_max=high)
     nets = Surrogate(nets.posnet, nets.forcenet, Scaling(channels=scaling))

@@ -41,7 +41,7 @@ from softfin.storage.dataset import Dataset
 from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 from softfin.surrogate.active import ActiveCollectConfig
 from softfin.surrogate.compare.compare import CompareConfig
-from softfin.tank.calibration.config import PRESETS as CALIBRATIONS
+from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
 from tests.documents import (
     CELL,
     MARKDOWN,

@@ -1,5 +1,6 @@
 """With NumPy a controller acts as it does within programs of JAX, action for action."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.controller import Measured
+from softfin.control.controller import Artifact, Measured
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
 from softfin.control.store import load_controller, save_gaits
 from softfin.core.errors import RunError
@@ -92,6 +93,38 @@ def test_it_says_what_it_is(kind: str, folders: dict[str, Path]) -> None:
     assert found.artifact.description["provenance"]
     assert len(found.artifact.weights_sha256) == 64
     assert len(found.cells) == (6 if kind in ("grid", "cold") else 1)
+
+
+def test_origins_are_equal_where_they_say_the_same(folders: dict[str, Path]) -> None:
+    single, again, gaits = (load_controller(folders[kind]).artifact for kind in ("single", "single", "gaits"))
+    assert single == again
+    assert single != gaits
+    assert single != dataclasses.replace(single, weights_sha256="0" * 64)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_compiled_program_serves_controllers_of_any_origin(kind: str, folders: dict[str, Path]) -> None:
+    controller = load_controller(folders[kind])
+    other = dataclasses.replace(controller, artifact=Artifact("other", fin="blue", description={"seed": 6}))
+    traces = []
+
+    @jax.jit
+    def first_command(controller: Any) -> Any:
+        traces.append(controller)
+        measured = Measured(jnp.float32(0.1), jnp.zeros(2))
+        return controller.act(controller.init(), measured, jnp.ones(2))[1]
+
+    for wrapped in (lambda inner: inner, DisturbanceObserver):
+        traces.clear()
+        assert first_command(wrapped(controller)) == first_command(wrapped(other))
+        assert len(traces) == 1
+
+
+def test_a_program_that_returns_a_controller_gives_it_no_other_ones_origin(folders: dict[str, Path]) -> None:
+    controller = load_controller(folders["single"])
+    other = dataclasses.replace(controller, artifact=Artifact("other"))
+    same = jax.jit(lambda controller: controller)
+    assert same(controller).artifact == same(other).artifact == Artifact()
 
 
 @pytest.mark.parametrize("kind", KINDS)

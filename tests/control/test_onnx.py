@@ -89,7 +89,7 @@ def test_commands_stay_within_the_limits_in_single_precision(folders: dict[str, 
 def test_a_file_that_is_not_the_native_step_is_not_written(
     folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
+    monkeypatch.setattr(exporting, "MAX_COMMAND_DIFFERENCE", -1.0)
     with pytest.raises(RunError, match=r"onnxruntime's commands differ by .* not written; export with another version"):
         export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
     assert not list(tmp_path.iterdir())

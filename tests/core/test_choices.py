@@ -13,7 +13,7 @@ from softfin.data.importing.names import UNITS
 from softfin.evaluation.moving_references import SIGNALS
 from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.stages.reproduce_config import PRESETS as REPRODUCTIONS
-from softfin.tank.calibration.config import PRESETS as CALIBRATIONS
+from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
 
 COMMAND_LINE = Path(softfin.cli.__file__).parent
 

@@ -77,6 +77,31 @@ def test_the_help_says_where_programs_are_kept_how_large_that_grows_and_how_to_s
     assert describe_cache() == "Compiled programs are kept in /elsewhere (JAX_COMPILATION_CACHE_DIR)."
 
 
+COMMAND = """
+import sys
+import softfin.core.program_cache
+{entry_point}
+assert "jax" not in sys.modules
+import softfin.core.plant
+import jax
+print(jax.config.jax_compilation_cache_dir)
+"""
+
+
+@pytest.mark.parametrize(
+    ("entry_point", "kept_in"),
+    [("import softfin.cli; sys.argv = ['softfin', '--version']; softfin.cli.script()", "moved"), ("", None)],
+    ids=["the command", "a library"],
+)
+def test_the_command_keeps_programs_and_an_import_of_the_library_does_not(
+    entry_point: str, kept_in: str | None, no_setting: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    no_setting.setenv("SOFTFIN_CACHE", str(tmp_path / "moved"))
+    code = COMMAND.format(entry_point=entry_point)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == str(kept_in and tmp_path / kept_in)
+
+
 @pytest.mark.usefixtures("unconfigured_jax")
 def test_a_program_is_compiled_once_and_read_from_then_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("SOFTFIN_CACHE", str(tmp_path / "moved"))
@@ -88,6 +113,24 @@ def test_a_program_is_compiled_once_and_read_from_then_on(monkeypatch: pytest.Mo
     kept = programs(tmp_path / "moved")
     assert any(path.name.startswith("jit__lambda-") for path in kept)
     assert sorted((tmp_path / "moved").iterdir()) == kept
+
+
+@pytest.mark.usefixtures("unconfigured_jax")
+def test_a_damaged_program_is_never_run(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """JAX's own store reads most flipped bits without noticing, and the program may then give anything."""
+    monkeypatch.setenv("SOFTFIN_CACHE", str(tmp_path / "moved"))
+    use_program_cache()
+    hits: list[str] = []
+    monkeypatch.setattr("jax._src.compiler.log_persistent_cache_hit", lambda name, key: hits.append(name))
+    compile_anew(3.125)
+    (entry,) = (path for path in programs(tmp_path / "moved") if path.name.startswith("jit__lambda-"))
+    whole = entry.read_bytes()
+    for place in range(0, len(whole), len(whole) // 40):
+        entry.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        assert compile_anew(3.125) == 6.25
+    assert hits == []
+    assert compile_anew(3.125) == 6.25
+    assert hits == ["jit__lambda"]
 
 
 @pytest.mark.usefixtures("unconfigured_jax")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import PlantError
-from softfin.gaits.force_map import PARTS, MapConfig, check_star, empty_map, held_region, map_forces
+from softfin.gaits.force_map import RAY_PARTS, MapConfig, check_star, empty_map, held_region, map_forces
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig
@@ -35,7 +35,7 @@ def test_where_all_gaits_hold_the_region_is_what_was_seen() -> None:
 def test_where_gaits_miss_the_region_ends() -> None:
     lattice = GaitTable.empty((-2, -2), (2, 2), (9, 9))
     left = held_region(WIDE, east_misses(lattice), 0.1)
-    part = 2 / PARTS
+    part = 2 / RAY_PARTS
     assert 1.1 - part - 1e-5 <= left.radius[0] <= 1.1
     np.testing.assert_allclose(left.radius[16], 2)
     corners = left.corners()

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from softfin.rig.stop import SIGNALS, StopRequest, Watchdog, listen_to_keyboard, stopped_by_signals
+from softfin.rig.stop import STOP_SIGNALS, StopRequest, Watchdog, listen_to_keyboard, stopped_by_signals
 
 
 def test_the_first_reason_counts():
@@ -18,7 +18,7 @@ def test_the_first_reason_counts():
     assert request.trip == ("emergency_stop", "by a key")
 
 
-@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("name", STOP_SIGNALS)
 def test_a_signal_raises_the_flag_and_no_exception(name):
     request = StopRequest()
     before = signal.getsignal(getattr(signal, name))

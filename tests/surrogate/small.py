@@ -5,19 +5,19 @@ import numpy as np
 
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate import Surrogate
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, ChannelScaling, Scaling
+from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, ChannelScaling, Scaling
 from softfin.surrogate.paper.network import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool, Network, NetworkConfig
 
 WINDOW = 12
 
 POSNET = NetworkConfig(
-    channels=COMMANDS,
+    channels=COMMAND_COLUMNS,
     outputs=(ANGLE,),
     window=WINDOW,
     layers=(Conv1D(filters=8, kernel=5), Conv1D(filters=4, kernel=3), Flatten(), Dense(units=1, activation="linear")),
 )
 FORCENET = NetworkConfig(
-    channels=(ANGLE, *COMMANDS),
+    channels=(ANGLE, *COMMAND_COLUMNS),
     outputs=FORCES,
     window=WINDOW,
     layers=(
@@ -32,8 +32,8 @@ FORCENET = NetworkConfig(
 
 def scaling() -> Scaling:
     ranges = {
-        COMMANDS[0]: (-1.5, 1.5),
-        COMMANDS[1]: (1.0, 3.0),
+        COMMAND_COLUMNS[0]: (-1.5, 1.5),
+        COMMAND_COLUMNS[1]: (1.0, 3.0),
         ANGLE: (-1.6, 1.6),
         FORCES[0]: (-9.0, 12.0),
         FORCES[1]: (-11.0, 10.0),

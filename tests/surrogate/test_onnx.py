@@ -97,7 +97,7 @@ def test_what_the_documents_show_runs(exported, tmp_path, monkeypatch, capsys):
 
 
 def test_a_file_that_is_not_the_surrogates_step_is_not_written(exported, tmp_path, monkeypatch):
-    monkeypatch.setattr(exporting, "TOLERANCE", -1.0)
+    monkeypatch.setattr(exporting, "MAX_READING_DIFFERENCE", -1.0)
     with pytest.raises(RunError, match=r"onnxruntime's readings differ by .* not written"):
         export_surrogate(exported / "streaming", tmp_path / "s.onnx")
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.tank import DomainRandomization, Tank, TankConfig, sample_tank, with_parameters
 from softfin.tank.fin import FinConfig
-from softfin.tank.randomization import OFFSETS
+from softfin.tank.randomization import ADDED_PARAMETERS
 
 TANK = Tank(TankConfig(fin=FinConfig(plates=2)))
 KEYS = jax.random.split(jax.random.key(3), 4)
@@ -70,6 +70,6 @@ def test_draws_stay_within_the_spread_and_fill_it():
 def test_each_condition_changes_the_tank(name):
     plain = with_parameters(TANK)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), plain, TANK)
-    other = with_parameters(TANK, **{name: (0.0 if name in OFFSETS else 1.0) + 0.1})
+    other = with_parameters(TANK, **{name: (0.0 if name in ADDED_PARAMETERS else 1.0) + 0.1})
     changed = jax.tree.map(lambda a, b: not np.allclose(a, b, rtol=1e-6), other, plain)
     assert any(jax.tree.leaves(changed))

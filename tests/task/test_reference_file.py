@@ -112,7 +112,7 @@ def test_a_reference_of_more_rows_than_an_hour_has_is_refused(tmp_path, monkeypa
         (tmp_path / name).write_text("time_s,force_x_n,force_y_n\n" + "0,0,0\n" * 101)
     else:
         pq.write_table(pa.table(columns), tmp_path / name)
-    assert signals.MOST_ROWS == 360_000
-    monkeypatch.setattr(signals, "MOST_ROWS", 100)
+    assert signals.MAX_REFERENCE_ROWS == 360_000
+    monkeypatch.setattr(signals, "MAX_REFERENCE_ROWS", 100)
     with pytest.raises(ConfigurationError, match="has 101 rows; 1 to 100 are followed"):
         read_reference_file(tmp_path / name)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from softfin.core.printable import printable
-from softfin.core.program_cache import describe_cache
+from softfin.core.program_cache import describe_cache, use_program_cache
 
 COMMANDS = {
     "example": ("example", "write an example to begin with: a trained surrogate, controllers, a recording"),
@@ -49,6 +49,7 @@ STOPPED = 1
 
 def script() -> None:
     """Run `main` as the installed command; after Ctrl-C end at once, as a compiled program may still run."""
+    use_program_cache()
     try:
         main()
     except SystemExit as stop:

@@ -22,7 +22,7 @@ from softfin.core.errors import ConfigurationError
 
 Arguments = TypeVar("Arguments", bound=Configuration)
 
-NUMBERS: dict[Any, str] = {int: "a whole number", float: "a number"}
+NUMBER_NAMES: dict[Any, str] = {int: "a whole number", float: "a number"}
 METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", Path: "PATH"}
 INDENT = 18
 """Columns before the text of an option in help."""
@@ -94,11 +94,11 @@ class Field:
                 return text
             allowed = ", ".join(self.choices)
             raise ConfigurationError(f"{shown}: choose one of {allowed}{_nearest(text, self.choices)}")
-        if self.kind in NUMBERS:
+        if self.kind in NUMBER_NAMES:
             try:
                 return self.kind(text)
             except ValueError:
-                raise ConfigurationError(f"{shown}: not {NUMBERS[self.kind]}; write {self.usage}") from None
+                raise ConfigurationError(f"{shown}: not {NUMBER_NAMES[self.kind]}; write {self.usage}") from None
         if self.kind is Path and not text:
             raise ConfigurationError(f"{self.name}: the path is empty; write {self.usage}")
         return Path(text) if self.kind is Path else text

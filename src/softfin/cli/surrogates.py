@@ -16,7 +16,7 @@ from softfin.data.issues import counted
 if TYPE_CHECKING:
     from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
 
-VELOCITY = Option("LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
+VELOCITY_RANGE = Option("LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
 HORIZONS = Option("SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30"))
 
 
@@ -219,7 +219,7 @@ class CalibrateArguments(Configured):
     """Parameters to fit: full is fin, water, drive and recording; quick is six numbers, in a minute."""
     evaluations: int | None = None
     """Tanks that the global search tries (4000); 0 leaves it to the local one."""
-    velocity: Annotated[tuple[float, ...], VELOCITY] | None = None
+    velocity: Annotated[tuple[float, ...], VELOCITY_RANGE] | None = None
     """Range of the commands that move a plant, as LOW,HIGH in rad/s (all that it takes)."""
     seed: int = 0
     """Seed of the search, and of the commands that move a plant."""
@@ -228,9 +228,9 @@ class CalibrateArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.stages.surrogates import calibrate
-        from softfin.tank.calibration.config import PRESETS
+        from softfin.tank.calibration.config import CALIBRATE_PRESETS
 
-        config = self.configured(PRESETS[self.preset], velocity_rad_s=self.velocity)
+        config = self.configured(CALIBRATE_PRESETS[self.preset], velocity_rad_s=self.velocity)
         result = self.stage(calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume)
         self.tell({"calibration": str(self.out), **result}, calibration_tables(result))
 

@@ -4,8 +4,8 @@ One controller serves everywhere: with NumPy on a robot, where JAX is not import
 """
 
 import dataclasses
-import sys
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from softfin.control.references import check_within
 from softfin.core.errors import RunError
+from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.operations import NUMPY, Array, Operations, operations_of
 from softfin.core.quantities import Command, Limits, command_of
 from softfin.gaits.reachable import Cell, Force, Reachable
@@ -21,7 +22,7 @@ ControllerState: TypeAlias = Any
 
 Pair: TypeAlias = tuple[float, float]
 
-LARGEST = 1e6
+MAX_MEASUREMENT = 1e6
 """Measurements beyond it are errors [rad, N]."""
 
 
@@ -80,7 +81,7 @@ class TrainingRange(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Artifact:
-    """Origin of a controller. All origins are equal, so that compiled programs serve controllers of any origin."""
+    """Origin of a controller."""
 
     name: str = "controller"
     """Name of the folder."""
@@ -91,15 +92,12 @@ class Artifact:
     """Content of ``controller.json``."""
     weights_sha256: str = ""
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Artifact)
-
-    def __hash__(self) -> int:
-        return 0
-
 
 STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
 """Metadata of a field without arrays: compiled programs hold it as a constant."""
+
+DROPPED: Mapping[str, bool] = MappingProxyType({"dropped": True})
+"""Metadata of a field that JAX does not see; a copy that JAX makes has the default."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,11 +111,12 @@ class LoadedController:
     """References that it was trained for [N]."""
     reachable: Reachable | None = None
     """Mean forces that the fin can make, where that is known."""
-    artifact: Artifact = dataclasses.field(default=Artifact(), metadata=STATIC)
+    # Were it static, each origin would have a compiled program of its own, and where a program returns a controller,
+    # that would have the origin of the first one.
+    artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
 
     def __post_init__(self) -> None:
-        if "jax" in sys.modules:
-            register_pytrees(type(self), type(self.step))
+        register_pytrees(type(self), type(self.step))
 
     @property
     def kind(self) -> str:
@@ -141,7 +140,7 @@ class LoadedController:
             now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(np.float32)
             state, action = self.step.act(ops, state, now)
             return state, command_of(self.limits, action)
-        if not all(abs(measurement) <= LARGEST for measurement in (angle, *force, *reference)):
+        if not all(abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)):
             raise RunError(
                 f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, reference "
                 f"({reference[0]:g}, {reference[1]:g}) N: a controller needs finite numbers; check drive and sensor"
@@ -159,16 +158,25 @@ class LoadedController:
 
 
 def register_pytrees(*classes: type) -> None:
-    """Make dataclasses pytrees of JAX: fields are leaves unless they are `STATIC`."""
-    import jax
+    """Make dataclasses pytrees of JAX: fields are leaves unless they are `STATIC` or `DROPPED`.
 
+    Controllers may be loaded before JAX is imported, so a class is registered as soon as that happens.
+    """
     for each in classes:
         if each not in _REGISTERED and dataclasses.is_dataclass(each):
-            names: dict[bool, list[str]] = {False: [], True: []}
-            for field in dataclasses.fields(each):
-                names["static" in field.metadata].append(field.name)
-            jax.tree_util.register_dataclass(each, names[False], names[True])
             _REGISTERED.add(each)
+            when_jax_is_imported(partial(_register_pytree, each))
 
 
 _REGISTERED: set[type] = set()
+"""Classes that are registered, or will be when JAX is imported."""
+
+
+def _register_pytree(dataclass: type) -> None:
+    import jax
+
+    fields = dataclasses.fields(dataclass)
+    static = [field.name for field in fields if "static" in field.metadata]
+    dropped = [field.name for field in fields if "dropped" in field.metadata]
+    leaves = [field.name for field in fields if field.name not in (*static, *dropped)]
+    jax.tree_util.register_dataclass(dataclass, leaves, static, dropped)

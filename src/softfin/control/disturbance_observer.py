@@ -17,7 +17,6 @@ within the controller's cells and the reachable forces, so the observer does not
 """
 
 import math
-import sys
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -103,8 +102,7 @@ class DisturbanceObserver:
     config: DisturbanceObserverConfig = field(default=DisturbanceObserverConfig(), metadata=STATIC)
 
     def __post_init__(self) -> None:
-        if "jax" in sys.modules:
-            register_pytrees(type(self))
+        register_pytrees(type(self))
 
     @property
     def limits(self) -> Limits:

@@ -27,12 +27,12 @@ from softfin.storage.onnx_file import (
     open_session,
 )
 
-COMMANDS = ("command_angle", "command_velocity")
+COMMAND_OUTPUTS = ("command_angle", "command_velocity")
 
 NEEDED = ("ndonnx", "onnx", "onnxruntime", "onnx.version_converter", "spox.opset.ai.onnx.v17")
 """Modules of the extra; ndonnx builds graphs with spox."""
 
-TOLERANCE = 1e-4
+MAX_COMMAND_DIFFERENCE = 1e-4
 """A file whose commands differ by more from NumPy's is not written [rad, rad/s]."""
 
 EPISODE = 240
@@ -99,7 +99,7 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     initial = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
     model = _traced(ndonnx, onnx, controller)
     data = encode_model(model, f"{controller.kind} controller", initial, _metadata(controller))
-    return keep_model(file, data, "commands", _difference(data, controller), TOLERANCE)
+    return keep_model(file, data, "commands", _difference(data, controller), MAX_COMMAND_DIFFERENCE)
 
 
 def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
@@ -114,8 +114,8 @@ def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
     measured = {name: ndonnx.argument(shape=shape, dtype=ndonnx.float32) for name, shape in shapes.items()}
     now = ndonnx.concat([ndonnx.reshape(measured["angle"], (1,)), measured["reference"]])
     after, action = controller.step.act(OnnxOperations(ndonnx), type(initial)(**state), now)
-    commands = dict(zip(COMMANDS, command_of(controller.limits, action), strict=True))
-    for name, low, high in zip(COMMANDS, controller.limits[::2], controller.limits[1::2], strict=True):
+    commands = dict(zip(COMMAND_OUTPUTS, command_of(controller.limits, action), strict=True))
+    for name, low, high in zip(COMMAND_OUTPUTS, controller.limits[::2], controller.limits[1::2], strict=True):
         # Rounding must not lead out of the limits: the nearest float32 that is not beyond each.
         least, most = np.float32(low), np.float32(high)
         least = np.nextafter(least, np.float32(np.inf)) if least < low else least
@@ -171,9 +171,9 @@ def _difference(data: bytes, controller: LoadedController) -> float:
         angle, force = numbers.uniform(*controller.limits[:2]), numbers.normal(size=2)
         fed = {"angle": angle, "force": force, "reference": reference}
         found = session.run(None, {name: np.asarray(value, np.float32) for name, value in fed.items()} | state)
-        state = dict(zip(state, found[len(COMMANDS) :], strict=True))
+        state = dict(zip(state, found[len(COMMAND_OUTPUTS) :], strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
-        difference = np.abs(np.array(command) - np.array(found[: len(COMMANDS)])).max()
+        difference = np.abs(np.array(command) - np.array(found[: len(COMMAND_OUTPUTS)])).max()
         # Not a number is a difference, too.
         worst = max(worst, float(difference)) if difference == difference else np.inf
     return worst

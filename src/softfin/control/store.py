@@ -21,27 +21,31 @@ from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.storage import artifact as artifacts
 
-KIND = "controller"
+CONTROLLER_KIND = "controller"
 AGAIN = "copy the folder again, or train it again"
 """Remedy where a folder is damaged."""
 
-STEPS: Mapping[str, Any] = MappingProxyType({step.kind: step for step in (SingleStep, GridStep, GaitStep)})
+CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType({step.kind: step for step in (SingleStep, GridStep, GaitStep)})
 """Kinds of controllers by name."""
 
 
 def load_controller(path: Path) -> LoadedController:
     """Load the controller in a folder; raises ArtifactError where there is none, or it is damaged."""
     path = Path(path)
-    description, arrays = artifacts.load(path, KIND)
+    description, arrays = artifacts.load(path, CONTROLLER_KIND)
     digest = hashlib.sha256((path / artifacts.WEIGHTS).read_bytes()).hexdigest()
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise ArtifactError(f"{path / artifacts.WEIGHTS}: {name[:80]!r} holds numbers that are not finite; {AGAIN}")
-    return build_controller(description, arrays, str(path / f"{KIND}.json"), path.resolve().name, digest)
+    return build_controller(description, arrays, str(path / f"{CONTROLLER_KIND}.json"), path.resolve().name, digest)
 
 
 def build_controller(
-    description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], source: str, name: str = KIND, digest: str = ""
+    description: Mapping[str, Any],
+    arrays: Mapping[str, np.ndarray],
+    source: str,
+    name: str = CONTROLLER_KIND,
+    digest: str = "",
 ) -> LoadedController:
     """Build a controller from its description and arrays; errors name the `source`."""
     if (rate := description.get("action_rate_hz", "missing")) != ACTION_RATE_HZ:
@@ -49,12 +53,14 @@ def build_controller(
             f"{source}: action_rate_hz is {rate!r}; this softfin reads {ACTION_RATE_HZ}; train it again"
         )
     kind = str(description.get("controller"))
-    if kind not in STEPS:
-        raise ArtifactError(f"{source}: controller is {kind[:80]!r}; it must be one of {', '.join(STEPS)}; {AGAIN}")
+    if kind not in CONTROLLER_STEPS:
+        raise ArtifactError(
+            f"{source}: controller is {kind[:80]!r}; it must be one of {', '.join(CONTROLLER_STEPS)}; {AGAIN}"
+        )
     try:
         limits, region = Limits.of(description["limits"]), description.get("reachable")
         cells = tuple(Cell.model_validate(cell) for cell in ([] if kind == GaitStep.kind else description["cells"]))
-        step, cells = STEPS[kind].load(
+        step, cells = CONTROLLER_STEPS[kind].load(
             description, {key: np.array(array, np.float32) for key, array in arrays.items()}, limits, cells
         )
         learnt = pydantic.TypeAdapter(TrainingRange | None).validate_python(description.get("training_range"))
@@ -86,7 +92,7 @@ def write_controller(
         "limits": limits.to_dict(),
         **keys,
     }
-    artifacts.save(path, KIND, description, dict(arrays), extra_files, overwrite)
+    artifacts.save(path, CONTROLLER_KIND, description, dict(arrays), extra_files, overwrite)
 
 
 def save_gaits(

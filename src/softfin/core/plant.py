@@ -14,11 +14,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import MOST_TICKS, rows_of, ticks_of
 from softfin.core.errors import CommandError
-from softfin.core.program_cache import use_program_cache
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
-
-# Here, as whatever compiles a program of softfin's imports this module.
-use_program_cache()
 
 State: TypeAlias = PyTree[Any]
 Output = TypeVar("Output")

@@ -1,8 +1,22 @@
-"""Compiled programs are kept between runs, by JAX's persistent compilation cache, in a folder of the user's.
+"""Keep compiled programs between runs, by JAX's persistent compilation cache, in a folder of the user's.
 
 ``SOFTFIN_CACHE`` moves the folder, or switches the cache off. A cache folder that JAX itself has been given wins.
 The name of an entry is JAX's: it holds the program, the versions of JAX and XLA, the flags, and the processor with its
-features. Nothing but the standard library is imported before the cache is switched on.
+features.
+
+The cache is a setting of a process, so a program's entry point switches it on, and no import does.
+
+JAX's settings alone do not suffice, since its own store (JAX 0.10) cannot tell a damaged entry: with zstandard, which
+softfin needs for recordings, an entry has no checksum. Of single flipped bits in an entry, three in four went
+unnoticed, and the program that was read aborted or crashed in six of fourteen trials. Besides:
+
+- Without a size limit, JAX writes in place. Other processes read half an entry, and what a killed process left is
+  neither used nor replaced: every later run compiles it and warns.
+- With a size limit, JAX needs the package filelock, waits for a lock at each reading, looks through the folder at each
+  writing, and stops writing for good once a process was killed between the two files of an entry.
+
+So entries are kept by `ProgramStore`. JAX has no public setting for the store; what is replaced is the one function by
+which JAX makes it, ``get_file_cache``, and JAX's own still serves every other folder.
 """
 
 import contextlib
@@ -12,6 +26,8 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import Any, cast
+
+from softfin.core.jax_import import when_jax_is_imported
 
 VARIABLE = "SOFTFIN_CACHE"
 OFF = "off"
@@ -60,12 +76,7 @@ def describe_cache() -> str:
 
 
 class ProgramStore:
-    """Entries of JAX's cache as files, in place of JAX's own store.
-
-    JAX's store without a size limit writes in place, so that a reader may meet half an entry; with a limit it needs
-    another package, waits for a lock at each reading, and stops writing for good after a process was killed midway.
-    Here an entry is written beside its place and moved there, and holds a digest of its content.
-    """
+    """Entries of JAX's cache as files, each of which is written beside its place, moved there, and holds a digest."""
 
     def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
         self._path, self.largest_bytes = folder, largest_bytes
@@ -126,7 +137,14 @@ class ProgramStore:
 
 
 def use_program_cache() -> None:
-    """Switch the cache on in this process, unless the user has switched it off or given JAX a folder."""
+    """Switch the cache on in this process, unless the user has switched it off or given JAX a folder.
+
+    For the entry points of programs. JAX is not imported for it: the cache is there as soon as JAX is.
+    """
+    when_jax_is_imported(_switch_on)
+
+
+def _switch_on() -> None:
     import jax
 
     folder, config = cache_folder(), cast(Any, jax.config)

@@ -22,7 +22,7 @@ from softfin.data.excitation import Commands, ExcitationConfig
 from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
-from softfin.storage.paths import PARTS
+from softfin.storage.paths import DATASET_PARTS
 
 
 class CollectConfig(Configuration):
@@ -120,7 +120,7 @@ def open_to_extend(path: Path, metadata: dict[str, Any], *earlier: str) -> Datas
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
     """Count the time in float64; raises PlantError where the plant's own time or readings are not valid."""
     for index, log in enumerate(logs):
-        name = f"{part}/{index:0{PARTS[part]}d}"
+        name = f"{part}/{index:0{DATASET_PARTS[part]}d}"
         for field, values in zip(log.reading._fields, log.reading, strict=True):
             bad = np.argwhere(~np.isfinite(values))
             if bad.size:

@@ -21,9 +21,9 @@ from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import Report, SurveyConfig, missing_gradient, survey
 from softfin.storage import artifact as artifacts
 
-KIND = "map"
+MAP_KIND = "map"
 
-PARTS = 24
+RAY_PARTS = 24
 """Places along the ray to each corner at which the error is interpolated."""
 
 NOT_STAR = 0.05
@@ -83,12 +83,12 @@ def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
     kept.
     """
     radius, low, high = np.asarray(surveyed.radius), *(np.asarray(corner, float) for corner in gaits.table[:2])
-    parts = np.linspace(0, 1, PARTS + 1)[1:, None, None]
+    parts = np.linspace(0, 1, RAY_PARTS + 1)[1:, None, None]
     force = np.asarray(surveyed.centre) + parts * (radius[:, None] * directions(len(radius)))
     place = (force - low) / np.maximum(high - low, 1e-9) * (np.array(gaits.table.nodes) - 1)
     error = map_coordinates(gaits.force_error(), np.moveaxis(place, -1, 0), float, order=1, mode="constant")
     good = np.cumprod(error <= tolerance_n, axis=0).sum(axis=0)
-    return surveyed._replace(radius=np.asarray(radius * np.maximum(good, 1) / PARTS, np.float32))
+    return surveyed._replace(radius=np.asarray(radius * np.maximum(good, 1) / RAY_PARTS, np.float32))
 
 
 def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float], str | None]:
@@ -100,7 +100,7 @@ def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float
     region, nodes = force_map.reachable, force_map.gaits.table.references().reshape(-1, 2)
     held = force_map.gaits.force_error().reshape(-1) <= tolerance_n
     # A ray ends at the last of its parts that is held, which may be one part short of the edge.
-    clearly_outside = ~region.contains(nodes, tolerance_n + float(np.max(region.radius)) / PARTS)
+    clearly_outside = ~region.contains(nodes, tolerance_n + float(np.max(region.radius)) / RAY_PARTS)
     inside = region.contains(nodes)
     outside = float((held & clearly_outside).sum() / max(held.sum(), 1))
     unmet = float((inside & ~held).sum() / max(inside.sum(), 1))
@@ -139,13 +139,13 @@ def save_map(
     }  # fmt: skip
     figure = map_figure(force_map, config.tolerance_n)
     arrays = force_map.arrays()
-    artifacts.save(path, KIND, description, arrays, lambda folder: save_figure(figure, folder, "map"), overwrite)
+    artifacts.save(path, MAP_KIND, description, arrays, lambda folder: save_figure(figure, folder, "map"), overwrite)
 
 
 def load_map(path: Path) -> LoadedMap:
     """Load the map in a folder; raises ArtifactError where there is none, or it is damaged."""
-    description, weights = artifacts.load(path, KIND)
-    source = str(path / f"{KIND}.json")
+    description, weights = artifacts.load(path, MAP_KIND)
+    source = str(path / f"{MAP_KIND}.json")
     try:
         return LoadedMap(
             ForceMap.from_dict(description, weights),

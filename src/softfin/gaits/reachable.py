@@ -29,7 +29,7 @@ PAPER_REFERENCES: tuple[Force, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1),
 TOLERANCE_N = 1e-3
 """Forces this near to the edge of a region count as inside it."""
 
-CHUNK = 2048
+MAX_CHUNK_FORCES = 2048
 """Forces for which the nearest ones are computed together, which bounds the memory."""
 
 
@@ -142,9 +142,12 @@ class Reachable(NamedTuple):
 
         It is the nearest force of a cell, of one of the cell's sides or its corners, or lies on the region's edge.
         """
-        if len(forces) > CHUNK:
+        if len(forces) > MAX_CHUNK_FORCES:
             return np.concatenate(
-                [self.nearest_within(cells, forces[i : i + CHUNK]) for i in range(0, len(forces), CHUNK)]
+                [
+                    self.nearest_within(cells, forces[i : i + MAX_CHUNK_FORCES])
+                    for i in range(0, len(forces), MAX_CHUNK_FORCES)
+                ]
             )
         forces = forces.astype(float)
         candidates = np.concatenate(

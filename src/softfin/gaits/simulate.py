@@ -34,7 +34,7 @@ PreTanh = Float[AnyArray, "gaits 12"]
 CYCLES = 3
 """Windows that a gait is repeated for from rest, where nothing else is asked for."""
 
-GREATEST_ACTION = 0.97
+MAX_SEARCHED_ACTION = 0.97
 """Actions are moved through atanh, which has no value at 1."""
 
 SIDE_BY_SIDE = 32
@@ -92,7 +92,7 @@ class GaitSensitivity(NamedTuple):
 
 def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
     """Return the atanh of the actions."""
-    return np.asarray(np.arctanh(np.clip(gaits, -GREATEST_ACTION, GREATEST_ACTION)).reshape(len(gaits), -1))
+    return np.asarray(np.arctanh(np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)).reshape(len(gaits), -1))
 
 
 def gait_sensitivity(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray) -> GaitSensitivity:

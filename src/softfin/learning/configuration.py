@@ -23,7 +23,7 @@ from softfin.learning.ppo import PPOConfig
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE, check_apart
 from softfin.task.task import TaskConfig
 
-EDGE_N = 1e-3
+EDGE_ROUNDING_N = 1e-3
 """Edges of lattices and regions are rounded in their files."""
 
 
@@ -173,7 +173,7 @@ def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: Fo
     if not config.begins_as_gaits or force_map is None:
         return
     box, table, (least, greatest) = config.training_range, force_map.gaits.table, force_map.reachable.bounds()
-    low, high = np.maximum(box.low, least) + EDGE_N, np.minimum(box.high, greatest) - EDGE_N
+    low, high = np.maximum(box.low, least) + EDGE_ROUNDING_N, np.minimum(box.high, greatest) - EDGE_ROUNDING_N
     if np.any(table.low > low) or np.any(table.high < high):
         between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
         raise ConfigurationError(

@@ -18,6 +18,7 @@ import jax
 
 from softfin.core.choices import EngineName
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
+from softfin.core.program_cache import use_program_cache
 from softfin.core.progress import Progress
 from softfin.installation import how_to_add
 
@@ -27,7 +28,7 @@ STORE_BYTES = 256 * 2**20
 CONNECTION_S = 5.0
 """Longest wait for a cluster's address to accept a connection [s]."""
 
-HEAD = """
+CLUSTER_PROGRAM = """
 import os, sys, ray
 started = ray.init("local", include_dashboard=False, _node_ip_address="127.0.0.1",
                    object_store_memory=int(sys.argv[1]), log_to_driver=False, logging_level="ERROR")
@@ -160,7 +161,7 @@ def _unusable(cluster: str, reason: str) -> ConfigurationError:
 @contextmanager
 def _started() -> Iterator[str]:
     """The address of a cluster on this machine; it ends with this process, however that ends."""
-    command = [sys.executable, "-P", "-c", HEAD, str(STORE_BYTES)]
+    command = [sys.executable, "-P", "-c", CLUSTER_PROGRAM, str(STORE_BYTES)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as head:
         assert head.stdout is not None
         address = head.stdout.readline().strip()
@@ -171,6 +172,8 @@ def _started() -> Iterator[str]:
 
 def _worked(work: Work, item: Any) -> Any:
     """Runs on the worker; errors of ours come back as they are, not within a traceback."""
+    # A worker is a process of softfin's own, and this is where it starts.
+    use_program_cache()
     try:
         return work(item, None)
     except SoftfinError as error:

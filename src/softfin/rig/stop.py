@@ -12,7 +12,7 @@ from types import FrameType
 from softfin.core.clock import REAL, Clock
 from softfin.rig.safety import Trip
 
-SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 """The signals that stop the fin; the last is Ctrl-Z: a program that sleeps watches over nothing."""
 
 PATIENCE_S = 2.0
@@ -49,7 +49,7 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
-    numbers = [getattr(signal, name) for name in SIGNALS if hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 RIDGE = 1e-5
 """Weight of the distance to the preferred forces; 10,000 times it would miss 0.3 N in the weakest axis."""
 
-STEPS = 10
+GRADIENT_STEPS = 10
 """Steps of the projected gradient in a call, beyond reach."""
 
 TOUCHING, SETTLING = 1e-6, 20
@@ -110,7 +110,7 @@ class Allocator:
         """Return forces over reaches of which none is longer than 1, after some steps towards the best."""
         # A gradient step is linear: descend @ x + shift.
         shift, ahead, momentum = self._step * right, parts, 1.0
-        for _ in range(STEPS):
+        for _ in range(GRADIENT_STEPS):
             after = _clipped(self._descend.dot(ahead) + shift)
             moved = after - parts
             if (ahead - after).dot(moved) > 0:

@@ -10,7 +10,7 @@ from softfin.core.randomness import generator_of
 from softfin.gaits.inverse_model import InverseConfig, amplitude_of
 from softfin.robot.description import RobotConfig
 from softfin.robot.fin_driver import FinGaits
-from softfin.robot.phases import PHASES
+from softfin.robot.phases import NUM_PHASES
 from softfin.robot.wrench_driver import WrenchDriver
 
 MakeDriver: TypeAlias = Callable[[int], WrenchDriver]
@@ -33,7 +33,7 @@ def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeD
     analytic = [_analytic(each) for each in gaits]
 
     def independent(seed: int) -> np.ndarray:
-        return generator_of(seed, "robot/phases").integers(0, PHASES, len(gaits))
+        return generator_of(seed, "robot/phases").integers(0, NUM_PHASES, len(gaits))
 
     return {
         "whole": lambda seed: WrenchDriver(robot, gaits),

@@ -7,7 +7,7 @@ import numpy as np
 
 from softfin.robot.allocation import Allocator
 from softfin.robot.body_config import GRAVITY_M_S2
-from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import FinGaits
 
@@ -30,8 +30,8 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
         "singular_values": [round(float(value), 4) for value in np.linalg.svd(matrix)[1]],
         "rank_without": without if count > 1 else {},
         "fin_reach_n": dict(zip(robot.fins, (round(float(r), 3) for r in reach), strict=True)),
-        "reach": {name: round(most, 3) for name, most in zip(AXES, along, strict=True)},
-        "acceleration": {name: round(float(a), 3) for name, a in zip(AXES, along / inertia, strict=True)},
+        "reach": {name: round(most, 3) for name, most in zip(WRENCH_AXES, along, strict=True)},
+        "acceleration": {name: round(float(a), 3) for name, a in zip(WRENCH_AXES, along / inertia, strict=True)},
         "sinks_n": round(robot.body.mass_kg * GRAVITY_M_S2 - robot.body.upward_n, 3),
     }
 

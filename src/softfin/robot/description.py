@@ -18,7 +18,7 @@ from softfin.robot.rotation import cross
 BUILT_IN = ("ucat",)
 """Robots that are part of softfin."""
 
-AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
+WRENCH_AXES = ("surge", "sway", "heave", "roll", "pitch", "yaw")
 """Names of the six numbers of a wrench or a twist."""
 
 UNIT_TOLERANCE = 1e-3

@@ -16,7 +16,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.randomness import generator_of
 from softfin.robot.baselines import MakeDriver, drivers_of
-from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.robot.noise import NoiseConfig
@@ -168,7 +168,7 @@ def trial(
     told |= {
         "position_rms_m": _rms(position), "position_worst_m": float(position.max()),
         "attitude_rms_deg": float(np.degrees(_rms(attitude))), "attitude_worst_deg": float(np.degrees(attitude.max())),
-        "given_up": {AXES[i]: float(record.given_up[:, i].mean()) for i in range(6)},
+        "given_up": {WRENCH_AXES[i]: float(record.given_up[:, i].mean()) for i in range(6)},
     }  # fmt: skip
     if task != "hold":
         told["speed_m_s"] = float(speed)
@@ -214,7 +214,7 @@ def wrench_errors(
         "force_error_worst_n": float(np.linalg.norm(error[:, :3], axis=1).max()),
         "moment_error_nm": float(np.linalg.norm(error[:, 3:], axis=1).mean()),
         "moment_error_worst_nm": float(np.linalg.norm(error[:, 3:], axis=1).max()),
-        "ripple": dict(zip(AXES, map(float, ripple), strict=True)),
+        "ripple": dict(zip(WRENCH_AXES, map(float, ripple), strict=True)),
     }
 
 

@@ -15,13 +15,13 @@ from softfin.tank import Tank, TankState
 from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
-AMPLITUDES = np.linspace(0, 1.2, 41)
+STROKES_RAD = np.linspace(0, 1.2, 41)
 """Strokes that are tried [rad]; beyond 1.2 a fin of any stiffness pushes itself to and fro."""
 
-CYCLES = 4
+HELD_WINDOWS = 4
 """Windows of 2 s that a gait is repeated for from rest; the last one counts."""
 
-ASIDE = 0.05
+MAX_SIDE_FORCE_FRACTION = 0.05
 """Part of its force that a gait may make across the direction of pushing in the mean: beyond, strokes do not end within
 their action and each begins another way."""
 
@@ -31,7 +31,7 @@ STREAM_M_S = 0.05
 
 def find_fin_gaits(tank: Tank) -> FinGaits:
     """Simulate strokes about angle 0, and keep those whose mean force grows with the amplitude."""
-    amplitudes = jnp.asarray(AMPLITUDES)
+    amplitudes = jnp.asarray(STROKES_RAD)
     (forces, moments), *streams = [
         [np.asarray(each, float) for each in _strokes(tank, amplitudes, jnp.asarray(stream))]
         for stream in ((0.0, 0.0), (STREAM_M_S, 0.0), (0.0, STREAM_M_S))
@@ -43,15 +43,15 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
     count = 1
     while count < len(mean) and mean[count, 0] > mean[count - 1, 0]:
-        if abs(mean[count, 1]) > ASIDE * mean[count, 0] + 0.01:
+        if abs(mean[count, 1]) > MAX_SIDE_FORCE_FRACTION * mean[count, 0] + 0.01:
             break
         count += 1
     if count < 3:
-        raise PlantError(f"robot: strokes of {AMPLITUDES[1]:.2f} and {AMPLITUDES[2]:.2f} rad about angle 0 make "
+        raise PlantError(f"robot: strokes of {STROKES_RAD[1]:.2f} and {STROKES_RAD[2]:.2f} rad about angle 0 make "
                          f"{mean[1, 0]:.3g} and {mean[2, 0]:.3g} N of thrust in this tank; a fin's thrust must grow "
                          "with its strokes")  # fmt: skip
     mean[0] = 0
-    return FinGaits(mean[:count, 0], AMPLITUDES[:count], ripple[:count], loss[:count] / STREAM_M_S, tank.limits)
+    return FinGaits(mean[:count, 0], STROKES_RAD[:count], ripple[:count], loss[:count] / STREAM_M_S, tank.limits)
 
 
 @eqx.filter_jit
@@ -61,7 +61,7 @@ def _strokes(
     """Forces [N] and moments about the shaft [N m] over the last window, of a fin that is towed."""
     mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
-    sides = np.repeat([1.0, -1.0] * (CYCLE_ACTIONS // 2 * CYCLES), ticks_of(CYCLE_ACTIONS * CYCLES))
+    sides = np.repeat([1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS), ticks_of(CYCLE_ACTIONS * HELD_WINDOWS))
 
     def each(amplitude: Float[Array, ""]) -> tuple[Float[Array, "ticks 2"], Float[Array, "ticks"]]:
         velocity = jnp.clip(2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max)

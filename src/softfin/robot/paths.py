@@ -50,7 +50,7 @@ def error_of(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]
 
 Path: TypeAlias = Callable[[float], PathPoint]
 
-STEP_S = 0.01
+DIFFERENCE_STEP_S = 0.01
 """Step of the differences by which a path's velocity and acceleration are found [s]."""
 
 STARTING_S = 10.0
@@ -83,12 +83,15 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: fl
         return float(np.arctan2(ahead[1], ahead[0]))
 
     def target(time: float) -> PathPoint:
-        before, now, after = (place(time + k * STEP_S) for k in (-1, 0, 1))
-        yaws = np.unwrap([heading(time + k * STEP_S) for k in (-1, 0, 1)])
+        before, now, after = (place(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1))
+        yaws = np.unwrap([heading(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1)])
         turn, turning = np.zeros(3), np.zeros(3)
-        turn[2], turning[2] = (yaws[2] - yaws[0]) / (2 * STEP_S), (yaws[2] - 2 * yaws[1] + yaws[0]) / STEP_S**2
-        return PathPoint(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * STEP_S),
-                      (after - 2 * now + before) / STEP_S**2, turn, turning)  # fmt: skip
+        turn[2], turning[2] = (
+            (yaws[2] - yaws[0]) / (2 * DIFFERENCE_STEP_S),
+            (yaws[2] - 2 * yaws[1] + yaws[0]) / DIFFERENCE_STEP_S**2,
+        )
+        return PathPoint(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * DIFFERENCE_STEP_S),
+                      (after - 2 * now + before) / DIFFERENCE_STEP_S**2, turn, turning)  # fmt: skip
 
     return target
 

@@ -13,7 +13,7 @@ from jaxtyping import Complex, Float, Int
 
 from softfin.core.action_clock import ACTION_TICKS
 
-PHASES = 6
+NUM_PHASES = 6
 DELAY_TICKS = ACTION_TICKS[0] // 3
 """Ticks between a phase and the next."""
 
@@ -41,8 +41,8 @@ def side_of(phase: int, action: int) -> int:
 @cache
 def _patterns(count: int) -> tuple[Int[np.ndarray, "patterns fins"], Complex[np.ndarray, "patterns fins"]]:
     """All phases of fins relative to the first, and by what they turn the ripple."""
-    phases = np.array([(0, *rest) for rest in product(range(PHASES), repeat=count - 1)])
-    return phases, np.exp(-2j * np.pi / PHASES * phases)
+    phases = np.array([(0, *rest) for rest in product(range(NUM_PHASES), repeat=count - 1)])
+    return phases, np.exp(-2j * np.pi / NUM_PHASES * phases)
 
 
 def choose_phases(
@@ -54,8 +54,8 @@ def choose_phases(
     phases, turns = _patterns(len(present))
     costs = (np.abs(turns @ moved.T) ** 2).sum(axis=1)
     best, part = int(costs.argmin()), 1.0 if starting else MUCH
-    now = float((np.abs(moved @ np.exp(-2j * np.pi / PHASES * present)) ** 2).sum())
-    return (present[0] + phases[best]) % PHASES if costs[best] < part**2 * now else present
+    now = float((np.abs(moved @ np.exp(-2j * np.pi / NUM_PHASES * present)) ** 2).sum())
+    return (present[0] + phases[best]) % NUM_PHASES if costs[best] < part**2 * now else present
 
 
 def wrench_ripple(

@@ -18,7 +18,7 @@ from softfin.robot.dynamics import SixVector
 from softfin.robot.paths import PathPoint, twist_of
 from softfin.storage import artifact as artifacts
 
-KIND = "robot-policy"
+ROBOT_POLICY_KIND = "robot-policy"
 
 TRAINED_FOR = ("body", "fins", "allocation", "control")
 """Parts of a robot's file that a policy is trained for."""
@@ -86,12 +86,12 @@ class ResidualPolicy(NamedTuple):
         """Write a folder with the weights, the robot that it is for, and how it was trained."""
         description = {"robot": robot.model_dump(mode="json"), **training}
         weights = {**self.network._asdict(), "bound": self.bound}
-        artifacts.save(path, KIND, description, weights, overwrite=overwrite)
+        artifacts.save(path, ROBOT_POLICY_KIND, description, weights, overwrite=overwrite)
 
     @classmethod
     def load(cls, path: Path, robot: RobotConfig) -> "ResidualPolicy":
         """Load the policy of a robot; raises ArtifactError where the folder holds another thing, or another robot's."""
-        description, weights = artifacts.load(path, KIND)
+        description, weights = artifacts.load(path, ROBOT_POLICY_KIND)
         own = robot.model_dump(mode="json")
         theirs = description.get("robot", {})
         other = [name for name in own if name in TRAINED_FOR and own[name] != theirs.get(name)]

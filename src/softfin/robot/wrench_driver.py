@@ -15,7 +15,7 @@ from softfin.core.errors import RunError
 from softfin.core.quantities import Command
 from softfin.robot.allocation import Allocator, Forces, SixVector
 from softfin.robot.bracing import BracedAllocation
-from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, stroke
 from softfin.robot.phases import Phases, choose_phases, delay_of, side_of, wrench_ripple
@@ -46,7 +46,10 @@ class FinOrders(NamedTuple):
         if not self.given_up.any():
             return ""
         units = ("N",) * 3 + ("N m",) * 3
-        parts = [f"{AXES[i]} {self.wrench[i]:.2f} of {wrench[i]:.2f} {units[i]}" for i in np.flatnonzero(self.given_up)]
+        parts = [
+            f"{WRENCH_AXES[i]} {self.wrench[i]:.2f} of {wrench[i]:.2f} {units[i]}"
+            for i in np.flatnonzero(self.given_up)
+        ]
         return "beyond the fins' reach: " + ", ".join(parts)
 
 

@@ -13,7 +13,7 @@ from softfin.storage import artifact as artifacts
 EXAMPLE = Path(__file__).parents[1] / "example"
 """Folder of the example within the package."""
 
-KIND = "example"
+EXAMPLE_KIND = "example"
 
 
 def write_example(out: Path, *, overwrite: bool = False) -> dict[str, Any]:
@@ -27,4 +27,4 @@ def write_example(out: Path, *, overwrite: bool = False) -> dict[str, Any]:
             shutil.copyfile(file, place)
 
     artifacts.write_folder(out, copy, overwrite)
-    return artifacts.load_description(out, KIND)
+    return artifacts.load_description(out, EXAMPLE_KIND)

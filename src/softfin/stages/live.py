@@ -36,7 +36,7 @@ from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.log_file import read_log, write_log
-from softfin.storage.paths import PARTS
+from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
 Confirm = Callable[[RobotSetup], None]
@@ -74,7 +74,7 @@ def collect_live(
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
     counts = {"train": config.logs, "test": config.test_logs}
-    names = [f"{part}-{i:0{PARTS[part]}d}" for part, count in counts.items() for i in range(count)]
+    names = [f"{part}-{i:0{DATASET_PARTS[part]}d}" for part, count in counts.items() for i in range(count)]
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     if missing:
         with Session(robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop) as session:
@@ -103,7 +103,7 @@ def collect_live(
         "provenance": artifacts.provenance(seed=config.seed),
         **metadata,
     }
-    train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in PARTS)
+    train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in DATASET_PARTS)
     return write_dataset(out, map(read_log, train), map(read_log, test), description, overwrite)
 
 

@@ -35,10 +35,10 @@ from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_lo
 from softfin.surrogate import load_surrogate
 from softfin.surrogate.compare.scores import free_run
 
-KIND = "reproduction"
+REPRODUCTION_KIND = "reproduction"
 RESULTS = "results.json"
 PAGE = "explore.html"
-SHOWN_S = 8
+SHOWN_TEST_S = 8
 """Length of the stretch of a test log in the report [s]."""
 
 Evaluated: TypeAlias = dict[str, tuple[dict[str, Any], Evaluation]]
@@ -67,7 +67,7 @@ def reproduce(
         return None if evaluated is None else {kind: summary for kind, (summary, _) in evaluated.items()}
 
     results = {
-        **artifacts.head(KIND),
+        **artifacts.head(REPRODUCTION_KIND),
         "title": "softfin: force control of a soft fin",
         "preset": next((name for name, preset in PRESETS.items() if preset == config), "custom"),
         "plant": plant,
@@ -120,9 +120,9 @@ class _Reproduction:
         configuration = self.config.model_dump(mode="json")
         plant = identity(find_plant(self.plant), computed=True)
         metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
-        if resume and artifacts.is_kind(self.out, KIND):
+        if resume and artifacts.is_kind(self.out, REPRODUCTION_KIND):
             try:
-                before = {name: artifacts.load_description(self.out, KIND).get(name) for name in metadata}
+                before = {name: artifacts.load_description(self.out, REPRODUCTION_KIND).get(name) for name in metadata}
                 check_same(self.out, before, metadata)
             except ArtifactError:
                 if not overwrite:
@@ -134,7 +134,9 @@ class _Reproduction:
             shutil.rmtree(self.replaced, ignore_errors=True)
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
-        artifacts.write_file(self.out / f"{KIND}.json", artifacts.encode_description(KIND, metadata))
+        artifacts.write_file(
+            self.out / f"{REPRODUCTION_KIND}.json", artifacts.encode_description(REPRODUCTION_KIND, metadata)
+        )
         artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False))
 
     def stage(self, name: str, what: str, result: Path, work: Callable[..., Any], *given: Any, **options: Any) -> None:
@@ -264,7 +266,7 @@ class _Reproduction:
         log = next(data.load(data.test[:1]))
         rows = len(log.reading.time)
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
-        ticks = min(SHOWN_S * RATE_HZ, rows - first)
+        ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
         free, _ = free_run(surrogate, [log], [(0, first)], ticks)
         predicted = {"free-running": np.asarray(free.force[0])}

@@ -16,7 +16,7 @@ from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.task.references import PAPER_RANGE
 from softfin.task.signals import Recorded
 
-KINDS: tuple[ControllerKind, ...] = ("gaits", "single", "grid")
+CONTROLLER_KINDS: tuple[ControllerKind, ...] = ("gaits", "single", "grid")
 """Kinds of controllers, in the order in which they are made."""
 
 ONE_STEP = Recorded(time_s=(0, 10), force_n=((2, -1), (2, 1)))
@@ -52,7 +52,7 @@ class ReproduceConfig(Configuration):
     @property
     def kinds(self) -> list[ControllerKind]:
         """The kinds of controllers that are made."""
-        return [kind for kind in KINDS if getattr(self, kind) is not None]
+        return [kind for kind in CONTROLLER_KINDS if getattr(self, kind) is not None]
 
     @property
     def map(self) -> MapConfig | None:

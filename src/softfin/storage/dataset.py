@@ -13,7 +13,7 @@ from softfin.core.errors import ArtifactError
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import encode_log, read_log
-from softfin.storage.paths import PARTS
+from softfin.storage.paths import DATASET_PARTS
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Dataset:
                     f"{path / name}: {what} since dataset.json was written; copy the dataset again, or take 'files' "
                     "out of its dataset.json to take the logs as they are"
                 )
-        train, test = (tuple(path / name for name in found if name.startswith(f"{part}/")) for part in PARTS)
+        train, test = (tuple(path / name for name in found if name.startswith(f"{part}/")) for part in DATASET_PARTS)
         if not train:
             raise ArtifactError(f"{path}: holds no training logs; put Parquet logs into {path / 'train'}")
         return cls(path, train, test, description, _hash_of(found))
@@ -61,7 +61,7 @@ def write_dataset(
     """Write logs, taken one by one, as a dataset; `metadata` goes into ``dataset.json``."""
 
     def write(folder: Path) -> None:
-        for (part, digits), logs in zip(PARTS.items(), (train, test), strict=True):
+        for (part, digits), logs in zip(DATASET_PARTS.items(), (train, test), strict=True):
             (folder / part).mkdir()
             for index, log in enumerate(logs):
                 name = f"{part}/{index:0{digits}d}.parquet"
@@ -77,7 +77,7 @@ def write_dataset(
 def _hash_files(path: Path) -> dict[str, str]:
     """SHA-256 of each log by its name within the folder, in order."""
     hashes = {}
-    for file in sorted(file for part in PARTS for file in (path / part).glob("*.parquet")):
+    for file in sorted(file for part in DATASET_PARTS for file in (path / part).glob("*.parquet")):
         try:
             with file.open("rb") as content:
                 hashes[file.relative_to(path).as_posix()] = hashlib.file_digest(content, "sha256").hexdigest()

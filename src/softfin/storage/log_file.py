@@ -15,10 +15,17 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.storage import artifact as artifacts
 from softfin.storage.formats import FILES, IN_FILE, check_file_format
 
-NUMBERS = ("command_angle_rad", "command_velocity_rad_s", "angle_rad", "velocity_rad_s", "force_x_n", "force_y_n")
+NUMBER_COLUMNS = (
+    "command_angle_rad",
+    "command_velocity_rad_s",
+    "angle_rad",
+    "velocity_rad_s",
+    "force_x_n",
+    "force_y_n",
+)
 
 # float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s) not at all.
-SCHEMA = pa.schema([pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBERS)],
+SCHEMA = pa.schema([pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBER_COLUMNS)],
                    metadata={IN_FILE: str(FILES["log"].number)})  # fmt: skip
 
 RATE_TOLERANCE = 0.01

@@ -9,7 +9,7 @@ from softfin.storage import artifact as artifacts
 
 CSV = (".csv", ".tsv", ".txt")
 PARQUET = (".parquet",)
-PARTS = {"train": 4, "test": 3}
+DATASET_PARTS = {"train": 4, "test": 3}
 """The sub-folders of a dataset, and the digits in the names of their logs."""
 
 VIEWS = (".gif", ".mp4", ".html", ".png")
@@ -34,7 +34,7 @@ def find_recordings(path: Path) -> list[Path]:
     if not path.is_dir():
         check_readable(path, LogError, "; give a CSV or Parquet file, or a ROS 2 bag")
     if artifacts.is_kind(path, "dataset"):
-        found = [file for part in PARTS for file in sorted((path / part).glob("*.parquet"))]
+        found = [file for part in DATASET_PARTS for file in sorted((path / part).glob("*.parquet"))]
     else:
         found = list(_walk(path, ()))
     if not found:

@@ -18,11 +18,11 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.quantities import AnyArray, Log
 from softfin.storage import artifact as artifacts
 
-COMMANDS = ("command_angle_rad", "command_velocity_rad_s")
+COMMAND_COLUMNS = ("command_angle_rad", "command_velocity_rad_s")
 ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
-COLUMNS = (ANGLE, *COMMANDS, *FORCES)
+COLUMNS = (ANGLE, *COMMAND_COLUMNS, *FORCES)
 """Channels of the paper's nets: ForceNet's first, PosNet's within them, then what ForceNet predicts."""
 
 SKIPPED = 100
@@ -99,7 +99,7 @@ def columns_of(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
     """The columns of logs, one log after the other, by the names of the channels."""
     each = [(*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T) for log in logs]
     joined = [np.concatenate(parts, dtype=np.float32) for parts in zip(*each, strict=True)]
-    return dict(zip((*COMMANDS, *READINGS), joined, strict=True))
+    return dict(zip((*COMMAND_COLUMNS, *READINGS), joined, strict=True))
 
 
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:

@@ -18,16 +18,16 @@ from softfin.data.excitation import ExcitationConfig
 from softfin.storage import artifact as artifacts
 from softfin.storage.onnx_file import FORCE_FRAME, NEXT, Exported, encode_model, import_extra, keep_model, open_session
 from softfin.surrogate.onnx_graph import OPERATORS, build_graph
-from softfin.surrogate.store import KIND, AnySurrogate, load_surrogate
+from softfin.surrogate.store import SURROGATE_KIND, AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
 CHECK_S = 30
 """Duration of the free run in which onnxruntime is compared with JAX [s]."""
 
-TOLERANCE = 1e-3
+MAX_READING_DIFFERENCE = 1e-3
 """A file whose angle [rad], velocity [rad/s] or force [N] differs by more from JAX's is not written."""
 
-READINGS = ("angle", "velocity", "force")
+COMPARED_OUTPUTS = ("angle", "velocity", "force")
 """Outputs that are compared."""
 
 
@@ -56,18 +56,18 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
             more = {"force_members": each.force[:, 0], "distance": surrogate.distance(after)}
         else:
             (after, reading), more = surrogate.advance(now, command, 1), {}
-        own = {name: getattr(reading, name)[0] for name in READINGS}
+        own = {name: getattr(reading, name)[0] for name in COMPARED_OUTPUTS}
         return {**own, **more, f"{NEXT}state": ravel_pytree(after[1:])[0]}
 
     model = build_graph(step, {"command_angle": (), "command_velocity": (), "state": flat.shape})
     initial = {"state": np.asarray(flat)}
     data = encode_model(model, f"{surrogate.model} surrogate", initial, _metadata(surrogate, folder))
-    return keep_model(file, data, "readings", _difference(data, surrogate, initial), TOLERANCE)
+    return keep_model(file, data, "readings", _difference(data, surrogate, initial), MAX_READING_DIFFERENCE)
 
 
 def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
     """Facts that a user of the file must know."""
-    description = artifacts.load_description(folder, KIND)
+    description = artifacts.load_description(folder, SURROGATE_KIND)
     outputs = {
         "angle": "angle of the shaft [rad]",
         "velocity": "angular velocity of the shaft [rad/s]",
@@ -109,7 +109,7 @@ def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarra
         values = session.run(None, now | state)
         found = dict(zip(names, values, strict=True))
         state = {name: found[f"{NEXT}{name}"] for name in state}
-        for name in READINGS:
+        for name in COMPARED_OUTPUTS:
             difference = float(np.abs(found[name] - np.asarray(getattr(reading, name)[index])).max())
             # Not a number is a difference, too.
             worst = max(worst, difference) if difference == difference else np.inf

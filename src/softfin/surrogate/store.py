@@ -10,7 +10,7 @@ from softfin.storage import artifact as artifacts
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
-KIND = "surrogate"
+SURROGATE_KIND = "surrogate"
 
 AnySurrogate: TypeAlias = Surrogate | StreamingSurrogate
 
@@ -37,13 +37,13 @@ def save_surrogate(
         **metadata,
         "provenance": provenance,
     }
-    artifacts.save(path, KIND, description, weights, extra_files, overwrite)
+    artifacts.save(path, SURROGATE_KIND, description, weights, extra_files, overwrite)
 
 
 def load_surrogate(path: Path) -> AnySurrogate:
     """Load the surrogate in a folder; raises ArtifactError where it is damaged or of another rate or channels."""
-    description, weights = artifacts.load(path, KIND)
-    source = str(path / f"{KIND}.json")
+    description, weights = artifacts.load(path, SURROGATE_KIND)
+    source = str(path / f"{SURROGATE_KIND}.json")
     if description.get("rate_hz") != RATE_HZ:
         raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
     model = description.get("model", "paper")

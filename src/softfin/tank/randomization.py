@@ -23,7 +23,7 @@ from softfin.tank.tank import Tank, TankState
 USUAL_PART = 0.15
 """Relative half-width from which on temperature, drift and mount have their usual ranges [-]."""
 
-OFFSETS = ("temperature_c", "misalignment_rad")
+ADDED_PARAMETERS = ("temperature_c", "misalignment_rad")
 """Parameters that are added to the tank's own; the others multiply them."""
 
 
@@ -111,7 +111,7 @@ def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | Non
 
     def one(name: str, width: float) -> Scalar:
         own = jax.random.fold_in(key, zlib.crc32(name.encode()))
-        return (name not in OFFSETS) + jax.random.uniform(own, minval=-width, maxval=width)
+        return (name not in ADDED_PARAMETERS) + jax.random.uniform(own, minval=-width, maxval=width)
 
     return with_parameters(tank, **{name: one(name, width) for name, width in widths.model_dump().items()})
 

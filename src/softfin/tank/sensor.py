@@ -19,7 +19,7 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
 
-SHORTEST_S = 1e-6
+MIN_TIME_CONSTANT_S = 1e-6
 """Shortest time constant [s] in computations; it keeps derivatives finite where one is zero."""
 
 
@@ -30,7 +30,7 @@ def arrays_of(config: Configuration, without: Collection[str] = ()) -> Iterator[
 
 def remaining(time_constant: Float[Array, ""]) -> Float[Array, ""]:
     """Return the fraction of a deviation that is left after a sample of 10 ms; 0 where the time constant [s] is 0."""
-    return jnp.exp(-TICK_S / jnp.maximum(time_constant, SHORTEST_S))
+    return jnp.exp(-TICK_S / jnp.maximum(time_constant, MIN_TIME_CONSTANT_S))
 
 
 def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[Array, "*shape"]:

@@ -29,7 +29,7 @@ PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
 PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
 """Range that one controller is trained for: the bounding box of the grid."""
 
-TOLERANCE_N = 1e-6
+SAME_EDGE_N = 1e-6
 """Edges nearer than this are the same edge."""
 
 GAP_N2 = 1e-5
@@ -121,7 +121,7 @@ def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
 def check_width(cell: Cell, named: str) -> None:
     """Raise ConfigurationError where a box has no width."""
     for axis, low, high in zip("xy", cell.low, cell.high, strict=True):
-        if high - low <= TOLERANCE_N:
+        if high - low <= SAME_EDGE_N:
             raise ConfigurationError(f"{named} has no width in {axis}; let it reach from a lesser to a greater force")
 
 
@@ -129,7 +129,7 @@ def check_apart(cells: Sequence[Cell], source: str) -> None:
     """Raise ConfigurationError where two cells overlap."""
     for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
         low, high = np.maximum(one.low, other.low), np.minimum(one.high, other.high)
-        if (high - low > TOLERANCE_N).all():
+        if (high - low > SAME_EDGE_N).all():
             shared = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
             raise ConfigurationError(
                 f"{source}: cells {i} ({one}) and {j} ({other}) overlap in {shared}; move an edge, so that each "

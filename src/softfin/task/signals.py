@@ -32,13 +32,13 @@ Series = Float[np.ndarray, "ticks 2"]
 CLOCK_S = 1e-6
 """Times this near to a tick are that tick's: sums of decimal fractions seldom come out even."""
 
-COLUMNS = {"time_s": "seconds", "force_x_n": "newton", "force_y_n": "newton"}
+REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newton", "force_y_n": "newton"}
 """Columns that are read, and their units."""
 
 LONGEST_S = 3600.0
 """Longest reference that is followed [s]; a longer one is in another unit."""
 
-MOST_ROWS = 360_000
+MAX_REFERENCE_ROWS = 360_000
 """An hour at 100 Hz, the rate of readings."""
 
 
@@ -169,20 +169,22 @@ def read_reference_file(path: Path) -> Recorded:
             table = table.rename_columns([name.strip() for name in table.column_names])
         else:
             table = read_parquet(path)
-        for name, unit in COLUMNS.items():
+        for name, unit in REFERENCE_COLUMNS.items():
             if table.column_names.count(name) != 1:
                 raise ConfigurationError(
                     f"{source}: no column {name}, or several, among {', '.join(table.column_names)}; it needs one in "
                     f"{unit}: convert it, and name it {name}"
                 )
-        values = np.stack([table.column(name).cast(pa.float64()).to_numpy() for name in COLUMNS], axis=1)
+        values = np.stack([table.column(name).cast(pa.float64()).to_numpy() for name in REFERENCE_COLUMNS], axis=1)
     except (OSError, LogError, UnicodeDecodeError, pa.ArrowException) as error:
         reason = one_line(error)
         raise ConfigurationError(f"{source}: not a table of numbers ({reason}); mend it, or write it again") from None
-    if not 0 < len(values) <= MOST_ROWS:
-        raise ConfigurationError(f"{source}: has {len(values):,} rows; 1 to {MOST_ROWS:,} are followed, from 0 s on")
+    if not 0 < len(values) <= MAX_REFERENCE_ROWS:
+        raise ConfigurationError(
+            f"{source}: has {len(values):,} rows; 1 to {MAX_REFERENCE_ROWS:,} are followed, from 0 s on"
+        )
     for row, column in np.argwhere(~np.isfinite(values)).tolist():
-        met = f"row {row + 1}, column {list(COLUMNS)[column]}: {values[row, column]:g} is not a finite number"
+        met = f"row {row + 1}, column {list(REFERENCE_COLUMNS)[column]}: {values[row, column]:g} is not a finite number"
         raise ConfigurationError(f"{source}: {met}; write one, or leave that row out, and the force before it is held")
     if -CLOCK_S <= values[0, 0] <= TICK_S + CLOCK_S:
         values[0, 0] = 0.0

@@ -11,7 +11,7 @@ from softfin.rig.monitor import follow
 from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import ROLES, decode_message
 from softfin.storage.bag.messages import TYPES
-from softfin.storage.bag.recovery import LARGEST_BYTES
+from softfin.storage.bag.recovery import MAX_RECORD_BYTES
 from tests.rig.monitor.bags import START_NS, Recording
 
 
@@ -112,7 +112,7 @@ def test_a_damaged_chunk_is_counted_and_passed_over(bag):
     assert (summary["rows"], summary["damaged"], summary["gaps"]) == (20, 1, 1)
 
 
-@pytest.mark.parametrize("length", [2**63, 2**64 - 1, LARGEST_BYTES + 1])
+@pytest.mark.parametrize("length", [2**63, 2**64 - 1, MAX_RECORD_BYTES + 1])
 def test_a_forged_length_ends_in_one_line_that_says_what_to_do(bag, length):
     recording = Recording().chunk(10)
     bag.write_bytes(recording.bytes + struct.pack("<BQ", Opcode.CHUNK, length) + bytes(100))

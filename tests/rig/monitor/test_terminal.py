@@ -5,7 +5,7 @@ import pytest
 from rich.console import Console
 
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.terminal import BLOCKS, COLUMNS, render, sparkline, watch
+from softfin.rig.monitor.terminal import BLOCKS, TRACE_COLUMNS, render, sparkline, watch
 from tests.rig.monitor.bags import START_NS, Recording
 
 
@@ -52,8 +52,8 @@ def test_a_trace_is_drawn_between_its_least_and_its_most():
     least, drawn, most = sparkline(times, times.copy())
     assert (least, most) == ("0.00", "19.99")
     assert drawn == "".join(sorted(drawn))
-    assert (drawn[0], drawn[-1], len(drawn)) == (BLOCKS[0], BLOCKS[-1], COLUMNS)
-    assert sparkline(times[:0], times[:0]) == ("-", " " * COLUMNS, "-")
+    assert (drawn[0], drawn[-1], len(drawn)) == (BLOCKS[0], BLOCKS[-1], TRACE_COLUMNS)
+    assert sparkline(times[:0], times[:0]) == ("-", " " * TRACE_COLUMNS, "-")
     assert sparkline(times[:2], np.array([np.nan, 1e300]))[0] == "-"
 
 

@@ -152,4 +152,4 @@ def test_all_calls_but_the_very_last_are_equal(updates):
     call, round_of = module._calls(updates)
     assert 1 <= call <= module.UPDATES_A_CALL
     assert round_of % call == 0
-    assert -(-updates // round_of) <= module.ROUNDS
+    assert -(-updates // round_of) <= module.MAX_SCORINGS

@@ -17,7 +17,7 @@ from softfin.storage.run_directory import RunDirectory
 from softfin.tank import Tank, TankConfig
 from softfin.tank.calibration.calibrate import calibrate, prepared, scores
 from softfin.tank.calibration.config import CalibrateConfig, RecordingConfig
-from softfin.tank.calibration.model import CHANNELS, Space, material, read, stacked
+from softfin.tank.calibration.model import FITTED_CHANNELS, Space, material, read, stacked
 from softfin.tank.calibration.search import linearised, misfits, polish
 from tests.tank.calibration.small import CONFIG, RANGES, TRUTH
 
@@ -87,7 +87,7 @@ def test_the_loss_is_the_weighted_mean_of_one_less_the_pooled_r2(logs):
     errors = space.errors(train, 2)
     expected = scores(np.asarray(read(stacked([space.configs(space.start)]), train.command)[0]), train)
     misfit = misfits(errors, [space.start])[0]
-    np.testing.assert_allclose(misfit, [1 - expected[channel]["r2"] for channel in CHANNELS], rtol=1e-4)
+    np.testing.assert_allclose(misfit, [1 - expected[channel]["r2"] for channel in FITTED_CHANNELS], rtol=1e-4)
     weights = np.array([1.0, 2.0, 3.0]) / 6
     assert linearised(errors, space.start, weights).loss == pytest.approx(misfit @ weights, rel=1e-4)
 

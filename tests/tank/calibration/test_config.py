@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from softfin.core.errors import ConfigurationError
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import (
+    CALIBRATE_PRESETS,
     FREE,
-    PRESETS,
     CalibrateConfig,
     Parameter,
     RecordingConfig,
@@ -52,11 +52,11 @@ def test_units_come_from_names(name, unit):
 
 
 def test_all_that_is_free_by_default_exists_and_starts_within_its_range():
-    for config in PRESETS.values():
+    for config in CALIBRATE_PRESETS.values():
         found = parameters_of(config.parameters)
         assert found
         assert (Space(found, config.tank, config.recording).start >= 0).all()
-    assert {parameter.name for parameter in parameters_of(PRESETS["full"].parameters)} == set(FREE)
+    assert {parameter.name for parameter in parameters_of(CALIBRATE_PRESETS["full"].parameters)} == set(FREE)
 
 
 def test_a_point_becomes_a_tank_and_a_recording():

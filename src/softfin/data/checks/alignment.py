@@ -23,7 +23,7 @@ Series: TypeAlias = Float[np.ndarray, "ticks"]
 SEARCHED_TICKS = 20
 """Largest lag that is searched, either way."""
 
-OFFSETS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
+RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 """Ticks about a step of the command, in which its response is looked for."""
 
 FOLLOWING_TICKS = 15
@@ -51,20 +51,20 @@ def command_lag(command: Series, angle: Series) -> float | None:
     are fewer than 50 steps.
     """
     steps = np.flatnonzero(np.abs(np.diff(command, prepend=command[0])) > 1e-4)
-    steps = steps[(steps >= -OFFSETS[0]) & (steps < len(angle) - OFFSETS[-1])]
+    steps = steps[(steps >= -RESPONSE_TICKS[0]) & (steps < len(angle) - RESPONSE_TICKS[-1])]
     if not 50 <= len(steps) <= 0.5 * len(command):
         return None
     mirrored = np.cov(command[:-FOLLOWING_TICKS], angle[FOLLOWING_TICKS:])[0, 1] < 0
     # Towards the new target: a slow drive may be on its way there already.
     side = np.sign((-command if mirrored else command) - angle)[steps]
-    response = np.median(side[:, None] * np.gradient(angle)[steps[:, None] + OFFSETS], axis=0)
+    response = np.median(side[:, None] * np.gradient(angle)[steps[:, None] + RESPONSE_TICKS], axis=0)
     # The drive has begun to obey where a fifth of the peak is reached.
     onset = 0.2 * response.max()
     below = np.flatnonzero(response[: response.argmax()] < onset)
     if not below.size:
         return None
     low, high = response[below[-1] : below[-1] + 2]
-    place = OFFSETS[below[-1]] + (onset - low) / (high - low)
+    place = RESPONSE_TICKS[below[-1]] + (onset - low) / (high - low)
     return float(place * TICK_S * 1e3)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from softfin.core.quantities import AXES, MOST_ANGLE_RAD, RATE_HZ, REST_FIX, TICK_S, command_limits
 from softfin.data.checks.alignment import SHORTEST_S, rate_of
 from softfin.data.checks.statistics import (
-    STILL_RAD_S,
+    REST_RATE_RAD_S,
     Columns,
     LogStatistics,
     channels_in_counts,
@@ -42,7 +42,7 @@ COUNTS_FIX = (
 )
 """Remedy for the raw values of a drive's registers; only the drive's manual says what they mean."""
 
-UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
+CHANNEL_UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
 
 class CheckedLog(NamedTuple):
@@ -88,7 +88,7 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
 
 def check_spikes(log: CheckedLog) -> Iterator[Issue]:
     """Outliers of one or two samples."""
-    for channel, unit in UNITS.items():
+    for channel, unit in CHANNEL_UNITS.items():
         values, calm = getattr(log.columns, channel), getattr(log.calm, channel)
         rows = np.flatnonzero(values != calm)
         if rows.size:
@@ -118,7 +118,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target moves.
     moving = np.abs(rate_of(columns.angle)) > 0.2
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
-    for channel, unit in UNITS.items():
+    for channel, unit in CHANNEL_UNITS.items():
         driven, cause = (behind, "the command is elsewhere") if channel == "angle" else (moving, "the fin moves")
         values = getattr(columns, channel)
         # A fifth of a second for the dead time, and for the force a drive may press in vain.
@@ -158,7 +158,7 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
         # Many publishers of joint states leave the velocity at 0.
         # The rate of one sample in a hundred may be a spike's; an angle may change steadily, too.
         velocity = log.columns.velocity[0]
-        if np.percentile(np.abs(rate_of(log.calm.angle) - velocity), 99) > STILL_RAD_S:
+        if np.percentile(np.abs(rate_of(log.calm.angle) - velocity), 99) > REST_RATE_RAD_S:
             message = f"the velocity is {velocity:.3g} rad/s throughout while the angle changes"
             fix = "--columns velocity=- derives it from the angle"
             yield log.issue("error", "constant velocity", "velocity", message, fix)

@@ -16,7 +16,7 @@ from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
 
-SHOWN_S = 10
+SHOWN_LOG_S = 10
 """Length of the part of one log that is drawn, about the first row that has an issue [s]."""
 
 
@@ -55,8 +55,8 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
     by_name = {one.name: one for one in logs}
     marked = next((issue for issue in issues if issue.log in by_name and issue.row is not None), None)
     shown, row = (logs[0], 0) if marked is None else (by_name[marked.log], marked.row or 0)
-    start = max(0, min(row - SHOWN_S * RATE_HZ // 3, len(shown.log.reading.time) - SHOWN_S * RATE_HZ))
-    rows = slice(start, start + SHOWN_S * RATE_HZ)
+    start = max(0, min(row - SHOWN_LOG_S * RATE_HZ // 3, len(shown.log.reading.time) - SHOWN_LOG_S * RATE_HZ))
+    rows = slice(start, start + SHOWN_LOG_S * RATE_HZ)
     reading, command = shown.log.reading, shown.log.command
     time = reading.time[rows]
     above.step(time, command.angle[rows], where="post", color=ORANGE, label="commanded angle")
@@ -65,7 +65,7 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
         below.plot(time, reading.force[rows, index], color=colour, label=f"force {axis}", linewidth=0.9)
     above.set(ylabel="angle, taken as rad")
     below.set(ylabel="force [N]", xlabel="time [s]")
-    above.set_title(f"{shown.name}: {SHOWN_S} s" + ("" if marked is None else f" about row {row}: {marked.name}"))
+    above.set_title(f"{shown.name}: {SHOWN_LOG_S} s" + ("" if marked is None else f" about row {row}: {marked.name}"))
     for axes in (above, below):
         if marked is not None and row < len(reading.time):
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)

@@ -25,7 +25,7 @@ size of a measured velocity proves nothing: the published nets' own jumps reach 
 MOST_DEGREES = 360.0
 """Size beyond which an angle is not in degrees either, but in a drive's counts."""
 
-STILL_RAD_S = 0.05
+REST_RATE_RAD_S = 0.05
 """Rate of the angle below which the fin is at rest."""
 
 
@@ -88,7 +88,7 @@ def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:
 def velocity_slope(columns: Columns) -> tuple[float, float]:
     """Correlation of the velocity with the angle's rate, and their ratio; 0, 0 where either does not move."""
     rate = np.gradient(columns.angle, TICK_S)
-    if rate.std() < STILL_RAD_S or columns.velocity.std() == 0:
+    if rate.std() < REST_RATE_RAD_S or columns.velocity.std() == 0:
         return 0.0, 0.0
     correlation = float(np.corrcoef(rate, columns.velocity)[0, 1])
     return correlation, correlation * float(columns.velocity.std() / rate.std())
@@ -125,7 +125,7 @@ def measure(columns: Columns, named: NamedLog) -> LogStatistics:
         earlier, later = columns.command_angle[:-FOLLOWING_TICKS], columns.angle[FOLLOWING_TICKS:]
         following = float(np.corrcoef(earlier, later)[0, 1]) if earlier.std() > 0 and later.std() > 0 else 0.0
     settled = np.zeros(rows, bool)
-    for start, end in true_runs(np.abs(rate_of(columns.angle)) < STILL_RAD_S):
+    for start, end in true_runs(np.abs(rate_of(columns.angle)) < REST_RATE_RAD_S):
         # Half a second later the water is still, too.
         settled[start + RATE_HZ // 2 : end] = True
     return LogStatistics(

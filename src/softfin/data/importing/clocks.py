@@ -17,7 +17,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.issues import Issue, counted
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
-COMMANDS = {"command_angle", "command_velocity"}
+COMMAND_CHANNELS = {"command_angle", "command_velocity"}
 
 RATES_HZ = (5.0, 20_000.0)
 """Plausible rates; beyond them the unit of the time must be wrong."""
@@ -136,7 +136,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         row = int(np.flatnonzero(good)[late[0]])
         issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
     valid = finite.take(forward)
-    if valid.channels.keys() <= COMMANDS:
+    if valid.channels.keys() <= COMMAND_CHANNELS:
         return valid, issues
     if len(valid.time) < 2:
         raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
@@ -191,7 +191,7 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
 
 def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Span], list[Issue]]:
     """Find where all clocks have readings; only gaps in readings count, since a command holds until the next."""
-    reading = [track for track in tracks if not track.channels.keys() <= COMMANDS]
+    reading = [track for track in tracks if not track.channels.keys() <= COMMAND_CHANNELS]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
     if end - begin < TICK_S:
@@ -258,7 +258,7 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
         for name, values in track.channels.items():
             columns[name] = (
                 held(track.time, values, grid)
-                if name in COMMANDS
+                if name in COMMAND_CHANNELS
                 else interpolated(within.time, within.channels[name], grid)
             )
     return columns

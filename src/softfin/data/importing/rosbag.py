@@ -22,13 +22,13 @@ from softfin.storage.bag.recovery import check_bag
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 
-TYPES: dict[Topic, tuple[str, ...]] = {
+READABLE_TYPES: dict[Topic, tuple[str, ...]] = {
     "command": (JOINT_STATE, ARRAY),
     "joint": (JOINT_STATE,),
     "wrench": (WRENCH_STAMPED, "geometry_msgs/msg/Wrench"),
 }
 
-CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
+TOPIC_CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
     "command": ("command_angle", "command_velocity"),
     "joint": ("angle", "velocity"),
     "wrench": ("force_x", "force_y"),
@@ -45,7 +45,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
             check_bag(file)
         with Reader(path) as reader:
             tracks, issues = [], []
-            for role in TYPES:
+            for role in READABLE_TYPES:
                 track, found = _read_topic(reader, role, config, path, name)
                 tracks.append(track)
                 issues += found
@@ -75,11 +75,13 @@ def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, n
     where, kind = f"{path}: {topic}", there.get(topic, "")
     if not connections:
         listed = _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED])) or "no topics"
-        fitting = [other for other, kind in there.items() if kind in TYPES[role]]
+        fitting = [other for other, kind in there.items() if kind in READABLE_TYPES[role]]
         hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
         raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; name it: {hint}")
-    if kind not in TYPES[role] or any(connection.msgtype != kind for connection in connections):
-        raise LogError(f"{where} is {_plain(kind)}; a {role} must be {' or '.join(TYPES[role])}, all of one type")
+    if kind not in READABLE_TYPES[role] or any(connection.msgtype != kind for connection in connections):
+        raise LogError(
+            f"{where} is {_plain(kind)}; a {role} must be {' or '.join(READABLE_TYPES[role])}, all of one type"
+        )
     logged, stamped, rows = [], [], []
     for _, stamp, data in reader.messages(connections):
         # ROS 2's own definitions, not the bag's: the reader makes code of definitions, and a bag is anybody's.
@@ -101,7 +103,7 @@ def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, n
     time, pairs = np.array(stamped, np.int64) / 1e9, np.array(rows, np.float64)
     # What a log cannot hold counts as a missing value, which is reported later.
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
-    first, second = CHANNELS[role]
+    first, second = TOPIC_CHANNELS[role]
     channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
     if role != "wrench" and (np.isnan(pairs[:, 1]).all() or config.columns.get(second) == NO_COLUMN):
         del channels[second]

@@ -34,7 +34,7 @@ from softfin.gaits.reachable import Cell, bounding_box
 from softfin.storage import artifact as artifacts
 from softfin.task.task import TaskConfig
 
-KIND = "baselines"
+BASELINES_KIND = "baselines"
 
 
 class BaselinesConfig(ExperimentsConfig):
@@ -114,7 +114,7 @@ def evaluate_baselines(
         except (ConfigurationError, PlantError) as error:
             left_out["recurrent_ppo"] = str(error)
     report(1.0, "")
-    return {KIND: summaries, "left_out": left_out}
+    return {BASELINES_KIND: summaries, "left_out": left_out}
 
 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:
@@ -153,7 +153,7 @@ def write_baselines(result: Mapping[str, Any], out: Path, overwrite: bool = Fals
     """Write ``baselines.json`` as a folder."""
 
     def write(folder: Path) -> None:
-        artifacts.write_description(folder, KIND, result)
+        artifacts.write_description(folder, BASELINES_KIND, result)
 
     artifacts.write_folder(out, write, overwrite)
 

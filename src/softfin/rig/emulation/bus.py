@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import can
 
 HOST = "127.0.0.1"
-CYCLE_S = 0.2
+STOP_CHECK_S = 0.2
 _SEND = re.compile(r"< send ([0-7][0-9A-Fa-f]{2}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?){0,8}) ?>")
 
 
@@ -28,7 +28,7 @@ class SocketcandServer(socketserver.ThreadingTCPServer):
         self.channel = channel
         self.port: int = self.server_address[1]
         self.ending = threading.Event()
-        threading.Thread(target=self.serve_forever, args=(CYCLE_S,), name="socketcand", daemon=True).start()
+        threading.Thread(target=self.serve_forever, args=(STOP_CHECK_S,), name="socketcand", daemon=True).start()
 
     def server_close(self) -> None:
         """End with all clients; any number of times."""
@@ -41,7 +41,7 @@ class _Client(socketserver.BaseRequestHandler):
     server: SocketcandServer
 
     def handle(self) -> None:
-        self.request.settimeout(CYCLE_S)
+        self.request.settimeout(STOP_CHECK_S)
         channel, lines = self.server.channel, self._lines()
         # A client that does not speak the protocol is let go: in raw mode there is no answer that would tell it.
         with contextlib.suppress(OSError):
@@ -53,7 +53,7 @@ class _Client(socketserver.BaseRequestHandler):
             with can.Bus(interface="virtual", channel=channel) as bus:
                 # python-can's client takes the answer to rawmode for wrong when a frame comes in the same packet.
                 time.sleep(0.05)
-                notifier = can.Notifier(bus, [self._forward], CYCLE_S)
+                notifier = can.Notifier(bus, [self._forward], STOP_CHECK_S)
                 try:
                     for message in map(parse, lines):
                         if message is None:

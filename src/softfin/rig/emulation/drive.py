@@ -23,8 +23,8 @@ from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
 from softfin.rig.epos2.protocol import Bit, Object, State
 from softfin.rig.simulated_network import open_bus
 
-TICK_S = 0.005
-CYCLE_S = 0.05
+MOTION_STEP_S = 0.005
+RECEIVE_TIMEOUT_S = 0.05
 
 
 class _Network(canopen.Network):
@@ -72,7 +72,7 @@ class EmulatedDrive:
             protocol.POSITION.number: lambda: motor.position,
             protocol.DEMAND.number: self._demand,
             protocol.VELOCITY.number: lambda: motor.rpm,
-            protocol.CURRENT.number: lambda: motor.current,
+            protocol.MOTOR_CURRENT.number: lambda: motor.current,
         }
         self._ending = clock.event()
         bus = self._network.bus = open_bus(bus_config, clock)
@@ -163,7 +163,7 @@ class EmulatedDrive:
         return value
 
     def _run(self) -> None:
-        while not self._ending.wait(TICK_S):
+        while not self._ending.wait(MOTION_STEP_S):
             with self._lock, contextlib.suppress(can.CanError):
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
@@ -205,7 +205,7 @@ class EmulatedDrive:
     def _receive(self, bus: can.BusABC) -> None:
         while not self._ending.is_set():
             try:
-                message = bus.recv(CYCLE_S)
+                message = bus.recv(RECEIVE_TIMEOUT_S)
             except (can.CanError, OSError):
                 return
             if message is None or self._network.silent:

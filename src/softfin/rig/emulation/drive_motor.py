@@ -10,7 +10,7 @@ from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
 from softfin.rig.epos2.protocol import Object, State
 
-NEW_TARGET, RELATIVE = 1 << 4, 1 << 6
+NEW_TARGET_BIT, RELATIVE_BIT = 1 << 4, 1 << 6
 """Bits of the controlword."""
 POSITION_LIMIT = 0xFF09
 """Emergency: the target lies outside the drive's own limits."""
@@ -95,14 +95,14 @@ class EmulatedMotor:
 
     def control(self, word: int, before: int) -> None:
         """Follow a controlword while operation is enabled."""
-        is_new = bool(word & ~before & NEW_TARGET)
+        is_new = bool(word & ~before & NEW_TARGET_BIT)
         if self.mode == protocol.HOMING:
             if is_new and self._value(protocol.HOMING_METHOD) == protocol.HOME_HERE:
                 self.zero += self.position
                 self.referenced = self.acknowledged = True
-        elif not word & NEW_TARGET:
+        elif not word & NEW_TARGET_BIT:
             self.acknowledged = False
-        elif is_new and not word & RELATIVE:
+        elif is_new and not word & RELATIVE_BIT:
             self.acknowledged = True
             self._goal = goal = self._value(protocol.TARGET)
             if not self._value(protocol.POSITION_MIN) <= goal <= self._value(protocol.POSITION_MAX):

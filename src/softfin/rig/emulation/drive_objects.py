@@ -16,11 +16,11 @@ from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
-TAKEN, SENT = 0x1400, 0x1800
+FIRST_TAKEN, FIRST_SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
     {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
-     protocol.POSITION, protocol.VELOCITY, protocol.CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR}
+     protocol.POSITION, protocol.VELOCITY, protocol.MOTOR_CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR}
 )  # fmt: skip
 _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
@@ -47,7 +47,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
         # Homing and profile position: bits 5 and 0.
         protocol.SUPPORTED_MODES: 0x21,
     }
-    for first, cob_id, transmission in ((TAKEN, 0x200, protocol.AT_ONCE), (SENT, 0x180, protocol.ON_SYNC)):
+    for first, cob_id, transmission in ((FIRST_TAKEN, 0x200, protocol.AT_ONCE), (FIRST_SENT, 0x180, protocol.ON_SYNC)):
         for number in range(first, first + PDOS):
             start |= {
                 Object(number, 1, "I", "COB-ID"): protocol.INVALID | cob_id + 0x100 * (number - first) + config.node,
@@ -86,12 +86,12 @@ class ProcessData:
 
     def synchronise(self) -> None:
         """Send what is due at a SYNC."""
-        for cob_id, entries in self._enabled(SENT).items():
+        for cob_id, entries in self._enabled(FIRST_SENT).items():
             self._send(cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in entries))
 
     def take(self, cob_id: int, data: bytes) -> None:
         """Follow a frame; frames other than process data change nothing."""
-        entries = self._enabled(TAKEN).get(cob_id, [])
+        entries = self._enabled(FIRST_TAKEN).get(cob_id, [])
         parts, rest = [], data
         for index, sub, size in entries:
             parts.append((index, sub, rest[:size]))
@@ -111,7 +111,7 @@ class ProcessData:
             found = self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF) if subindex else None
             if subindex and (found is None or len(found) != value & 0xFF):
                 raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        elif subindex == 2 and value != (protocol.ON_SYNC if number >= SENT else protocol.AT_ONCE):
+        elif subindex == 2 and value != (protocol.ON_SYNC if number >= FIRST_SENT else protocol.AT_ONCE):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
     def _enabled(self, first: int) -> dict[int, list[tuple[int, int, int]]]:

@@ -26,7 +26,7 @@ from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
 
-FRAME = "y,-x"
+SENSOR_MOUNTING = "y,-x"
 """Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
 
 REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
@@ -56,7 +56,7 @@ class EmulatedRig(contextlib.ExitStack):
         simulated = isinstance(self.clock, SimulatedClock)
         # Within the process nobody else has the ports of a sensor as it is delivered.
         ports = (49152, 80) if simulated else (0, 0)
-        self.sensor = EmulatedAxia80(self.fin, *ports, frame=FRAME, clock=self.clock)
+        self.sensor = EmulatedAxia80(self.fin, *ports, frame=SENSOR_MOUNTING, clock=self.clock)
         self.callback(self.sensor.close)
         self._drive = _drive_config(tank, real_time=not simulated)
         bus = BusConfig(interface="virtual", channel=self.channel)
@@ -156,7 +156,7 @@ def _rig_values(drive: Epos2Config, bus: dict[str, Any], **ports: int) -> dict[s
         "fin": "emulated",
         "bus": bus,
         "drive": drive.model_dump(mode="json", exclude_defaults=True),
-        "sensor": {"address": HOST, **ports, "frame": FRAME},
+        "sensor": {"address": HOST, **ports, "frame": SENSOR_MOUNTING},
         "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0},
         "settle_s": 1.0,
     }

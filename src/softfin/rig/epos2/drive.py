@@ -14,7 +14,7 @@ RESET_TIMEOUT_S = 1.0
 FIRST_ANSWER_S = 0.5
 STOP_TIMEOUT_S = 2.0
 """Longest that one stop waits for another that is under way."""
-STEP_S = 0.01
+ANSWER_STEP_S = 0.01
 UNANSWERED = 3
 """Hand-shakes in a row without an answer after which it is a complaint."""
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
@@ -47,10 +47,10 @@ class Epos2(Exchange):
             with self.lock:
                 status.rebooted, status.emergency = False, None
                 status.nmt, status.heartbeat_time = None, self.clock()
-            for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / STEP_S)):
-                if self.sync_and_read(STEP_S).new and status.nmt == protocol.OPERATIONAL:
+            for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / ANSWER_STEP_S)):
+                if self.sync_and_read(ANSWER_STEP_S).new and status.nmt == protocol.OPERATIONAL:
                     return
-                self.clock.sleep(STEP_S)
+                self.clock.sleep(ANSWER_STEP_S)
             raise DeviceError(
                 "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
             )
@@ -78,12 +78,12 @@ class Epos2(Exchange):
         self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
-        for _ in range(round(RESET_TIMEOUT_S / STEP_S)):
+        for _ in range(round(RESET_TIMEOUT_S / ANSWER_STEP_S)):
             if procedures.fault_of(self.connection) is None:
                 self.status.emergency = None
                 self.sync_and_read()
                 return fault
-            self.clock.sleep(STEP_S)
+            self.clock.sleep(ANSWER_STEP_S)
         raise DeviceError(f"drive stays in fault: {fault}; the cause is still there")
 
     def command(self, target: Target) -> None:
@@ -188,7 +188,7 @@ class Epos2(Exchange):
     def _new_reading(self) -> DriveStatus:
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
-        is_new = any(self.sync_and_read(STEP_S).new for _ in range(round(FIRST_ANSWER_S / STEP_S)))
+        is_new = any(self.sync_and_read(ANSWER_STEP_S).new for _ in range(round(FIRST_ANSWER_S / ANSWER_STEP_S)))
         if lines := self.complaints():
             raise DeviceError(lines[0])
         if not is_new:

@@ -14,7 +14,7 @@ from softfin.rig.epos2.protocol import Bit, Object, State, fault_line
 
 ENABLE_TIMEOUT_S = 1.0
 DISABLE_TIMEOUT_S = 0.3
-STEP_S = 0.002
+STATE_STEP_S = 0.002
 """Pause between two looks at the drive while it is brought from state to state."""
 STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
@@ -133,9 +133,9 @@ def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Obj
 def reach_enabled(exchange: Exchange, then_arm: bool) -> None:
     """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError."""
     status = exchange.status
-    for _ in range(round(ENABLE_TIMEOUT_S / STEP_S)):
+    for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
         exchange.send_heartbeat()
-        exchange.sync_and_read(STEP_S)
+        exchange.sync_and_read(STATE_STEP_S)
         with exchange.lock:
             if exchange.stopped:
                 raise DeviceError("drive was stopped while it was being enabled; enable it again")
@@ -147,7 +147,7 @@ def reach_enabled(exchange: Exchange, then_arm: bool) -> None:
             word = protocol.TO_ENABLED.get(status.state)
             if word is not None:
                 exchange.connection.send(*exchange.order(word))
-            exchange.lock.wait(STEP_S)
+            exchange.lock.wait(STATE_STEP_S)
     raise DeviceError(f"drive stays {status.words} and does not enable; look at its supply and its enable input")
 
 
@@ -158,9 +158,9 @@ def home(exchange: Exchange) -> None:
         if not exchange.stopped:
             exchange.connection.send(*exchange.order(protocol.START_HOMING))
     attained = 0
-    for _ in range(round(ENABLE_TIMEOUT_S / (2 * STEP_S))):
+    for _ in range(round(ENABLE_TIMEOUT_S / (2 * STATE_STEP_S))):
         exchange.send_heartbeat()
-        is_new = exchange.sync_and_read(STEP_S).new
+        is_new = exchange.sync_and_read(STATE_STEP_S).new
         if is_new and status.state is State.OPERATION_ENABLED and status.has(Bit.ERROR):
             break
         near = abs(status.position) <= HOME_TOLERANCE_COUNTS
@@ -168,7 +168,7 @@ def home(exchange: Exchange) -> None:
         # Twice: bit 12 may still stand from an earlier homing.
         if attained >= 2 and (status.has(Bit.REFERENCED) or not exchange.config.zero_needed):
             return
-        exchange.clock.sleep(STEP_S)
+        exchange.clock.sleep(STATE_STEP_S)
     raise DeviceError("drive did not take its position as home; hold the fin still and try again")
 
 

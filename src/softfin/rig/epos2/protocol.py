@@ -66,7 +66,7 @@ DEMAND = Object(0x6062, 0, "i", "position demand")
 POSITION = Object(0x6064, 0, "i", "position")
 FOLLOWING_ERROR = Object(0x6065, 0, "I", "largest following error")
 VELOCITY = Object(0x606C, 0, "i", "velocity")
-CURRENT = Object(0x6078, 0, "h", "current")
+MOTOR_CURRENT = Object(0x6078, 0, "h", "current")
 TARGET = Object(0x607A, 0, "i", "target position")
 HOME_OFFSET = Object(0x607C, 0, "i", "home offset")
 POSITION_MIN = Object(0x607D, 1, "i", "smallest position")
@@ -83,7 +83,7 @@ SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
 
-SENT = ((STATUSWORD, POSITION), (VELOCITY, CURRENT), (DEMAND,))
+SENT = ((STATUSWORD, POSITION), (VELOCITY, MOTOR_CURRENT), (DEMAND,))
 """Objects that the drive sends on every SYNC: TPDO 1, 2, 3."""
 TAKEN = ((CONTROLWORD, TARGET), (PROFILE_VELOCITY,))
 """Objects that the drive takes at once: RPDO 1, 2."""

@@ -23,7 +23,7 @@ from softfin.storage.paths import check_monitored
 READ_BYTES = 4 * 2**20
 """Bytes that one look takes in, so that an old recording is seen to come in."""
 
-SILENT_S = 3.0
+SILENT_RECORDING_S = 3.0
 """Time without a new row after which a recording is silent [s]; a recorder writes twice a second."""
 
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
@@ -185,7 +185,7 @@ class Follower:
             return "waiting"
         # Another computer's clock may differ from the recorder's: growth counts, once it was seen.
         quiet = age if self._grown_at is None else self._clock() - self._grown_at
-        return "recording" if abs(quiet) < SILENT_S else "silent"
+        return "recording" if abs(quiet) < SILENT_RECORDING_S else "silent"
 
     def _shown(self) -> str:
         return printable(str(self._bag or self.path), most=MOST_CHARACTERS)

@@ -22,7 +22,7 @@ MOST_CHARACTERS = 300
 WINDOW_S = WINDOW * TICK_S
 """Window of the mean force, the same as in an evaluation [s]."""
 
-LARGEST = 1e100
+MAX_NUMBER = 1e100
 """Numbers beyond it, in any unit, come from damage, and their sums are not finite."""
 
 ROLES = {
@@ -134,7 +134,7 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
                       for rows in (joint.array(), wrench.array()))  # fmt: skip
     span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
     is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
-    has_mean = is_whole and bool((np.abs(forces[:, 1:]) < LARGEST).all())
+    has_mean = is_whole and bool((np.abs(forces[:, 1:]) < MAX_NUMBER).all())
     return {
         **about_the_file,
         # Of the joint; the rate is that of the last 2 s, gaps are places where rows are missing at 100 Hz.
@@ -177,7 +177,7 @@ def counts(summary: Summary) -> str:
 
 def finite(value: Any) -> float | None:
     """Return the number; None where it is not one that a device can mean."""
-    return value if isinstance(value, float) and abs(value) < LARGEST else None
+    return value if isinstance(value, float) and abs(value) < MAX_NUMBER else None
 
 
 def _pair(values: list[float | None]) -> tuple[float, float] | None:

@@ -11,12 +11,12 @@ from rich.text import Text
 
 from softfin.core.printable import printable
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import LARGEST, STATES, Summary, Trace, counts
+from softfin.rig.monitor.summary import MAX_NUMBER, STATES, Summary, Trace, counts
 
 SHOWN_S = 20.0
 """Time that the traces span [s]."""
 
-COLUMNS = 20
+TRACE_COLUMNS = 20
 """Letters of a trace: one a second."""
 
 BLOCKS = "▁▂▃▄▅▆▇█"
@@ -81,15 +81,15 @@ def _table(summary: Summary, traces: Mapping[str, Trace]) -> Table:
 
 def sparkline(times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"]) -> tuple[str, str, str]:
     """Return least value, means over equal times as one letter each, most; a space where rows are missing."""
-    shown = (np.abs(values) < LARGEST) & (times > (times.max(initial=0.0) - SHOWN_S))
+    shown = (np.abs(values) < MAX_NUMBER) & (times > (times.max(initial=0.0) - SHOWN_S))
     times, values = times[shown], values[shown]
     if not len(times):
-        return "-", " " * COLUMNS, "-"
+        return "-", " " * TRACE_COLUMNS, "-"
     low, high = float(values.min()), float(values.max())
-    bins = np.clip(((times - times.max() + SHOWN_S) * COLUMNS / SHOWN_S).astype(int), 0, COLUMNS - 1)
-    filled = np.bincount(bins, minlength=COLUMNS)
-    means = np.bincount(bins, values, COLUMNS) / np.maximum(filled, 1)
-    heights = np.zeros(COLUMNS) if high == low else (means - low) / (high - low)
+    bins = np.clip(((times - times.max() + SHOWN_S) * TRACE_COLUMNS / SHOWN_S).astype(int), 0, TRACE_COLUMNS - 1)
+    filled = np.bincount(bins, minlength=TRACE_COLUMNS)
+    means = np.bincount(bins, values, TRACE_COLUMNS) / np.maximum(filled, 1)
+    heights = np.zeros(TRACE_COLUMNS) if high == low else (means - low) / (high - low)
     indices = np.clip((heights * len(BLOCKS)).astype(int), 0, len(BLOCKS) - 1)
     letters = (BLOCKS[index] if count else " " for index, count in zip(indices, filled, strict=True))
     return _number(low), "".join(letters), _number(high)

@@ -21,7 +21,7 @@ from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
 from softfin.robot.allocation import Allocation, Forces
 from softfin.robot.bracing import BracedAllocation
-from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 STOPPING_S = 3.0
@@ -112,7 +112,7 @@ class RobotNode:
         else:
             action, self._brace = self._allocation.share(np.array(wrench), self._forces, self._brace)
             if action.given_up.any():
-                axes = ", ".join(AXES[axis] for axis in np.flatnonzero(action.given_up))
+                axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
                 self._once(f"{self.config.reference_topic}: beyond the fins' reach in {axes}: the fins make what they "
                            f"can, see {self.config.wrench_topic}")  # fmt: skip
         self._forces = action.forces

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.canvas import with_canvas
 from softfin.core.quantities import RATE_HZ
-from softfin.robot.description import AXES, RobotConfig
+from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.trial import Record
 from softfin.storage import artifact as artifacts
 
@@ -64,7 +64,7 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
     return {
         "rate_hz": RATE_HZ / FRAME_TICKS,
         "frames": len(frames),
-        "axes": AXES,
+        "axes": WRENCH_AXES,
         "size": robot.size_m,
         "fins": fins,
         "span": FIN_SPAN_M,

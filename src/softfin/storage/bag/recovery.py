@@ -32,7 +32,7 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 """Opcode and length, before each record."""
 
-LARGEST_BYTES = 64 * 2**20
+MAX_RECORD_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
 
 Record: TypeAlias = Schema | Channel | Message | Footer
@@ -68,7 +68,7 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
             # Over a network, and after a power cut, the length of a file can be seen before its bytes.
             return
         opcode, length = HEAD.unpack(head)
-        if not opcode or (opcode != Opcode.ATTACHMENT and length > LARGEST_BYTES):
+        if not opcode or (opcode != Opcode.ATTACHMENT and length > MAX_RECORD_BYTES):
             raise LogError(f"a record of kind {opcode} and {length:,} bytes at byte {start:,}")
         end = start + HEAD.size + length
         if end > size:
@@ -86,8 +86,8 @@ def decode(record: RawRecord) -> list[Record]:
         if record.opcode != Opcode.CHUNK:
             return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
         chunk = Chunk.read(stream)
-        if chunk.uncompressed_size > LARGEST_BYTES:
-            raise ValueError(f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {LARGEST_BYTES:,}")
+        if chunk.uncompressed_size > MAX_RECORD_BYTES:
+            raise ValueError(f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {MAX_RECORD_BYTES:,}")
         return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
     except (McapError, zstandard.ZstdError, ValueError, OverflowError, RuntimeError, EOFError, struct.error) as error:
         what = "chunk" if record.opcode == Opcode.CHUNK else "record"
@@ -151,7 +151,7 @@ def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterat
     head = file.read(49)
     if head[:1] == bytes([Opcode.CHUNK]) and head[37:41] == bytes(4):
         # A file system shows zeros where bytes never reached the disk, so no message may end in them.
-        beginning = file.read(min(size - at, LARGEST_BYTES)).rstrip(b"\0")
+        beginning = file.read(min(size - at, MAX_RECORD_BYTES)).rstrip(b"\0")
         # Behind the first bytes that are not a record there is nothing to save.
         with contextlib.suppress(LogError):
             yield from read_records(io.BytesIO(beginning), 0, len(beginning))

@@ -15,7 +15,7 @@ from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure
 from softfin.surrogate.compare.compare import Comparison, Group
 from softfin.surrogate.streaming.ensemble import COVERAGE
 
-TRACE_S = 8
+SHOWN_FORCE_S = 8
 """Length of the force that is shown, measured and predicted [s]."""
 
 TRACES = 3
@@ -53,7 +53,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
 
 
 def _draw_traces(panels: Any, comparison: Comparison) -> None:
-    measured = np.asarray(comparison.measured.reading.force)[0, : TRACE_S * RATE_HZ]
+    measured = np.asarray(comparison.measured.reading.force)[0, : SHOWN_FORCE_S * RATE_HZ]
     time = np.arange(1, len(measured) + 1) / RATE_HZ
     for axis, axes in enumerate(panels):
         axes.plot(time, measured[:, axis], color="#BBBBBB", linewidth=2.6, label="measured")

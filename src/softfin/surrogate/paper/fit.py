@@ -21,7 +21,7 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.core.randomness import generator_of, key_of
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate.channels import COLUMNS, COMMANDS, Scaling
+from softfin.surrogate.channels import COLUMNS, COMMAND_COLUMNS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, hold_out, keep_best
@@ -135,13 +135,13 @@ def loss(
 ) -> tuple[Float[Array, ""], Nets]:
     """Mean square error of the scaled outputs, summed over both nets: each depends on its own alone."""
     window = nets.posnet.config.window
-    inputs = gather(table[:, : 1 + len(COMMANDS)], starts, window)
+    inputs = gather(table[:, : 1 + len(COMMAND_COLUMNS)], starts, window)
     target = table[starts + window]
     # With one key for both, nets of like layers would drop the same units.
     posnet_key, forcenet_key = jax.random.split(key)
     losses = Nets(
         jnp.mean((nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]) ** 2),
-        jnp.mean((nets.forcenet(inputs, forcenet_key) - target[:, 1 + len(COMMANDS) :]) ** 2),
+        jnp.mean((nets.forcenet(inputs, forcenet_key) - target[:, 1 + len(COMMAND_COLUMNS) :]) ** 2),
     )
     return losses.posnet + losses.forcenet, losses
 

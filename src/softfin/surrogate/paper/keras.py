@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from softfin.core.errors import ArtifactError, SoftfinError, one_line
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, Scaling
+from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.training import restored
@@ -49,7 +49,7 @@ def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
         raise ArtifactError(f"{scalers}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
     scaling = Scaling.build({"channels": channels}, str(scalers))
     scaling.require(str(scalers))
-    nets = read_network(posnet, COMMANDS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMANDS), FORCES)
+    nets = read_network(posnet, COMMAND_COLUMNS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMAND_COLUMNS), FORCES)
     surrogate = Surrogate(*nets, scaling)
     if problem := surrogate.limits.problem():
         raise ArtifactError(f"{scalers}: {problem}; they are data_min and data_max of the commands' channels")

@@ -16,9 +16,9 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
 from softfin.core.configuration import Configuration
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES
+from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
-CHUNK = 2048
+MAX_CHUNK_WINDOWS = 2048
 """Windows that a net takes at once from a table: enough for the matrix products, few enough for the caches."""
 
 Activation = Literal["linear", "relu", "tanh"]
@@ -191,13 +191,13 @@ class NetworkConfig(Configuration):
         ))  # fmt: skip
 
 
-POSNET = NetworkConfig(channels=COMMANDS, outputs=(ANGLE,), layers=(
+POSNET = NetworkConfig(channels=COMMAND_COLUMNS, outputs=(ANGLE,), layers=(
     Conv1D(filters=128, kernel=5), Conv1D(filters=64, kernel=3), Flatten(),
     Dense(units=128), Dense(units=64), Dense(units=1, activation="linear"),
 ))  # fmt: skip
 """PosNet: the last second of commands in, the angle one sample later out; 113,601 parameters, as in Table I."""
 
-FORCENET = NetworkConfig(channels=(ANGLE, *COMMANDS), outputs=FORCES, layers=(
+FORCENET = NetworkConfig(channels=(ANGLE, *COMMAND_COLUMNS), outputs=FORCES, layers=(
     LSTM(units=128, sequence=True), MeanPool(),
     Dense(units=64), Dense(units=64), Dropout(rate=0.4), Dense(units=2, activation="linear"),
 ))  # fmt: skip
@@ -228,7 +228,7 @@ class Network(eqx.Module):
         """Scaled output for every row behind the first window: window i is rows i .. i+99 and predicts row i+100."""
         count = len(table) - self.config.window
         on_device = jnp.asarray(table)
-        parts = [np.asarray(_chunk(self, on_device, jnp.int32(first))) for first in range(0, count, CHUNK)]
+        parts = [np.asarray(_chunk(self, on_device, jnp.int32(first))) for first in range(0, count, MAX_CHUNK_WINDOWS)]
         return np.concatenate(parts)[:count]
 
     @classmethod
@@ -257,5 +257,5 @@ def gather(
 
 @eqx.filter_jit
 def _chunk(network: Network, table: Float[Array, "rows channels"], first: Int[Array, ""]) -> Float[Array, "chunk out"]:
-    starts = jnp.minimum(first + jnp.arange(CHUNK), table.shape[0] - 1 - network.config.window)
+    starts = jnp.minimum(first + jnp.arange(MAX_CHUNK_WINDOWS), table.shape[0] - 1 - network.config.window)
     return network(gather(table, starts, network.config.window))

@@ -20,7 +20,7 @@ from softfin.core.action_clock import MOST_TICKS
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, NetPrediction, Scaling
+from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.training import named, restored
 
@@ -57,7 +57,7 @@ class Surrogate(eqx.Module):
     @property
     def limits(self) -> Limits:
         """The range of the commands in the training data: beyond it the nets extrapolate."""
-        angle, velocity = (self.scaling.channels[name] for name in COMMANDS)
+        angle, velocity = (self.scaling.channels[name] for name in COMMAND_COLUMNS)
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
     def init(self, key: PRNGKeyArray) -> SurrogateState:
@@ -70,7 +70,7 @@ class Surrogate(eqx.Module):
         """The state after a recorded history, of which the last `memory` rows count; raises LogError if shorter."""
         if (rows := len(history.reading.time)) < self.memory:
             raise LogError(f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm after as many")
-        table = self.scaling.table((*COMMANDS, ANGLE), history)[-self.window :].T
+        table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
         # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
         commands = np.concatenate([table[:2, :1], table[:2, :-1]], axis=1)
         tick = tick_at(float(history.reading.time[-1]))
@@ -99,16 +99,18 @@ class Surrogate(eqx.Module):
         return SurrogateState(state.tick + ticks, commands, angles), reading
 
     def _scaled(self, command: Command) -> Float[Array, "2"]:
-        return jnp.stack([self.scaling.scaled(name, value) for name, value in zip(COMMANDS, command, strict=True)])
+        return jnp.stack(
+            [self.scaling.scaled(name, value) for name, value in zip(COMMAND_COLUMNS, command, strict=True)]
+        )
 
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
         """PosNet's angles from the commands of a log, for its rows from `window` on [rad]."""
-        angle = self.posnet.over_table(self.scaling.table(COMMANDS, log))
+        angle = self.posnet.over_table(self.scaling.table(COMMAND_COLUMNS, log))
         return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
 
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
         """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or from PosNet's."""
-        table = self.scaling.table((ANGLE, *COMMANDS), log)
+        table = self.scaling.table((ANGLE, *COMMAND_COLUMNS), log)
         if free_running:
             # Nothing was predicted for the first window.
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]

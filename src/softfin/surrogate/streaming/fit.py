@@ -43,7 +43,7 @@ from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
 
-ROUNDS = 10
+MAX_SCORINGS = 10
 """Times that a net is scored on the held-out logs while it is trained."""
 
 Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
@@ -240,7 +240,7 @@ def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[Seque
 
 def _calls(updates: int) -> tuple[int, int]:
     """Updates a call and a round: rounds of equal calls, so that one compiled program does all but the very last."""
-    round_of = -(-updates // ROUNDS)
+    round_of = -(-updates // MAX_SCORINGS)
     calls = -(-round_of // UPDATES_A_CALL)
     call = -(-round_of // calls)
     return call, call * calls

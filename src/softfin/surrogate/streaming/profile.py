@@ -18,7 +18,7 @@ from softfin.core.randomness import cma_es, generator_of
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, SegmentBatch, Table
 from softfin.tank.drive import delayed, next_velocity
 
-STEPS = 2
+STEPS_PER_TICK = 2
 """Steps of the profile in a tick: a corner between two ticks is met within 5 ms."""
 
 SEGMENTS, TICKS = 48, 300
@@ -67,9 +67,9 @@ class Profile(eqx.Module):
         obeyed = delayed(queue, self.delay)
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
         target = Command(self.gain * obeyed.angle + self.zero, speed)
-        seconds = TICK_S / STEPS
+        seconds = TICK_S / STEPS_PER_TICK
         angle, velocity = jnp.asarray(state.angle), jnp.asarray(state.velocity)
-        for _ in range(STEPS):
+        for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
             angle, velocity = angle + seconds * (velocity + after) / 2, after
         return ProfileState(angle, velocity, Command(*(channel[:-1] for channel in queue))), target

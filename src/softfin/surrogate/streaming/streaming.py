@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
-from softfin.surrogate.channels import ANGLE, COMMANDS, FORCES, READINGS, SKIPPED, NetPrediction
+from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, READINGS, SKIPPED, NetPrediction
 from softfin.surrogate.streaming.ensemble import (
     Familiarity,
     Interval,
@@ -32,7 +32,7 @@ from softfin.surrogate.training import named, restored
 SETTLED = 3000
 """Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
 
-CHANNELS = {"in": list(COMMANDS), "out": list(READINGS)}
+SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
@@ -142,7 +142,7 @@ class StreamingSurrogate(eqx.Module):
         """Entries of ``surrogate.json``, and the arrays by their place in the nets."""
         drive, force = self.members.drive, self.members.force
         return {
-            "channels": CHANNELS,
+            "channels": SURROGATE_CHANNELS,
             "members": self.size,
             "networks": {"drive": drive.config.model_dump(mode="json"), "force": force.config.model_dump(mode="json")},
             "scales": force.scales.model_dump(mode="json"),
@@ -153,8 +153,10 @@ class StreamingSurrogate(eqx.Module):
     @classmethod
     def from_files(cls, description: Any, weights: dict[str, np.ndarray], source: str) -> "StreamingSurrogate":
         """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
-        if description["channels"] != CHANNELS:
-            raise ArtifactError(f"{source}: channels {description['channels']}; streaming surrogates have {CHANNELS}")
+        if description["channels"] != SURROGATE_CHANNELS:
+            raise ArtifactError(
+                f"{source}: channels {description['channels']}; streaming surrogates have {SURROGATE_CHANNELS}"
+            )
         drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
         force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
         scales, size = Scales.model_validate(description["scales"]), int(description["members"])

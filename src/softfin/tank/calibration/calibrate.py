@@ -15,6 +15,7 @@ import yaml
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
+from softfin.core.action_clock import WINDOW
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Command, Log
@@ -23,7 +24,7 @@ from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
 from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, parameters_of
-from softfin.tank.calibration.model import CHANNELS, Segments, Space, cut, read, stacked
+from softfin.tank.calibration.model import FITTED_CHANNELS, Segments, Space, cut, read, stacked
 from softfin.tank.calibration.search import Losses, determination, misfits, polish, search
 
 Scores: TypeAlias = dict[str, dict[str, float]]
@@ -31,9 +32,6 @@ Scores: TypeAlias = dict[str, dict[str, float]]
 
 TRACE_S = 10
 """Duration of a test segment that the figure shows [s]."""
-
-WINDOW = 2 * RATE_HZ
-"""Ticks over which means are taken: those of the paper's moving average."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,7 +106,7 @@ def calibrate(
     """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one."""
     tell = progress or (lambda stage, fraction, note: None)
     space, fitted, unseen = prepared(config, train, test)
-    weights = np.array([getattr(config.weights, channel) for channel in CHANNELS])
+    weights = np.array([getattr(config.weights, channel) for channel in FITTED_CHANNELS])
     weights /= weights.sum()
     coarse = {"fin": {"plates": config.search_plates}, "steps_per_tick": config.search_steps}
     rough = Space(space.parameters, config.tank.merged(coarse, "calibration"), config.recording)
@@ -143,7 +141,7 @@ def calibrate(
 def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> Scores:
     """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
     rows = {}
-    for index, channel in enumerate(CHANNELS):
+    for index, channel in enumerate(FITTED_CHANNELS):
         true = np.asarray(segments.compared, np.float64)[..., index]
         predicted = np.asarray(modelled, np.float64)[:, segments.warm_up :, index]
         square = float(np.mean((predicted - true) ** 2))
@@ -173,7 +171,7 @@ def calibration_figure(
         panels = parts[0].subplots(3, 1, sharex=True)
         panels[0].step(time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded")
         titles = ("angle [rad]", "force x [N]", "force y [N]")
-        for index, (axes, title, channel) in enumerate(zip(panels, titles, CHANNELS, strict=True)):
+        for index, (axes, title, channel) in enumerate(zip(panels, titles, FITTED_CHANNELS, strict=True)):
             axes.plot(time, measured[shown, ticks, index], color=BLACK, linewidth=1.6, label="measured")
             axes.plot(time, modelled[shown, ticks, index], color=ORANGE, linewidth=1.3, linestyle="--", label="tank")
             axes.set(ylabel=title, xlim=(0, len(command) / RATE_HZ))
@@ -183,7 +181,7 @@ def calibration_figure(
         panels[-1].set_xlabel("time [s]")
         end = test.warm_up + (measured.shape[1] - test.warm_up) // WINDOW * WINDOW
         ours, theirs = (
-            readings[:, test.warm_up : end].reshape(-1, WINDOW, len(CHANNELS)).mean(axis=1)
+            readings[:, test.warm_up : end].reshape(-1, WINDOW, len(FITTED_CHANNELS)).mean(axis=1)
             for readings in (modelled, measured)
         )
         axes = parts[1].subplots()

@@ -210,7 +210,7 @@ class CalibrateConfig(Configuration):
         return self
 
 
-PRESETS: dict[CalibratePreset, CalibrateConfig] = {
+CALIBRATE_PRESETS: dict[CalibratePreset, CalibrateConfig] = {
     "full": CalibrateConfig(),
     "quick": CalibrateConfig(
         parameters=every_range({name: FREE[name] for name in (

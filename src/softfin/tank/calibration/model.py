@@ -30,7 +30,7 @@ from softfin.tank import Tank, TankConfig
 from softfin.tank.calibration.config import CalibrateConfig, Parameter, Point, RecordingConfig
 from softfin.tank.sensor import arrays_of
 
-CHANNELS = ("angle", "force_x", "force_y")
+FITTED_CHANNELS = ("angle", "force_x", "force_y")
 
 
 class Segments(eqx.Module):
@@ -39,7 +39,7 @@ class Segments(eqx.Module):
     command: Command
     """Fields ``(segments, ticks)``."""
     measured: Float[Array, "segments ticks channels"]
-    """Readings in the order of `CHANNELS` [rad, N, N]."""
+    """Readings in the order of `FITTED_CHANNELS` [rad, N, N]."""
     warm_up: int = eqx.field(static=True)
     """Ticks at the start of each segment that are not compared."""
 
@@ -67,7 +67,7 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> 
     command = (jnp.stack([np.asarray(log.command[i][rows], np.float32) for log, rows in places]) for i in range(2))
     readings = [np.column_stack([log.reading.angle, log.reading.force])[1:][rows] for log, rows in places]
     segments = Segments(Command(*command), jnp.asarray(np.stack(readings), np.float32), warm_up)
-    for channel, deviation in zip(CHANNELS, np.asarray(segments.deviation).tolist(), strict=True):
+    for channel, deviation in zip(FITTED_CHANNELS, np.asarray(segments.deviation).tolist(), strict=True):
         if deviation == 0:
             raise LogError(f"{part} logs: {channel} never changes, so nothing can be fitted to it; record motion")
     return segments

@@ -1,0 +1,60 @@
+"""Call a function as soon as JAX is imported, by whomever, without importing it.
+
+Robots run controllers without JAX, and a second of every other command would go to importing it. So whatever softfin
+sets up in JAX waits until some module imports it.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+JAX = "jax"
+
+
+def when_jax_is_imported(action: Callable[[], None]) -> None:
+    """Call the action now if JAX has been imported, else at the end of its import."""
+    if sys.modules.get(JAX) is not None:
+        action()
+        return
+    _FINDER.actions.append(action)
+    if _FINDER not in sys.meta_path:
+        sys.meta_path.insert(0, _FINDER)
+
+
+class _JaxFinder(MetaPathFinder):
+    """Finds JAX as the other finders do, and makes its loader call the actions."""
+
+    def __init__(self) -> None:
+        self.actions: list[Callable[[], None]] = []
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of JAX; None for any other module."""
+        if fullname != JAX:
+            return None
+        for finder in sys.meta_path:
+            spec = None if finder is self else finder.find_spec(fullname, path, target)
+            if spec is not None:
+                self._extend(spec.loader)
+                return spec
+        return None
+
+    def _extend(self, loader: Any) -> None:
+        execute = loader.exec_module
+
+        def execute_and_act(module: ModuleType) -> None:
+            # If the import fails, the actions wait for the next attempt.
+            execute(module)
+            if self in sys.meta_path:
+                sys.meta_path.remove(self)
+            while self.actions:
+                self.actions.pop(0)()
+
+        loader.exec_module = execute_and_act
+
+
+_FINDER = _JaxFinder()
