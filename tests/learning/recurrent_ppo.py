@@ -1,4 +1,4 @@
-"""Write what sb3-contrib's RecurrentPPO makes of given data into recurrent_ppo.json, with which test_parity.py compares.
+"""Write what sb3-contrib's RecurrentPPO makes of given data into recurrent_ppo.json, for test_parity.py to compare.
 
     python -m tests.learning.recurrent_ppo
 
@@ -43,7 +43,7 @@ def draw_inputs() -> dict[str, Any]:
     def draw(*shape: int, scale: float = 1.0) -> np.ndarray:
         return np.round(scale * random.normal(size=(TIME, NUM_ENVS, *shape)), 4)
 
-    # An environment is truncated every EPISODE actions, each at a time of its own; the last rollout step is one of them.
+    # An environment is truncated every EPISODE actions, each at a time of its own; the last step is one of them.
     steps = np.arange(1, TIME + 1)[:, None] + 3 * np.arange(NUM_ENVS)
     truncated = steps % EPISODE == 0
     is_first = np.concatenate([np.ones((1, NUM_ENVS), bool), truncated[:-1]])
