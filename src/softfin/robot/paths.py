@@ -86,10 +86,8 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: fl
         before, now, after = (place(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1))
         yaws = np.unwrap([heading(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1)])
         turn, turning = np.zeros(3), np.zeros(3)
-        turn[2], turning[2] = (
-            (yaws[2] - yaws[0]) / (2 * DIFFERENCE_STEP_S),
-            (yaws[2] - 2 * yaws[1] + yaws[0]) / DIFFERENCE_STEP_S**2,
-        )
+        turn[2] = (yaws[2] - yaws[0]) / (2 * DIFFERENCE_STEP_S)
+        turning[2] = (yaws[2] - 2 * yaws[1] + yaws[0]) / DIFFERENCE_STEP_S**2
         return PathPoint(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * DIFFERENCE_STEP_S),
                       (after - 2 * now + before) / DIFFERENCE_STEP_S**2, turn, turning)  # fmt: skip
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import LogError, RunError
-from softfin.data.importing.rosbag import TYPES as READABLE
+from softfin.data.importing.rosbag import READABLE_TYPES as READABLE
 from softfin.data.recordings import open_logs
 from softfin.storage.bag import writer as bag_writer
 from softfin.storage.bag.messages import COMMAND, CURRENT, DEFAULT_TOPICS, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
