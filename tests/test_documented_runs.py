@@ -42,6 +42,7 @@ TINY = {
     "map": "--config map.yaml",
     "train": "--config train.yaml",
     "train --seeds": "--seeds 2",
+    "train --algorithm ppo": "--set steps=480 --set num_evaluations=1",
     "evaluate": f"--seconds 3 --seeds 1 --plant {staged.PLANT}",
     "evaluate --randomize": "--plant tank.yaml",
     "evaluate --error-map": "--set error_map=2",
