@@ -58,7 +58,7 @@ def test_random_references_are_one_line_and_the_configuration_is_kept(controller
     assert "4 random references: error x, y mean " in capsys.readouterr().out
     written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert written["random"]["count"] == written["configuration"]["random"] == 4
-    assert written["configuration"]["trim"]["gain"] == 0.15
+    assert written["configuration"]["trim"]["drift_s"] == 300
     assert written["configuration"]["recorded"] == {"rows": 2, "seconds": 6}
 
 

@@ -96,7 +96,7 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     monkeypatch.setattr(driving, "say", gone)
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
-    driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), 1)
+    driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), (0.0, 0.0), 1)
     assert session.stop_request.trip == ("emergency_stop", "nobody reads its lines any more (Broken pipe)")
 
 

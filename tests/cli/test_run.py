@@ -52,7 +52,9 @@ def test_a_controller_runs_for_so_long_and_says_what_it_made(controller, plant, 
     told = json.loads(capsys.readouterr().out)
     assert told["seconds"] == 1.0
     assert told["counters"]["sensor_records"] > 0
-    assert events_of(bag) == ["active: rig of emulated", "inactive"]
+    active, rest, inactive = events_of(bag)
+    assert (active, inactive) == ("active: rig of emulated", "inactive")
+    assert rest.startswith("force at rest: (")
     assert counts_of(bag)["/fin/command"] >= 5
     still(emulated)
 

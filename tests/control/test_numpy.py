@@ -77,7 +77,7 @@ def test_an_episode_is_the_same_without_jax(kind: str, folders: dict[str, Path])
 
 @pytest.mark.parametrize("kind", ["single", "grid", "gaits"])
 def test_with_the_outer_loop_too(kind: str, folders: dict[str, Path]) -> None:
-    config, played = DisturbanceObserverConfig(gain=0.3, lag_actions=2), episode(2)
+    config, played = DisturbanceObserverConfig(noise_n=0.02, lag_actions=2), episode(2)
     # Long enough at one reference that something is learnt.
     played[2][60:120] = (1.8, 0.3)
     controller = DisturbanceObserver(load_controller(folders[kind]), config)

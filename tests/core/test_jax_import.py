@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.control.folders import folder_of
+from tests.patience import HANG_S
 
 IMPORT_ALL = """
 import contextlib
@@ -123,7 +124,7 @@ assert calls == ["called"]
 
 def run(script: str, *words: object) -> None:
     command = [sys.executable, "-c", script, *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S, check=False)
     assert done.returncode == 0, done.stderr
 
 

@@ -7,6 +7,7 @@ import pytest
 from softfin.core.plant import Plant
 from softfin.core.quantities import Command
 from softfin.evaluation.experiment import ExperimentRecording, run
+from softfin.evaluation.scores import judged_force, score
 from tests.plants import AnalyticFin, Flapper, PlainFin
 
 REFERENCES = np.array([[1, -1], [2, 0], [3, 1]], np.float32)
@@ -101,3 +102,39 @@ def test_a_moving_reference_that_stays_does_as_a_constant_one(recording):
     np.testing.assert_allclose(
         run(Echo(), AnalyticFin(), stays, 2, KEYS).reading.force, recording.reading.force, atol=1e-6
     )
+
+
+class Misread(PlainFin):
+    """A user's simulator whose sensor is off by 0.4 N in x, and which knows the true force."""
+
+    def advance(self, state, command, ticks):
+        state, reading = super().advance(state, command, ticks)
+        return (state, reading.force[-1]), reading._replace(force=reading.force + jnp.array([0.4, 0.0]))
+
+    def init(self, key):
+        return super().init(key), jnp.zeros(2)
+
+    def true_force(self, state):
+        return state[1]
+
+
+class MisreadFin(Misread):
+    def advance(self, state, command, ticks):
+        return super().advance(state[0], command, ticks)
+
+
+def test_the_true_force_is_recorded_where_a_plant_knows_it_and_judges():
+    recording = run(Flapper(), MisreadFin(), REFERENCES, 4, KEYS)
+    np.testing.assert_allclose(recording.reading.force - recording.true_force, [[[[0.4, 0.0]]]] * 3, atol=1e-5)
+    assert recording.first().true_force.shape == (3, 1, 400, 2)
+    scores = score(recording)
+    truth = score(run(Flapper(), PlainFin(), REFERENCES, 4, KEYS))
+    np.testing.assert_allclose(scores.error, truth.error, atol=1e-4)
+    assert np.abs(scores.reading_error[..., 0] - scores.error[..., 0]).max() > 0.1
+    assert judged_force(recording) == "true force"
+
+
+def test_a_plant_with_readings_alone_is_judged_by_them(recording):
+    assert recording.true_force is None
+    assert score(recording).reading_error is None
+    assert judged_force(recording) == "reading"

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.core.choices import AlgorithmPreset, PolicyLayout
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import jit_argument
@@ -23,6 +24,7 @@ from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train_jobs
+from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import stack_references
 from softfin.task.task import ForceTracking, TaskConfig
@@ -297,7 +299,10 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
 
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
     assert choose_preset(StrokeFin(), "single") == (GRADIENT_SINGLE, "gradient, as the plant has gradients")
-    assert choose_preset(Numb()) == (GRID, "ppo, as the plant has no gradient: its slope is 0 throughout")
+    relabelled, reason = choose_preset(Numb())
+    assert relabelled.algorithm == "ppo"
+    assert relabelled.ppo.relabelling == 1
+    assert reason == "ppo-hindsight, because the plant has no gradient: its slope is 0 throughout"
     assert choose_preset(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as asked")
 
 
@@ -316,10 +321,27 @@ def test_members_are_trained_in_only_where_there_are_several() -> None:
 def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> None:
     round_the_origin = Reachable(np.zeros(2, np.float32), np.ones(64, np.float32))
     at = GRID.evaluation_references(round_the_origin)
-    assert at.shape == (6, 1, 2)
-    for place, (x, y) in zip(at[:, 0], PAPER_REFERENCES, strict=True):
-        np.testing.assert_allclose(place, round_the_origin.nearest((x, y)), atol=1e-5)
-        assert np.hypot(*place) == pytest.approx(1, abs=3e-3)
+    assert at.shape == (6, 4, 2)
+    lattices = [cell.lattice(2) for cell in GRID.cells]
+    for place, force in zip(at.reshape(-1, 2), np.reshape(lattices, (-1, 2)).tolist(), strict=True):
+        np.testing.assert_allclose(place, round_the_origin.nearest(force), atol=1e-5)
+        assert np.hypot(*place) <= 1.003
+
+
+@pytest.mark.parametrize("preset", TRAIN_PRESETS, ids="-".join)
+def test_no_policy_is_selected_on_the_references_of_the_paper(preset: tuple[AlgorithmPreset, PolicyLayout]) -> None:
+    selected_on = TRAIN_PRESETS[preset].evaluation_references(None).reshape(-1, 2)
+    for reference in PAPER_REFERENCES:
+        assert np.linalg.norm(selected_on - np.array(reference), axis=1).min() > 0.1
+
+
+def test_plain_ppo_is_the_papers() -> None:
+    """Hindsight relabelling, which the paper does not have, has a name of its own."""
+    for layout in ("single", "grid"):
+        assert TRAIN_PRESETS["ppo", layout].ppo.relabelling == 0
+        assert TRAIN_PRESETS["ppo-hindsight", layout].ppo.relabelling == 1
+    assert PRESETS["paper"].single == TRAIN_PRESETS["ppo", "single"]
+    assert PRESETS["paper"].grid == TRAIN_PRESETS["ppo", "grid"]
 
 
 class Twins(StrokeFin):

@@ -27,7 +27,7 @@ class Relabelled(NamedTuple):
 
 @pytest.fixture(scope="module")
 def relabelled() -> Relabelled:
-    ppo = learner(AnalyticFin(noise_n=0.0), 3, num_envs=FINS, episode=ACTIONS)
+    ppo = learner(AnalyticFin(noise_n=0.0), 3, num_envs=FINS, episode=ACTIONS, relabelling=1.0)
 
     @jax.jit
     def begin(key: Any) -> Any:

@@ -58,7 +58,7 @@ def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(whole: tupl
     kernels = np.asarray(whole[0].policies.net.lstm.kernel)
     assert kernels.shape[:2] == (2, 2)
     assert len(np.unique(kernels.reshape(4, -1), axis=0)) == 4
-    assert np.asarray(whole[0].evaluation.error).shape == (2, 2, 1, 2)
+    assert np.asarray(whole[0].evaluation.error).shape == (2, 2, 4, 2)
     assert np.isfinite(whole[0].evaluation.error).all()
 
 

@@ -100,7 +100,9 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
     assert summary["references"][0]["reference_n"] == [1.0, -1.0]
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["mean"] == summary["mean"]
     bag = next(bags_of(tmp_path / "out").glob("session-*.mcap"))
-    assert events_of(bag) == ["active: free fin", "inactive"]
+    active, rest, inactive = events_of(bag)
+    assert (active, inactive) == ("active: free fin", "inactive")
+    assert rest.startswith("force at rest: (")
 
 
 def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_path, monkeypatch):

@@ -45,11 +45,39 @@ def test_noise_is_white_and_of_its_standard_deviation():
     assert np.abs(np.corrcoef(reading.T)[0, 1]) < 0.03
 
 
+def test_zeroing_is_what_a_mean_at_rest_would_be():
+    """Against a sensor that is never zeroed and read at rest for 2 s, whose mean is then subtracted by hand."""
+    with_drift = {"noise_n": 0.05, "drift_n": 0.05, "drift_s": 30.0}
+    fins = 2000
+    keys = jax.random.split(jax.random.key(3), fins)
+    raw = jax.vmap(lambda key: read(Sensor(with_only(**with_drift, zero_s=0.0)), jnp.zeros((200, 2)), key))(keys)
+    by_hand = np.asarray(raw[:, -1] - raw.mean(axis=1))
+    zeroed = jax.vmap(lambda key: read(Sensor(with_only(**with_drift)), jnp.zeros((1, 2)), key)[0])(keys)
+    assert np.asarray(raw[:, -1]).std() == pytest.approx(np.hypot(0.05, 0.05), rel=0.05)
+    # The noise of one reading hides the error of the zero, so both are also compared without it.
+    assert np.asarray(zeroed).std() == pytest.approx(by_hand.std(), rel=0.05)
+    sensor = Sensor(with_only(**with_drift))
+    states = jax.vmap(sensor.rest)(keys)
+    quiet = jax.vmap(
+        lambda key: read(Sensor(with_only(drift_n=0.05, drift_s=30.0, zero_s=0.0)), jnp.zeros((200, 2)), key)
+    )
+    moved = np.asarray(quiet(keys)[:, -1] - quiet(keys).mean(axis=1)).var()
+    expected = np.sqrt(moved + 0.05**2 / 200)
+    assert np.asarray(states.zero - states.drift).std() == pytest.approx(expected, rel=0.05)
+
+
+def test_the_electronics_saturate_before_the_zero_is_subtracted():
+    sensor = Sensor(with_only(range_n=1.0))
+    state = sensor.rest(jax.random.key(0))._replace(zero=jnp.array([0.4, -0.4]))
+    _, reading = sensor.read(state, jnp.array([5.0, -5.0]), jax.random.key(1))
+    np.testing.assert_allclose(reading, [0.6, -0.6], rtol=1e-6)
+
+
 def test_drift_is_slow_and_of_its_standard_deviation_from_the_start():
     config = with_only(drift_n=0.3, drift_s=5.0)
     starts = jax.vmap(Sensor(config).rest)(jax.random.split(jax.random.key(0), 500)).drift
     assert np.asarray(starts).std() == pytest.approx(0.3, rel=0.1)
-    reading = record(config, np.zeros((SAMPLES, 2)))
+    reading = record(config.model_copy(update={"zero_s": 0.0}), np.zeros((SAMPLES, 2)))
     assert reading.std() == pytest.approx(0.3, rel=0.35)
     assert np.diff(reading, axis=0).std() == pytest.approx(0.3 * np.sqrt(2 * 0.01 / 5.0), rel=0.05)
 

@@ -101,13 +101,12 @@ class Sensor(eqx.Module):
         leaves in a mean of T / TICK_S samples, and by what the drift moved within T. A random walk of variance q per
         second ends at a distance of variance q T / 3 from its mean; here q = 2 drift^2 / drift_time.
         """
-        drift_key, zero_key = jax.random.split(key)
-        drift = self.drift * jax.random.normal(drift_key, (2,), self.drift.dtype)
+        drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
         variance = self.noise**2 / samples + 2 * self.drift**2 / self.drift_time * self.zero_time / 3
         # Noise and drift may both be 0, where the square root has no derivative.
         deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 0.0)
-        zero = drift + deviation * jax.random.normal(zero_key, (2,), self.drift.dtype)
+        zero = drift + deviation * jax.random.normal(jax.random.fold_in(key, 1), (2,), self.drift.dtype)
         return SensorState(jnp.zeros_like(drift), drift, jnp.where(self.zero_time > 0, zero, 0.0))
 
     def read(

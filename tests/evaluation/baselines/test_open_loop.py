@@ -26,8 +26,7 @@ def test_the_same_commands_score_the_same_as_from_a_controller():
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
     ours = evaluate_commands(plant, commands, CONFIG)
     theirs = evaluate(Flapper(), plant, CONFIG)
-    for mine, other in zip(ours.scores, theirs.scores, strict=True):
-        np.testing.assert_allclose(mine, other, atol=1e-4)
+    jax.tree.map(lambda mine, other: np.testing.assert_allclose(mine, other, atol=1e-4), ours.scores, theirs.scores)
     np.testing.assert_array_equal(ours.recording.command.angle, theirs.recording.command.angle)
     assert ours.summary().keys() == theirs.summary().keys()
 

@@ -45,13 +45,21 @@ class TankFin:
     def recall(self, remembered: dict[str, Any]) -> None:
         """Go on from there; raises ValueError where that is the state of another tank."""
         with self._lock:
-            now, tree = jax.tree.flatten((self._plain(), self._before, self._after))
-            held = (*remembered["state"], remembered["before"], remembered["after"])
+            plain = self._plain()
+            leaves = remembered["state"]
+            if len(leaves) == len(jax.tree.leaves(plain)) - 2:
+                # Earlier versions had no zero of the sensor and did not keep the true force: it had never been zeroed.
+                plain = (_without_zero(plain[0]), plain[1])
+            now, tree = jax.tree.flatten((plain, self._before, self._after))
+            held = (*leaves, remembered["before"], remembered["after"])
             then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
             if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
                 raise ValueError("a state of another tank")
             plain, self._before, self._after = jax.tree.unflatten(tree, then)
             state, self._command = jax.tree.map(jnp.asarray, plain)
+            if state.force is None:
+                nothing = jnp.zeros_like(state.sensor.drift)
+                state = state._replace(sensor=state.sensor._replace(zero=nothing), force=nothing)
             self._state = state._replace(key=jax.random.wrap_key_data(state.key))
             self._time, self._latest = self._clock(), None
 
@@ -98,6 +106,10 @@ class TankFin:
     def _step(self) -> np.ndarray:
         self._state, sample = _tick(self.tank, self._state, self._command)
         return np.asarray(sample, float)
+
+
+def _without_zero(state: Any) -> Any:
+    return state._replace(sensor=state.sensor._replace(zero=None), force=None)
 
 
 @jax.jit
