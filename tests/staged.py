@@ -25,6 +25,7 @@ from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.surrogate.channels import COMMANDS, ChannelScaling, Scaling
 from softfin.surrogate.streaming import profile
+from softfin.task.references import PAPER_RANGE
 from tests.control.test_controllers import untrained
 from tests.data import bags
 from tests.data.faulty import columns_of
@@ -81,6 +82,7 @@ CONFIGURATIONS = MappingProxyType({
     "paper.yaml": FIT,
     "map.yaml": MAP,
     "train.yaml": GRADIENT,
+    "train-all.yaml": {**GRADIENT, "cells": [PAPER_RANGE.model_dump(mode="json")]},
     # The parameters of the document, so that one program calibrates in both.
     "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
     "tank.yaml": COARSE,

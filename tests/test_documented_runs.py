@@ -5,6 +5,7 @@ import re
 import runpy
 import shlex
 import shutil
+from collections.abc import Mapping
 from fnmatch import fnmatch
 from itertools import pairwise
 from pathlib import Path
@@ -52,6 +53,16 @@ TINY = {
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
 }
 """Options that are added to a command that has all of these words; of several entries the later ones count."""
+
+IN_THE_README = {
+    # All references are covered that later commands ask for.
+    "train": "--config train-all.yaml",
+    "evaluate": "--plant tank.yaml",
+    "rig --arm": "--yes",
+    "run --arm": "--yes --seconds 1",
+}
+"""Options that are added to those of TINY where the commands of the README run one after the other: smaller sizes, and
+what you would type while they run."""
 
 IN_THE_DAY = (
     "rig emulate",
@@ -116,13 +127,17 @@ SHOWN: dict[tuple[str, ...], Shown] = {}
 for _shown in filter(runs, commands()):
     SHOWN.setdefault(kind(_shown), _shown)
 
+README = [shown for shown in commands() if shown.document == "README.md" and runs(shown)]
+"""In their order."""
 AWAY = (*IN_THE_DAY, *ELSEWHERE)
-HERE = [shown for shown in SHOWN.values() if shlex.join(softfin_words(shown)) not in AWAY]
+HERE = [
+    shown for shown in SHOWN.values() if shlex.join(softfin_words(shown)) not in AWAY and shown.document != "README.md"
+]
 
 
-def added(words: tuple[str, ...]) -> list[str]:
+def added(words: tuple[str, ...], options: Mapping[str, str] = TINY) -> list[str]:
     """What shrinks a command."""
-    return [word for entry, options in TINY.items() if is_like(entry, words) for word in options.split()]
+    return [word for entry, given in options.items() if is_like(entry, words) for word in given.split()]
 
 
 def is_like(entry, words):
@@ -192,10 +207,23 @@ def test_a_command_of_the_documents_runs(shown, made, place, capsys):
             check_keys(written)
 
 
+@pytest.mark.slow
+def test_the_commands_of_the_readme_run_one_after_the_other(place, capsys):
+    """In a folder that is empty but for the files that shrink them, so each finds what those before it made."""
+    assert len(README) > 1
+    for shown in README:
+        words = softfin_words(shown)
+        main([*words, *added(words), *added(words, IN_THE_README), "--debug"])
+        if "--out" in words:
+            check_keys(Path(words[words.index("--out") + 1]))
+
+
 def test_every_entry_stands_for_a_command_that_is_shown():
     here = [softfin_words(shown) for shown in HERE]
     for entry in TINY:
         assert any(is_like(entry, words) for words in here), f"TINY: nothing is shown like {entry}"
+    for entry in IN_THE_README:
+        assert any(is_like(entry, softfin_words(shown)) for shown in README), f"IN_THE_README: nothing like {entry}"
     lines = {shlex.join(softfin_words(shown)) for shown in commands() if runs(shown)}
     assert set(AWAY) <= lines, "a command that is no longer shown"
 
