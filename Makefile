@@ -60,8 +60,8 @@ lint: setup ## style, types, the order of imports, the words
 structure: setup ## rooms, lines and the counts by which the structure is judged
 	$(RUN) python tools/structure.py
 
-docs: setup ## the site of the documentation, in build/docs; warnings are errors
-	$(RUN) --group docs sphinx-build --jobs 2 --fail-on-warning --keep-going --quiet docs build/docs
+docs: setup ## the site of the documentation, in build/docs; warnings are errors; DEMO=DIR goes on with a tiny demo there
+	$(if $(DEMO),SOFTFIN_DEMO="$(abspath $(DEMO))") $(RUN) --group docs sphinx-build --jobs 2 --fail-on-warning --keep-going --quiet docs build/docs
 
 bench: setup ## speed and memory, as JSON; EXTRAS="--extra sb3" brings the peer, 5 GB
 	$(UV) sync --frozen $(EXTRAS)

@@ -11,7 +11,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pytest
+from tests import needs
+from tests.patience import HANG_S
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
@@ -19,8 +20,8 @@ FLAGS = (
     "--disable-sync", "--disable-quic", "--disable-gpu", "--hide-scrollbars",
 )  # fmt: skip
 """Without a GPU: where there is none, its emulation shows five frames a second, and Chromium's own drawing sixty."""
-PATIENCE_S = 60.0
-"""Time after which an answer is given up."""
+GRACE_S = 10.0
+"""Time to end by itself before it is killed."""
 
 
 class Browser:
@@ -29,7 +30,7 @@ class Browser:
     def __init__(self, width: int = 1100, height: int = 700) -> None:
         program = next(filter(None, map(shutil.which, NAMES)), None)
         if program is None:
-            pytest.skip(f"none of {', '.join(NAMES)} is on PATH")
+            needs.give_up("chromium", f"none of {', '.join(NAMES)} is on PATH")
         self.size, self.program = (width, height), program
         self.complaints: list[str] = []
         """Errors and warnings on the console, and exceptions that nothing caught."""
@@ -57,7 +58,7 @@ class Browser:
     def __exit__(self, *_: object) -> None:
         self.process.terminate()
         try:
-            self.process.wait(10)
+            self.process.wait(GRACE_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
@@ -124,7 +125,7 @@ class Browser:
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
 
     def _read(self) -> dict[str, Any]:
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + HANG_S
         while b"\0" not in self.rest:
             ready, _, _ = select.select([self.read_from], [], [], max(end - time.monotonic(), 0))
             part = os.read(self.read_from, 1 << 20) if ready else b""

@@ -15,10 +15,12 @@ if version("jaxlib") == "0.10.2":
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 os.environ.setdefault("SOFTFIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 
+import hypothesis
 import jax
 import jaxtyping
 import pytest
 
+from tests import needs
 from tests.budget import (  # noqa: F401  # pytest finds hooks here
     pytest_collection_modifyitems,
     pytest_runtest_logreport,
@@ -33,6 +35,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # As in the command line: tracing makes millions of small objects.
 gc.set_threshold(50_000, 20, 10)
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
+# Hypothesis fails examples that take longer than 200 ms, or whose data are drawn slowly: no matter of the code but of
+# the computer and of what else runs on it.
+hypothesis.settings.register_profile("softfin", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.load_profile("softfin")
 
 PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published"))
 
@@ -60,5 +66,6 @@ def few_programs() -> Iterator[None]:
 def published() -> Path:
     """The folder of the authors' published nets, which are not part of softfin."""
     if not (PUBLISHED / "cnn_pos_net.keras").is_file():
-        pytest.skip(f"the authors' published nets are not at {PUBLISHED}; set SOFTFIN_PUBLISHED to their folder")
+        reason = f"the authors' published nets are not at {PUBLISHED}; set SOFTFIN_PUBLISHED to their folder"
+        needs.give_up("published", reason)
     return PUBLISHED

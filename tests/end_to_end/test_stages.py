@@ -177,6 +177,10 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert stop.value.code == 2
     assert "is of another run (seed was 0 and is 7)" in capsys.readouterr().err
 
+    written = (out / "results.json").stat().st_mtime_ns
+    assert run(capsys, *words, "--resume") == results, "a complete run stays as it is"
+    assert (out / "results.json").stat().st_mtime_ns == written
+
 
 def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its_preset_says(tmp_path, monkeypatch):
     asked = {}

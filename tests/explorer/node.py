@@ -5,18 +5,16 @@ import shutil
 import subprocess
 from typing import Any
 
-import pytest
-
 from softfin.explorer.page import SIMULATION, read_script
-
-LONGEST_S = 120
+from tests import needs
+from tests.patience import HANG_S
 
 
 def run(driver: str, **given: Any) -> Any:
     """Value of `output` after the driver, which finds what is given in `input`; skips the test without Node."""
     node = shutil.which("node")
     if node is None:
-        pytest.skip("node is not on PATH")
+        needs.give_up("node", "node is not on PATH")
     script = f"""
 "use strict";
 const input = JSON.parse(require("fs").readFileSync(0, "utf8"));
@@ -26,6 +24,6 @@ let output;
 require("fs").writeSync(1, JSON.stringify(output));
 """
     done = subprocess.run([node, "-e", script], input=json.dumps(given), capture_output=True, text=True,
-                          timeout=LONGEST_S)  # fmt: skip
+                          timeout=HANG_S)  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout)

@@ -18,7 +18,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import pytest
 
 from softfin.core.errors import RunError, SoftfinError
 from softfin.gaits.reachable import Cell
@@ -31,6 +30,8 @@ from softfin.learning.train import train_jobs
 from softfin.storage.artifact import WEIGHTS
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.task.task import TaskConfig
+from tests import needs
+from tests.patience import HANG_S
 from tests.plants import AnalyticFin
 from tests.staged import GRADIENT
 
@@ -61,15 +62,15 @@ def alike(one: TrainingResult, other: TrainingResult) -> None:
     jax.tree.map(np.testing.assert_array_equal, (one.policies, one.evaluation), (other.policies, other.evaluation))
 
 
-def within(case: str, folder: Path, seconds: int = 900) -> dict[str, Any]:
+def within(case: str, folder: Path) -> dict[str, Any]:
     """What a case tells; skips the test where there is no Ray, or no network of one's own to be had."""
-    pytest.importorskip("ray", reason="the extra ray is not installed")
+    needs.module("ray", "the extra ray is not installed")
     if shutil.which("unshare") is None or subprocess.run([*ALONE, "true"], capture_output=True).returncode:
-        pytest.skip("Ray is tried in a network namespace of its own, and none can be had here")
+        needs.give_up("ray", "Ray is tried in a network namespace of its own, and none can be had here")
     command = [*ALONE, sys.executable, "-m", "tests.learning.ray_cluster", case, str(folder)]
     environment = os.environ | {"HOME": str(folder)}
     run = subprocess.run(
-        command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True, timeout=seconds
+        command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True, timeout=HANG_S
     )
     assert run.returncode == 0, run.stderr[-4000:]
     told: dict[str, Any] = json.loads((folder / "told.json").read_text())
@@ -195,7 +196,7 @@ def _two_nodes() -> str:
         "--disable-usage-stats",
     ]
     for options in (head, ["--address=127.0.0.1:6399", "--node-ip-address=127.0.0.1"]):
-        subprocess.run([*ray, *options], check=True, timeout=90)
+        subprocess.run([*ray, *options], check=True, timeout=HANG_S)
     return "127.0.0.1:6399"
 
 

@@ -13,6 +13,8 @@ from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.robot import RobotNode
 from softfin.rig.stop import StopRequest
 from softfin.robot.description import load_robot
+from tests import needs
+from tests.patience import HANG_S
 from tests.rig.ros2_memory import MemoryTransport
 from tests.rig.ros2_processes import within
 
@@ -320,12 +322,12 @@ def test_the_node_needs_no_jax():
         "node.send_references()\n"
         "assert 'jax' not in sys.modules and 'equinox' not in sys.modules\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
 
 
 def test_another_process_asks_for_a_wrench_and_plays_the_fins(tmp_path):
-    pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
+    needs.module("cyclonedds", "the extra ros2 is not installed")
     told = within("robot", tmp_path)
     matrix = load_robot("ucat").matrix()
     np.testing.assert_allclose(matrix @ np.ravel([told[name] for name in FINS]), WRENCH, atol=0.02)
