@@ -38,7 +38,8 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]
 
 nb_execution_mode = "force"
-nb_execution_timeout = 300
+# Only ends a cell that hangs [s]: the slowest one takes minutes, and many more on a slow or busy computer.
+nb_execution_timeout = 3600
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
 nb_merge_streams = True

@@ -9,6 +9,7 @@ import pytest
 
 from softfin import installation
 from softfin.installation import EXTRAS, how_to_add, missing_from, requirements_of, what_is_missing
+from tests.patience import HANG_S
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
 
@@ -85,7 +86,7 @@ def test_a_command_without_what_it_needs_says_so_in_one_line(module, told, tmp_p
     )
     words = ("collect", "--out", "dataset", "--plant", "tank") if module == "jax" else ("doctor",)
     done = subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False
     )
     assert done.returncode == 2
     assert done.stderr.startswith(f"softfin {words[0]}: {told}")

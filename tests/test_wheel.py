@@ -18,6 +18,7 @@ import pytest
 import yaml
 
 from tests.documents import ROOT
+from tests.patience import HANG_S
 from tests.rig.rigs import WIDE
 
 PYTHONS = os.environ.get("SOFTFIN_PYTHONS", "").split()
@@ -44,7 +45,7 @@ def run(words: Sequence[object], folder: Path, code: int = 0) -> subprocess.Comp
         # As for a user, so that what `make demo` has compiled is not compiled again.
         del mine["SOFTFIN_CACHE"]
     done = subprocess.run([str(word) for word in words], cwd=folder, env=mine, capture_output=True, text=True,
-                          timeout=3600, check=False)  # fmt: skip
+                          timeout=2 * HANG_S, check=False)  # fmt: skip
     assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
     return done
 

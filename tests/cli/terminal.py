@@ -10,8 +10,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from tests.patience import HANG_S
+
 ROOT = Path(__file__).parents[2]
-LONGEST_S = 60.0
 
 
 class Terminal:
@@ -37,7 +38,7 @@ class Terminal:
 
     def wait_for(self, words: str) -> None:
         """Until it says that."""
-        deadline = time.monotonic() + LONGEST_S
+        deadline = time.monotonic() + HANG_S
         while words not in self.said:
             assert self._read(deadline), f"ended without {words!r}: {self.said}"
 
@@ -49,10 +50,10 @@ class Terminal:
 
     def ended(self) -> int:
         """Its exit code, with all that it said read."""
-        deadline = time.monotonic() + LONGEST_S
+        deadline = time.monotonic() + HANG_S
         while self._read(deadline):
             pass
-        return self._process.wait(timeout=LONGEST_S)
+        return self._process.wait(timeout=HANG_S)
 
     def _read(self, deadline: float) -> bool:
         ready, _, _ = select.select([self._master], [], [], max(0.0, deadline - time.monotonic()))

@@ -8,6 +8,7 @@ import urllib.request
 import pytest
 
 from softfin.cli import main
+from tests.patience import HANG_S
 from tests.rig.monitor.bags import Recording
 
 
@@ -42,10 +43,10 @@ def test_ctrl_c_ends_the_page_quietly_and_neither_jax_nor_the_recording_is_touch
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         address = process.stderr.readline().split()[0]
-        with urllib.request.urlopen(address + "data", timeout=20) as answer:
+        with urllib.request.urlopen(address + "data", timeout=HANG_S) as answer:
             assert json.load(answer)["summary"]["path"] == str(bag)
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
+        _, said = process.communicate(timeout=HANG_S)
     finally:
         process.kill()
     assert (process.returncode, said) == (0, "")

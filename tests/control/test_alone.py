@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 from tests.control.folders import KINDS, folder_of
+from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,7 +53,7 @@ assert not {"jax", "jaxlib"} & set(sys.modules), "imported"
 
 
 def run(script: str, *words: str) -> str:
-    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

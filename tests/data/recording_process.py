@@ -9,8 +9,7 @@ import time
 from pathlib import Path
 
 from softfin.storage.bag.writer import BagRecorder
-
-LONGEST_S = 60.0
+from tests.patience import HANG_S
 
 
 def main() -> None:
@@ -22,7 +21,7 @@ def main() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
     start, k = time.monotonic(), 0
-    while recorder.failure is None and time.monotonic() < start + LONGEST_S:
+    while recorder.failure is None and time.monotonic() < start + HANG_S:
         now = time.monotonic()
         recorder.command(now, float(k), 1.0)
         recorder.joint(now, float(k), 0.0, 0.5)

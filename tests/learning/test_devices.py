@@ -16,6 +16,7 @@ from softfin.learning import run as run_module
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.run import TrainingRun
 from tests.learning.ray_cluster import SMALL
+from tests.patience import HANG_S
 from tests.plants import AnalyticFin
 
 FORCED = "--xla_force_host_platform_device_count=2"
@@ -44,7 +45,7 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     }
     command = [sys.executable, "-m", "tests.learning.test_devices", str(file)]
     run = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True,
-                         timeout=900)  # fmt: skip
+                         timeout=HANG_S)  # fmt: skip
     assert run.returncode == 0, run.stderr[-4000:]
     return json.loads(file.read_text())
 

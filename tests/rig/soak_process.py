@@ -12,7 +12,7 @@ from softfin.rig.session import Session
 from tests.rig.machines import Wagging
 
 SAFETY = SafetyConfig(
-    current_peak_a=20.0, current_sustained_a=10.0, overrun_s=0.25, stale_s=0.25, force_stale_s=0.3, watchdog_s=0.5,
+    current_peak_a=20.0, current_sustained_a=10.0, overrun_s=0.8, stale_s=0.8, force_stale_s=0.8, watchdog_s=1.2,
     acceleration_rad_s2=1e5, velocity_rad_s=100.0,
 )  # fmt: skip
 

@@ -8,6 +8,7 @@ from softfin.rig.axia80 import sensor as axia80
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.emulation.sensor import EmulatedAxia80
+from tests.patience import HANG_S
 from tests.rig.still_fin import StillFin
 
 
@@ -15,7 +16,7 @@ from tests.rig.still_fin import StillFin
 def patient(monkeypatch):
     """Opened as soon as the filter is full, and no complaint where a busy machine starves the emulator."""
     monkeypatch.setattr(axia80, "MEASURED_S", 0.2)
-    monkeypatch.setattr(axia80, "SILENT_S", 5.0)
+    monkeypatch.setattr(axia80, "SILENT_S", HANG_S)
 
 
 @contextlib.contextmanager

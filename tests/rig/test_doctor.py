@@ -12,6 +12,7 @@ from softfin.installation import EXTRAS
 from softfin.rig import doctor
 from softfin.rig.check import CheckResult
 from softfin.rig.doctor import examine
+from tests.patience import HANG_S
 from tests.rig.rigs import filed, simulated
 
 
@@ -131,5 +132,5 @@ def test_without_jax_it_is_a_note():
         "metadata.version = absent\n"
         "from softfin.cli import main; main(['doctor'])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S, check=False)
     assert "  note  JAX            not installed: this softfin runs controllers" in done.stdout

@@ -4,6 +4,7 @@ from softfin.core.clock import REAL
 from softfin.rig.config import load_rig
 from softfin.rig.emulation.rig import EmulatedRig, write_rig, write_simulated
 from softfin.tank import Tank
+from tests.patience import HANG_S
 from tests.rig.simple_fin import SimpleFin
 
 
@@ -11,7 +12,7 @@ def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
     with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
         write_rig(tmp_path / "rig.yaml", emulated.values(), "An emulated rig")
         config = load_rig(tmp_path / "rig.yaml")
-        socket.create_connection((config.bus.options["host"], config.bus.options["port"]), timeout=5).close()
+        socket.create_connection((config.bus.options["host"], config.bus.options["port"]), timeout=HANG_S).close()
         assert str(config.bus.options["port"]) in emulated.description()
         assert config.sensor.rdt_port == emulated.sensor.rdt_port
 

@@ -1,6 +1,5 @@
 import math
 import threading
-import time
 
 import pytest
 from hypothesis import given, settings
@@ -13,6 +12,7 @@ from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
+from tests.patience import wait_until
 from tests.rig.machines import FreeFin, Hours, Notes
 
 CURRENTS = {"current_peak_a": 4.0, "current_sustained_a": 2.0}
@@ -390,9 +390,7 @@ def test_threads_end_with_the_session():
         for _ in range(3):
             session.activate()
             session.deactivate()
-    deadline = time.monotonic() + 5
-    while watchdogs() > before and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_until(lambda: watchdogs() <= before)
     assert watchdogs() == before
 
 

@@ -14,6 +14,7 @@ from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest, listen_to_keyboard
+from tests.patience import HANG_S
 from tests.rig.machines import FreeFin, Notes
 from tests.rig.rigs import config_of, simulated
 
@@ -97,7 +98,7 @@ def _gone():
 @pytest.mark.parametrize("terminal", [_gone(), io.TextIOWrapper(io.BytesIO(b"\xfc\n"), "utf-8")])
 def test_an_input_that_cannot_be_read_stops_the_fin(terminal):
     request = StopRequest()
-    listen_to_keyboard(request, print, typed(request, terminal)).join(5)
+    listen_to_keyboard(request, print, typed(request, terminal)).join(HANG_S)
     assert request.trip.cause == "emergency_stop"
 
 

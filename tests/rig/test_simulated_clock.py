@@ -11,6 +11,7 @@ import pytest
 
 from softfin.core.clock import REAL, Clock
 from softfin.rig.simulated_clock import SimulatedClock
+from tests.patience import HANG_S
 
 
 def after(clock, began=1000.0):
@@ -55,7 +56,8 @@ def test_hours_pass_at_once_and_to_the_moment():
     clock.sleep(3600.0)
     assert after(clock) == 3600
     assert clock.wall() - wall == pytest.approx(3600)
-    assert time.monotonic() - began < 600
+    # Nobody slept through them.
+    assert time.monotonic() - began < 3600
 
 
 def play(seed):
@@ -195,7 +197,7 @@ def test_a_thread_of_somebody_else_is_woken_but_not_waited_for():
     event = clock.event()
 
     def elsewhere():
-        held.wait(60)
+        held.wait(HANG_S)
         clock.sleep(1.0)
         told.append(clock() >= 1001.0)
         event.set()
@@ -208,7 +210,7 @@ def test_a_thread_of_somebody_else_is_woken_but_not_waited_for():
     held.set()
     # No deadline: whoever wakes this one comes from outside.
     assert event.wait()
-    thread.join(60)
+    thread.join(HANG_S)
     assert told == [True]
 
 
@@ -256,5 +258,5 @@ def test_a_program_that_ends_does_not_wait_for_its_threads():
         "clock.sleep(1.0)\n"
         "print(round(clock(), 3))\n"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=HANG_S, check=False)
     assert (ran.stdout, ran.stderr, ran.returncode) == ("1001.0\n", "", 0)

@@ -30,6 +30,7 @@ from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
+from tests.patience import HANG_S
 from tests.rig.bags import events_of
 from tests.rig.epos2_bench import block, ignore_targets
 from tests.rig.faulty_network import FaultyNetwork
@@ -44,11 +45,17 @@ WIDE = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 0.8, "
         "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 0.2}  # fmt: skip
 """In real time, so that a busy machine alone does not stop the fin: only what is injected does."""
 
+PATIENT = {"heartbeat_s": 1.5, "sync_s": 0.02}
+"""Likewise, of the drive."""
+
 BUSY = "0x8130|silent for|ms late|heartbeat is missing|no new angle for|no new force for"
 """What a machine that is too busy for a while is stopped by, before any other fault is seen."""
 
-HANG_S = 20.0
-"""Longest time from a fault to the end of its session, on a busy machine."""
+SESSION_ENDS_S = 20.0
+"""Longest simulated time from a fault to the end of its session [s]."""
+
+DRIVE_STOPS_S = 5.0
+"""Longest simulated time until the motor is disabled after that [s]."""
 
 Inject = Callable[["Scene"], None]
 
@@ -67,7 +74,7 @@ def scene(bag: Path, real_time: bool = False, **drive: Any) -> Iterator[Scene]:
     clock = REAL if real_time else SimulatedClock()
     with EmulatedRig(fin=SimpleFin(clock), clock=clock) as emulated:
         values = emulated.values(safety=WIDE if real_time else SAFETY)
-        patient = {"heartbeat_s": 1.5, "sync_s": 0.02} if real_time else {}
+        patient = PATIENT if real_time else {}
         values["drive"] |= {**patient, "zero_needed": False, **drive}
         rig = Rig(config_of(emulated, **{name: values[name] for name in ("drive", "safety")}), clock)
         made = Scene(emulated, rig, Session(rig, Guard(rig.config.safety, rig.limits)), bag)
@@ -153,6 +160,11 @@ def at_a_moment(inject: Callable[[], None], numbers: random.Random) -> Callable[
     return observe
 
 
+def limit_of(at: Scene, simulated_s: float) -> float:
+    """A limit in simulated time; in real time a busy machine may take longer."""
+    return HANG_S if at.clock is REAL else simulated_s
+
+
 def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> None:
     """Move, inject, and see that all ends as it must."""
     ended: list[BaseException | None] = []
@@ -167,7 +179,7 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
         except BaseException as error:
             ended.append(error)
 
-    at.clock.spawn(run, "session").join(HANG_S)
+    at.clock.spawn(run, "session").join(limit_of(at, SESSION_ENDS_S))
     assert ended, "the session hangs"
     error = ended[0]
     assert isinstance(error, SafetyStop), repr(error)
@@ -182,7 +194,7 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
 
 def still(at: Scene) -> None:
     """The motor is disabled, by the host's word or by the drive's own watch, and the fin does not move."""
-    deadline = at.clock() + 5
+    deadline = at.clock() + limit_of(at, DRIVE_STOPS_S)
     off = {State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT, State.START, State.NOT_READY}
     while at.emulated.drive.state not in off and at.clock() < deadline:
         at.clock.sleep(0.01)
@@ -227,14 +239,14 @@ def test_disturbances_are_counted_and_the_fin_goes_on(tmp_path):
 
 
 def test_a_paused_process_finds_its_fin_stopped_when_it_goes_on(tmp_path):
-    with scene(tmp_path / "unused.mcap", real_time=True, heartbeat_s=0.3) as at:
+    with scene(tmp_path / "unused.mcap", real_time=True) as at:
         pausing(at, tmp_path, random.Random(2))
 
 
 def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
     """The session in another process, which is stopped as by Ctrl-Z, and goes on."""
     values = at.emulated.values()
-    values["drive"] |= {"heartbeat_s": 0.3, "zero_needed": False}
+    values["drive"] |= {**PATIENT, "zero_needed": False}
     (folder / "rig.yaml").write_text(yaml.safe_dump(values))
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.rig.soak_process", str(folder / "rig.yaml"), str(folder / "run.mcap")],
@@ -271,7 +283,7 @@ def test_soak(tmp_path):
         folder = tmp_path / str(rounds)
         folder.mkdir()
         rounds += 1
-        with scene(folder / "run.mcap", True, **({"heartbeat_s": 0.3} if name == "pause" else {})) as at:
+        with scene(folder / "run.mcap", True) as at:
             try:
                 if name == "pause":
                     pausing(at, folder, numbers)

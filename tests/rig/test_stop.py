@@ -9,6 +9,7 @@ import time
 import pytest
 
 from softfin.rig.stop import SIGNALS, StopRequest, Watchdog, listen_to_keyboard, stopped_by_signals
+from tests.patience import HANG_S, wait_until
 
 
 def test_the_first_reason_counts():
@@ -24,19 +25,19 @@ def test_a_signal_raises_the_flag_and_no_exception(name):
     before = signal.getsignal(getattr(signal, name))
     with stopped_by_signals(request):
         os.kill(os.getpid(), getattr(signal, name))
-        time.sleep(0.01)
+        wait_until(lambda: request.trip is not None)
     assert request.trip.reason == ("stopped by Ctrl-C" if name == "SIGINT" else f"stopped by {name}")
     assert signal.getsignal(getattr(signal, name)) is before
 
 
 def test_an_impatient_second_ctrl_c_does_not_disturb_the_stop_and_a_later_one_ends_the_program(monkeypatch):
     request = StopRequest()
-    monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", 0.2)
+    monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", HANG_S)
     with stopped_by_signals(request):
         os.kill(os.getpid(), signal.SIGINT)
         os.kill(os.getpid(), signal.SIGINT)
         assert request.trip is not None
-        time.sleep(0.25)
+        monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", 0.0)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
@@ -51,7 +52,7 @@ def test_outside_the_main_thread_signals_stay_as_they_are():
 
     thread = threading.Thread(target=work)
     thread.start()
-    thread.join(5)
+    thread.join(HANG_S)
     assert inside == [before]
 
 
@@ -59,7 +60,7 @@ def listened(text, on_line=None) -> tuple[StopRequest, list[str]]:
     request, lines = StopRequest(), []
     stream = io.StringIO(text) if isinstance(text, str) else text
     thread = listen_to_keyboard(request, on_line or lines.append, stream)
-    thread.join(5)
+    thread.join(HANG_S)
     assert not thread.is_alive()
     return request, lines
 
@@ -81,7 +82,7 @@ def test_a_line_that_cannot_be_used_does_not_end_the_listening():
     assert listened("two\n\n", float)[0].trip is not None
 
 
-HANG_S = 0.15
+SILENCE_S = 0.15
 
 
 def test_a_hang_that_holds_the_interpreters_lock_is_seen_only_when_it_is_over():
@@ -97,10 +98,10 @@ def test_a_hang_that_holds_the_interpreters_lock_is_seen_only_when_it_is_over():
     sys.setswitchinterval(60)
     try:
         dog.feed(time.monotonic())
-        ctypes.PyDLL(None).usleep(round(HANG_S * 1e6))
+        ctypes.PyDLL(None).usleep(round(SILENCE_S * 1e6))
         during = list(silences)
     finally:
         sys.setswitchinterval(interval)
     assert during == []
-    assert bitten.wait(10)
-    assert silences[0] >= HANG_S
+    assert bitten.wait(HANG_S)
+    assert silences[0] >= SILENCE_S

@@ -7,6 +7,7 @@ from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError
 from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, encode_record
 from softfin.rig.axia80.stream import RdtClient
+from tests.patience import HANG_S
 
 
 class Sensor:
@@ -14,7 +15,7 @@ class Sensor:
 
     def __init__(self):
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.settimeout(5)
+        self.socket.settimeout(HANG_S)
         self.socket.bind(("127.0.0.1", 0))
         self.client = RdtClient("127.0.0.1", self.socket.getsockname()[1], REAL)
         self.client.send(RdtCommand.START)

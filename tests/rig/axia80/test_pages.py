@@ -10,6 +10,7 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.rig.axia80 import pages
 from softfin.rig.axia80.pages import MAX_PAGE_BYTES, SETTINGS, fetch_page, parse_settings, read_settings
 from softfin.rig.emulation.sensor import sensor_pages, serve_pages
+from tests.patience import HANG_S
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
 
@@ -36,13 +37,13 @@ def answering(*chunks, pause_s=0.0):
                     for chunk in chunks:
                         client.sendall(chunk)
                         over.wait(pause_s)
-                    over.wait(10)
+                    over.wait(HANG_S)
 
         thread = threading.Thread(target=serve, daemon=True)
         thread.start()
         yield server.getsockname()[1]
         over.set()
-        thread.join(10)
+        thread.join(HANG_S)
 
 
 @contextlib.contextmanager

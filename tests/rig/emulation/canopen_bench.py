@@ -1,6 +1,5 @@
 """The emulated drive at somebody else's client: canopen's own CiA 402 node on python-can's virtual bus."""
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from typing import Any
@@ -11,12 +10,10 @@ from canopen.profiles.p402 import BaseNode402
 
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.emulation.drive_objects import dictionary, values
+from tests.patience import HANG_S, wait_until
 from tests.rig.epos2_bench import NODE, bus_config, drive_config
 from tests.rig.machines import Hours
 from tests.rig.simple_fin import SimpleFin
-
-PATIENCE_S = 60.0
-"""In real time: the machine that runs the tests is shared."""
 
 PRE_OPERATIONAL, OPERATIONAL, STOPPED, RESET_NODE = 0x80, 0x01, 0x02, 0x81
 
@@ -28,7 +25,7 @@ class CanopenBench:
         self.network, self.drive, self.fin, self.clock = network, drive, fin, clock
         self.node = network.add_node(BaseNode402(NODE, dictionary(values(drive_config()))))
         # A busy machine is no fault of the drive.
-        self.node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+        self.node.sdo.RESPONSE_TIMEOUT = HANG_S
         self.frames: list[tuple[int, bytes]] = []
         network.notifier.add_listener(lambda message: self.frames.append((message.arbitration_id, bytes(message.data))))
 
@@ -50,10 +47,7 @@ class CanopenBench:
         return [frame[0] for frame in self.frames].count(cob_id)
 
     def until(self, true: Callable[[], bool]) -> None:
-        end = time.monotonic() + PATIENCE_S
-        while not true():
-            assert time.monotonic() < end
-            time.sleep(0.002)
+        wait_until(true)
 
     def until_state(self, word: int) -> None:
         self.until(lambda: self.read(0x6041) & 0x417F == word)

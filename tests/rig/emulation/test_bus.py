@@ -3,7 +3,6 @@
 import socket
 import subprocess
 import sys
-import time
 import uuid
 from contextlib import closing
 
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 from softfin.rig.emulation.bus import HOST, SocketcandServer, line_of, parse
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.epos2.config import BusConfig
-from tests.rig.emulation.canopen_bench import PATIENCE_S
+from tests.patience import HANG_S, wait_until
 from tests.rig.epos2_bench import drive_config
 from tests.rig.simple_fin import SimpleFin
 
@@ -29,7 +28,7 @@ from softfin.rig.epos2.config import BusConfig, Epos2Config
 assert "jax" not in sys.modules
 given = json.loads(sys.argv[1])
 drive = Epos2(BusConfig(**given["bus"]), Epos2Config(**given["drive"]))
-end = time.monotonic() + 40
+end = time.monotonic() + given["hang_s"]
 def done(step):
     try:
         step()
@@ -59,13 +58,30 @@ def test_another_process_drives_the_emulated_drive_over_tcp() -> None:
     virtual = BusConfig(interface="virtual", channel=channel)
     with closing(EmulatedDrive(virtual, config, fin)) as drive, SocketcandServer(channel) as server:
         bus = BusConfig(interface="socketcand", channel=channel, options={"host": HOST, "port": server.port})
-        given = json.dumps({"bus": bus.model_dump(), "drive": config.model_dump()})
-        ran = subprocess.run([sys.executable, "-c", OTHER_PROCESS, given], capture_output=True, text=True, timeout=60)
+        given = json.dumps({"bus": bus.model_dump(), "drive": config.model_dump(), "hang_s": HANG_S})
+        command = [sys.executable, "-c", OTHER_PROCESS, given]
+        ran = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
         assert ran.stdout.strip() == "moved and stopped", ran.stderr
         assert ran.returncode == 0
         assert ran.stderr == ""
         assert fin.now().angle == pytest.approx(0.4, abs=1e-3)
         assert drive.state.name == "SWITCH_ON_DISABLED"
+
+
+PROBE = 0x7F0
+
+
+def hears(client: can.BusABC, sender: can.BusABC) -> bool:
+    """Whether the server forwards to this client already: it begins a while after the client was made."""
+    sender.send(can.Message(arbitration_id=PROBE, is_extended_id=False))
+    return client.recv(0.05) is not None
+
+
+def receive(bus: can.BusABC) -> can.Message | None:
+    """The next message that is no probe."""
+    while (message := bus.recv(HANG_S)) is not None and message.arbitration_id == PROBE:
+        pass
+    return message
 
 
 def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
@@ -76,16 +92,17 @@ def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
             can.Bus(interface="socketcand", channel=channel, **options) as first,
             can.Bus(interface="socketcand", channel=channel, **options) as second,
         ):
-            time.sleep(0.1)
+            for client in (first, second):
+                wait_until(lambda client=client: hears(client, inside))
             for data in (b"", b"\x00", bytes(range(8))):
                 first.send(can.Message(arbitration_id=0x123, data=data, is_extended_id=False))
                 for receiver in (inside, second):
-                    message = receiver.recv(PATIENCE_S)
+                    message = receive(receiver)
                     assert message is not None
                     assert (message.arbitration_id, bytes(message.data)) == (0x123, data)
             inside.send(can.Message(arbitration_id=0x12345678, data=b"\xfe", is_extended_id=True))
             inside.send(can.Message(arbitration_id=0x7FF, data=b"\xfe", is_extended_id=False))
-            message = first.recv(PATIENCE_S)
+            message = receive(first)
             assert message is not None
             assert (message.arbitration_id, bytes(message.data)) == (0x7FF, b"\xfe")
 
@@ -106,7 +123,7 @@ def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
 def test_a_client_that_does_not_speak_the_protocol_is_let_go(spoken: bytes) -> None:
     channel = f"test{uuid.uuid4()}"
     with SocketcandServer(channel) as server, can.Bus(interface="virtual", channel=channel) as inside:
-        with socket.create_connection((HOST, server.port), timeout=PATIENCE_S) as client:
+        with socket.create_connection((HOST, server.port), timeout=HANG_S) as client:
             client.sendall(spoken.replace(b"CHANNEL", channel.encode()))
             try:
                 while client.recv(4096):
@@ -125,11 +142,11 @@ def test_it_listens_on_the_loopback_address_alone() -> None:
 
 def test_closing_ends_with_clients_still_there() -> None:
     server = SocketcandServer("y")
-    with socket.create_connection((HOST, server.port), timeout=PATIENCE_S):
+    with socket.create_connection((HOST, server.port), timeout=HANG_S):
         server.server_close()
         server.server_close()
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection((HOST, server.port), timeout=PATIENCE_S)
+        socket.create_connection((HOST, server.port), timeout=HANG_S)
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))

@@ -6,7 +6,8 @@ import canopen
 import pytest
 
 from softfin.rig.epos2.protocol import State
-from tests.rig.emulation.canopen_bench import PATIENCE_S, CanopenBench, canopen_bench
+from tests.patience import HANG_S
+from tests.rig.emulation.canopen_bench import CanopenBench, canopen_bench
 from tests.rig.epos2_bench import NODE
 
 
@@ -44,7 +45,7 @@ def test_its_emergency_history_and_reset_are_understood(bench: CanopenBench) -> 
 def test_its_boot_up_and_heartbeat_are_understood(bench: CanopenBench) -> None:
     node = bench.node
     node.sdo[0x1017].raw = 20
-    assert node.nmt.wait_for_heartbeat(PATIENCE_S) == "PRE-OPERATIONAL"
+    assert node.nmt.wait_for_heartbeat(HANG_S) == "PRE-OPERATIONAL"
     node.nmt.state = "OPERATIONAL"
     bench.until(lambda: (0x700 + NODE, b"\x05") in bench.frames)
     node.nmt.state = "RESET"

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from softfin.rig.epos2.protocol import State
+from tests.patience import HANG_S
 from tests.rig.emulation.canopen_bench import CanopenBench, canopen_bench
-from tests.rig.epos2_bench import LONG_S
 
 
 @pytest.fixture
@@ -16,7 +16,7 @@ def bench() -> Iterator[CanopenBench]:
         # A busy machine is no fault of the drive.
         for name in ("TIMEOUT_SWITCH_STATE_FINAL", "TIMEOUT_SWITCH_STATE_SINGLE", "TIMEOUT_CHECK_TPDO",
                      "TIMEOUT_SWITCH_OP_MODE"):  # fmt: skip
-            setattr(made.node, name, LONG_S)
+            setattr(made.node, name, HANG_S)
         yield made
         made.network.sync.stop()
 
@@ -74,6 +74,6 @@ def test_the_fin_is_homed_by_it(bench: CanopenBench) -> None:
     node = by_sync(bench)
     assert node.sdo[0x6064].raw != 0
     node.sdo[0x6098].raw = 35
-    assert node.homing(timeout=LONG_S, restore_op_mode=True)
+    assert node.homing(timeout=HANG_S, restore_op_mode=True)
     assert node.sdo[0x6041].raw & 0x8000
     assert node.sdo[0x6064].raw == 0

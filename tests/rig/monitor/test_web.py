@@ -10,6 +10,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor import web
 from softfin.rig.monitor.follow import Follower
+from tests.patience import HANG_S
 from tests.rig.monitor.bags import Recording
 
 
@@ -23,7 +24,7 @@ def serving(folder):
     yield served
     served.shutdown()
     served.server_close()
-    thread.join(10)
+    thread.join(HANG_S)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def server(tmp_path_factory):
 
 
 def ask(server, path="/", method="GET", host=None):
-    connection = http.client.HTTPConnection(web.LOOPBACK, server.server_address[1], timeout=20)
+    connection = http.client.HTTPConnection(web.LOOPBACK, server.server_address[1], timeout=HANG_S)
     connection.request(method, path, headers={} if host is None else {"Host": host})
     answer = connection.getresponse()
     body = answer.read()
@@ -43,7 +44,7 @@ def ask(server, path="/", method="GET", host=None):
 
 def send(server, *pieces):
     """Raw bytes, and all that comes back."""
-    with socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=20) as connection:
+    with socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=HANG_S) as connection:
         for piece in pieces:
             connection.sendall(piece)
         received = b""
@@ -127,7 +128,7 @@ def test_a_since_that_is_no_number_is_refused(server, query):
 
 
 def test_slow_and_broken_requests_end(server, monkeypatch):
-    monkeypatch.setattr(web._Handler, "timeout", 0.2)
+    monkeypatch.setattr(web._Handler, "timeout", 1.0)
     assert send(server, b"GET / HTTP/1.1\r\n") == b""
     assert send(server, b"\x00\xff\x16\x03\r\n\r\n")[:1] in (b"", b"H", b"<")
 
@@ -137,7 +138,7 @@ def idle(server, count):
     """Connections that never ask for anything."""
     with contextlib.ExitStack() as stack:
         yield [
-            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=20))
+            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=HANG_S))
             for _ in range(count)
         ]
 

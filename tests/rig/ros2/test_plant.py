@@ -7,6 +7,7 @@ from softfin.core.errors import CommandError, ConfigurationError, DeviceError, R
 from softfin.rig.machine import Machine, Target
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.plant import Ros2Machine
+from tests.patience import HANG_S
 from tests.rig.ros2_memory import MemoryTransport, Messages
 
 START = 1_700_000_000 * 10**9
@@ -194,7 +195,7 @@ def test_a_stop_from_another_thread_ends_the_commands(rig):
     rig.machine.enable()
     thread = threading.Thread(target=rig.machine.stop)
     thread.start()
-    thread.join(5)
+    thread.join(HANG_S)
     assert not thread.is_alive()
     with pytest.raises(DeviceError, match="not enabled"):
         rig.machine.command(Target(1.0, 2.0))
@@ -208,16 +209,16 @@ def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
 
     def send(data):
         hangs.set()
-        goes_on.wait(10)
+        goes_on.wait(HANG_S)
 
     publisher.send = send
     thread = threading.Thread(target=rig.machine.command, args=(Target(1.0, 2.0),))
     thread.start()
-    assert hangs.wait(10)
+    assert hangs.wait(HANG_S)
     rig.machine.stop()
     assert [message.data for message in rig.transport.sent["/stop"]] == [True]
     goes_on.set()
-    thread.join(10)
+    thread.join(HANG_S)
     assert len(rig.transport.sent["/stop"]) == 2, "and the stop has the last word"
 
 

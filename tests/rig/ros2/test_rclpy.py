@@ -12,6 +12,7 @@ from softfin.rig.ros2.config import NodeConfig, TransportConfig
 from softfin.rig.ros2.connection import BOOL, Transport
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import open_transport
+from tests.patience import HANG_S, wait_until
 from tests.rig.ros2_memory import JOINT
 
 
@@ -61,7 +62,7 @@ class Rclpy:
 
     def spin(self):
         self.spinning.set()
-        self.ended.wait(10)
+        self.ended.wait(HANG_S)
         if self.fails:
             raise RuntimeError(self.fails)
 
@@ -103,7 +104,7 @@ def rclpy(monkeypatch):
 @pytest.fixture
 def transport(rclpy):
     opened = open_transport(TransportConfig(domain=5, node="tail"))
-    assert rclpy.spinning.wait(10)
+    assert rclpy.spinning.wait(HANG_S)
     yield opened
     opened.close()
 
@@ -144,7 +145,7 @@ def test_it_closes_once_and_its_thread_ends(rclpy, transport):
     assert [call[0] for call in rclpy.calls[-3:]] == ["shutdown", "destroy_node", "try_shutdown"]
     for thread in threading.enumerate():
         if thread.name == "softfin-rclpy":
-            thread.join(10)
+            thread.join(HANG_S)
             assert not thread.is_alive()
 
 
@@ -152,9 +153,7 @@ def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
     node = RosNode(transport, NodeConfig(), print)
     rclpy.fails = "context is not\nvalid"
     rclpy.ended.set()
-    deadline = time.monotonic() + 10
-    while transport.failure is None and time.monotonic() < deadline:
-        time.sleep(0.001)
+    wait_until(lambda: transport.failure is not None)
     assert node.stop_reason() == (
         "emergency stop cannot be heard: rclpy has stopped (context is not valid); start again"
     )
