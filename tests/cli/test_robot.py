@@ -70,7 +70,7 @@ def test_view_writes_a_page(capsys, tmp_path):
         (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
         (("evaluate", "nemo.yaml"), "nemo.yaml: there is no such file"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
-        (("evaluate", "--set", "hold_s=60"), "must be more than 90 s with settled_s = 30"),
+        (("evaluate", "--set", "hold_s=60"), "must be at least 90.34 s with settled_s = 30"),
         (("train", "--dead"), "--dead goes with robot evaluate and robot view"),
         (("train", "--policy", "robot-policy"), "--policy goes with robot evaluate"),
         (("evaluate", "--policy", "robot-policy"), "robot-policy: no such folder"),

@@ -39,6 +39,45 @@ def test_it_goes_on_holding_when_a_fin_dies(ucat, simulation, gaits):
     np.testing.assert_allclose(record.forces[-1, 2], 0, atol=1e-9)
 
 
+@pytest.mark.parametrize("seconds", [3.34, 3.6, 3.9])
+@pytest.mark.parametrize(("task", "dead"), [("hold", False), ("hold", True), ("lemniscate", True)])
+def test_a_trial_may_last_for_any_time(ucat, simulation, gaits, task, dead, seconds):
+    config = RobotEvaluateConfig(hold_s=seconds, path_s=seconds, settled_s=0.995, dead=dead)
+    record, row = trial(simulation, drivers_of(ucat, gaits)["whole"], task, config, 1)
+    assert record.time[-1] == pytest.approx(seconds, abs=0.18)
+    assert np.isfinite(row["position_rms_m"])
+
+
+@pytest.mark.parametrize("dead", [False, True])
+def test_a_trial_in_which_no_time_may_count_is_refused(dead):
+    with pytest.raises(ValueError, match=r"hold_s = 3.3: must be at least 3.3[45] s with settled_s = 1, or no"):
+        RobotEvaluateConfig(hold_s=3.3, settled_s=1, dead=dead)
+
+
+def test_the_shaft_of_a_dead_fin_stays_where_it_is(ucat, simulation, gaits, monkeypatch):
+    death_s = 2.4
+    angles = []
+    advance = simulation.advance
+
+    def watch(state, orders, around, ticks):
+        after = advance(state, orders, around, ticks)
+        angles.append(np.asarray(after[0].fins.drive.angle))
+        return after
+
+    monkeypatch.setattr(simulation, "advance", watch)
+    # Strokes that begin a third and two thirds into an action: two fins are amid them when it ends.
+    for fin in range(4):
+        angles.clear()
+        trouble = Disturbances(current_m_s=(0.05, 0.0, 0.0), dead_fin=fin, dead_at_s=death_s)
+        driver = WrenchDriver(ucat, gaits, np.array([0, 1, 2, 5]))
+        run_trial(simulation, driver, hold(), 6, trouble)
+        death = int(np.ceil(death_s * 3 - 1e-6))
+        moved = np.array(angles)[death:, fin] - angles[death - 1][fin]
+        # Within the drive's dead time and braking; nothing from then on.
+        assert abs(moved[0]) < 0.2
+        np.testing.assert_allclose(moved[1:], moved[0], atol=1e-3)
+
+
 @pytest.mark.slow
 def test_without_noise_and_disturbance_it_stays_where_it_is(ucat, simulation, gaits):
     none = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)

@@ -18,6 +18,9 @@ WAYS, SIZES = 8, (0.5, 1.0, 1.5)
 EFFORT = 0.02
 """Cost of a newton of force, squared, against that of a newton too little."""
 
+SAME_N = 1e-6
+"""Bracing whose forces differ by less is the same [N]."""
+
 
 class BracedAllocation:
     """Shares wrenches among the fins of a robot, as `allocation` in its file says."""
@@ -37,16 +40,16 @@ class BracedAllocation:
         self.allocator.reach = reach
         self._braces = self._bracing()
 
-    def share(self, wrench: SixVector, forces: Forces, brace: int) -> tuple[Allocation, int]:
+    def share(self, wrench: SixVector, forces: Forces, brace: Forces) -> tuple[Allocation, Forces]:
         """Share a wrench in body axes [N, N m], after the forces and the bracing of the last action.
 
         Returns:
-            The allocation and the number of its bracing.
+            The allocation and its bracing: forces that cancel one another.
         """
         # Of a dead fin nothing is left to fade out.
         forces = np.where(self.allocator.reach[:, None] > 0, forces, 0.0)
         brace = self._brace(self.allocator.allocate(wrench, start=forces).forces, brace)
-        found = self.allocator.allocate(wrench, self._braces[brace], forces)
+        found = self.allocator.allocate(wrench, brace, forces)
         smoothing = self._config.smoothing
         smoothed = smoothing * forces + (1 - smoothing) * found.forces
         return Allocation(smoothed, self.allocator.matrix @ smoothed.ravel(), found.given_up), brace
@@ -68,20 +71,22 @@ class BracedAllocation:
                     found.append(size * least * way / greatest)
         return np.array(found).reshape(len(found), -1, 2)
 
-    def _brace(self, forces: Forces, present: int) -> int:
+    def _brace(self, forces: Forces, present: Forces) -> Forces:
         """Return the bracing under which fins make the least force, or nearly so, with little effort."""
         least = self._config.brace_n
         if len(self._braces) == 1:
-            return 0
+            return self._braces[0]
         alive = self.allocator.reach > 0
         together = forces + self._braces
         sizes = np.sqrt((together**2).sum(axis=2))
         lacking = (np.maximum(least - sizes, 0) ** 2)[:, alive].sum(axis=1)
         beyond = (np.maximum(sizes - self.allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
         costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
-        costs[present] -= self._config.brace_change
+        # By its forces, not by a number: after a death there are other ways, and the present one may be none of them.
+        unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
+        costs[unchanged] -= self._config.brace_change
         # Of ways that cost the same the first, however the last digits are rounded.
-        return int(costs.round(6).argmin())
+        return np.asarray(self._braces[costs.round(6).argmin()])
 
 
 def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 columns"]:

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW, rows_of
+from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS, WINDOW, rows_of
 from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
-from softfin.core.quantities import RATE_HZ, Command
+from softfin.core.quantities import RATE_HZ, TICK_S, Command
 from softfin.core.randomness import generator_of
 from softfin.robot.baselines import MakeDriver, drivers_of
 from softfin.robot.description import WRENCH_AXES, RobotConfig
@@ -29,6 +29,13 @@ from softfin.tank import Tank
 
 Report = Callable[[float, str], None]
 
+LEAST_COUNTED_S = MOST_TICKS * TICK_S
+"""Least time of a trial whose errors count [s]: an action, of which half may be lost by rounding to whole actions."""
+
+EARLIEST_DEATH = 0.2
+LATEST_DEATH = 0.6
+"""Moments between which a fin dies, in parts of a trial's time."""
+
 
 class RobotEvaluateConfig(Configuration):
     """Configuration of the evaluation of a robot."""
@@ -42,9 +49,9 @@ class RobotEvaluateConfig(Configuration):
     part_of_reach: float = Field(0.7, gt=0, le=1)
     """Part of the reach within which they are drawn."""
     hold_s: PositiveFloat = 120
-    """Time of holding [s]."""
+    """Time of holding [s], to the nearest action of 1/3 s."""
     path_s: PositiveFloat = 150
-    """Time of following a path [s]."""
+    """Time of following a path [s], to the nearest action of 1/3 s."""
     settled_s: PositiveFloat = 30
     """Time from the start, from the push and from a fin's death after which errors count [s]."""
     push_n_s: float = Field(1.0, ge=0)
@@ -70,10 +77,12 @@ class RobotEvaluateConfig(Configuration):
             if task == "wrenches":
                 continue
             name, seconds = ("hold_s", self.hold_s) if task == "hold" else ("path_s", self.path_s)
-            # A push comes within two of them, a death within 0.6 of the time.
-            least = max(self.settled_s * (3 if task == "hold" else 1), self.settled_s * 2.5 * self.dead)
-            if seconds <= least:
-                raise ValueError(f"{name} = {seconds:g}: must be more than {least:g} s with settled_s = "
+            # A push comes within two of them.
+            least = self.settled_s * (3 if task == "hold" else 1) + LEAST_COUNTED_S
+            if self.dead:
+                least = max(least, (self.settled_s + LEAST_COUNTED_S) / (1 - LATEST_DEATH))
+            if seconds < least:
+                raise ValueError(f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
                                  f"{self.settled_s:g}, or no time counts")  # fmt: skip
         return self
 
@@ -145,7 +154,9 @@ def trial(
     seconds = float(config.hold_s if task == "hold" else config.path_s)
     speed = config.lissajous_m_s if task == "lissajous" else config.lemniscate_m_s
     path = hold() if task == "hold" else (lissajous if task == "lissajous" else lemniscate)(speed)
-    trouble, counted = Disturbances(), np.arange(round(seconds * RATE_HZ)) >= config.settled_s * RATE_HZ
+    trouble = Disturbances()
+    settled_from_s = config.settled_s
+    push_at_s = None
     told: dict[str, Any] = {"seed": seed}
     if task == "hold":
         current, push = random.uniform(-np.pi, np.pi, 2)
@@ -154,16 +165,20 @@ def trial(
             current_m_s=(config.current_m_s * np.cos(current), config.current_m_s * np.sin(current), 0.0),
             push_n_s=(config.push_n_s * np.cos(push), config.push_n_s * np.sin(push), 0.0), push_at_s=at,
         )  # fmt: skip
-        counted &= ~_after(at, config.settled_s, len(counted))
+        push_at_s = at
         told |= {"current_from_deg": round(float(np.degrees(current)) % 360 - 180), "push_at_s": round(at, 1)}
     if config.dead:
         fins = list(simulation.robot.fins)
-        fin, at = seed % len(fins), random.uniform(0.2, 0.6) * seconds
+        fin, at = seed % len(fins), random.uniform(EARLIEST_DEATH, LATEST_DEATH) * seconds
         trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
-        counted &= np.arange(len(counted)) >= (at + config.settled_s) * RATE_HZ
+        settled_from_s = at + config.settled_s
         told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
     record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed, policy)
-    counted = counted[: len(record.time)]
+    # The record's own ticks: a trial is of whole actions, a little longer or shorter than `seconds`.
+    ticks = np.arange(len(record.time))
+    counted = ticks >= settled_from_s * RATE_HZ
+    if push_at_s is not None:
+        counted &= (ticks < push_at_s * RATE_HZ) | (ticks >= (push_at_s + config.settled_s) * RATE_HZ)
     position, attitude = record.position_error()[counted], record.attitude_error()[counted]
     told |= {
         "position_rms_m": _rms(position), "position_worst_m": float(position.max()),
@@ -173,11 +188,6 @@ def trial(
     if task != "hold":
         told["speed_m_s"] = float(speed)
     return record, told
-
-
-def _after(start_s: float, seconds: float, count: int) -> np.ndarray:
-    ticks = np.arange(count)
-    return (ticks >= start_s * RATE_HZ) & (ticks < (start_s + seconds) * RATE_HZ)
 
 
 def _rms(values: Float[np.ndarray, "n"]) -> float:

@@ -35,7 +35,7 @@ class Disturbances(NamedTuple):
     """Impulse on the origin in body axes, within one action [N s]."""
     push_at_s: float = 10.0
     dead_fin: int | None = None
-    """Fin that dies: its shaft stays where it is, and the controller is told."""
+    """Fin that dies: its drive brakes, its shaft stays where it comes to rest, and the controller is told."""
     dead_at_s: float = 20.0
 
 
@@ -100,6 +100,8 @@ def run_trial(
         control = controller.acknowledge(control, driven.wrench, ahead)
         commands = commands_of(driven.commands)
         orders, before = Orders(before, commands, jnp.asarray(driven.delays)), commands
+        for fin in driver.dead:
+            orders = _stopped(orders, fin)
         push = np.zeros(6)
         if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
             push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
@@ -123,6 +125,15 @@ def run_trial(
         np.asarray(happened.wrench, float), happened.shapes, np.array(asked), np.array(expected), np.array(forces),
         np.array(given_up),
     )  # fmt: skip
+
+
+def _stopped(orders: Orders, fin: int) -> Orders:
+    """Return orders under which a fin's drive brakes and turns no more: those of any angle at no velocity."""
+    before, now = (
+        command._replace(velocity=jnp.asarray(command.velocity).at[fin].set(0.0))
+        for command in (orders.before, orders.now)
+    )
+    return orders._replace(before=before, now=now)
 
 
 def commands_of(commands: Sequence[Command]) -> Command:

@@ -58,8 +58,8 @@ class WrenchDriverState(NamedTuple):
 
     forces: Forces
     """Forces of the last action [N]."""
-    brace: int
-    """Bracing of the last action, by its number."""
+    brace: Forces
+    """Bracing of the last action: forces that cancel one another [N]."""
     action: int
     """Actions so far."""
     phases: Phases
@@ -88,7 +88,8 @@ class WrenchDriver:
     def init(self) -> WrenchDriverState:
         """Return the state of fins at rest at angle 0."""
         count = len(self.gaits)
-        return WrenchDriverState(np.zeros((count, 2)), 0, 0, np.zeros(count, int), (REST,) * count)
+        none = np.zeros((count, 2))
+        return WrenchDriverState(none, none, 0, np.zeros(count, int), (REST,) * count)
 
     def declare_dead(self, fin: int) -> None:
         """Ask nothing more of a fin; the others make what they can."""

@@ -82,7 +82,7 @@ class RobotNode:
         self._wrenches = NewestReference(wrenches, config.reference_timeout_s, clock, self._once)
         self._stop = EmergencyStop(transport, config.stop_topic)
         self._rest: Forces = np.zeros((len(self.fins), 2))
-        self._forces, self._brace = self._rest, 0
+        self._forces, self._brace = self._rest, self._rest
 
     def run(self, request: StopRequest) -> None:
         """Wait for the fins, then act until a stop; however it ends, every fin is told to stop.
