@@ -125,7 +125,8 @@ class MisreadFin(Misread):
 
 def test_the_true_force_is_recorded_where_a_plant_knows_it_and_judges():
     recording = run(Flapper(), MisreadFin(), REFERENCES, 4, KEYS)
-    np.testing.assert_allclose(recording.reading.force - recording.true_force, [[[[0.4, 0.0]]]] * 3, atol=1e-5)
+    offset = np.asarray(recording.reading.force - recording.true_force)
+    np.testing.assert_allclose(offset, np.broadcast_to([0.4, 0.0], offset.shape), atol=1e-5)
     assert recording.first().true_force.shape == (3, 1, 400, 2)
     scores = score(recording)
     truth = score(run(Flapper(), PlainFin(), REFERENCES, 4, KEYS))
