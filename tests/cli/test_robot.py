@@ -25,6 +25,15 @@ def test_check_prints_rank_and_reach(capsys):
     told = capsys.readouterr().out
     assert "U-CAT: 4 fins, rank 6 of 6" in told
     assert "without back_left: rank 6" in told
+    assert "righted with 9.07 N m/rad: swings in roll at 0.89 Hz and pitch at 0.37 Hz" in told
+    assert "warning" not in told
+
+
+def test_check_warns_of_a_body_that_does_not_stay_upright(capsys, tmp_path, ucat_file):
+    file = tmp_path / "unstable.yaml"
+    file.write_text(ucat_file.replace("centre_of_buoyancy_m: [0, 0, 0.03]", "centre_of_buoyancy_m: [0, 0, -0.03]"))
+    main(["robot", "check", str(file)])
+    assert "warning: body: unstable in roll and pitch: weight and buoyancy turn it" in capsys.readouterr().out
 
 
 @pytest.mark.slow

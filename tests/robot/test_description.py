@@ -3,12 +3,15 @@
 from pathlib import Path
 from textwrap import dedent
 
+import numpy as np
 import pytest
 import yaml
 
 from softfin.core.errors import ConfigurationError
 from softfin.robot.check import check_robot
 from softfin.robot.description import RobotConfig, load_robot
+from softfin.robot.dynamics import BodyState, Dynamics
+from softfin.robot.rotation import from_euler
 
 
 @pytest.fixture
@@ -58,6 +61,37 @@ def test_a_check_tells_rank_and_reach(ucat, gaits):
     mass = ucat.body.mass_kg + ucat.body.added_mass[0]
     assert found["acceleration"]["surge"] == pytest.approx(found["reach"]["surge"] / mass, rel=0.01)
     assert found["sinks_n"] == 0
+
+
+def test_a_check_says_how_the_body_swings(ucat, sister, gaits):
+    found = check_robot(ucat, gaits)
+    assert found["righting_nm_rad"] == pytest.approx(18.5 * 9.81 * 0.05, abs=1e-3)
+    assert found["problems"] == []
+    for robot in (ucat, sister):
+        # A small roll, let go: it returns after one period.
+        hertz = check_robot(robot, gaits)["swing_hz"]
+        undamped = robot.body.model_copy(update={"drag_linear": (0,) * 6, "drag_quadratic": (0,) * 6})
+        dynamics = Dynamics.of(undamped)
+        for axis, roll, pitch in (("roll", 0.01, 0.0), ("pitch", 0.0, 0.01)):
+            state = BodyState(np.zeros(3), from_euler(roll, pitch, 0.0), np.zeros(6))
+            start = state.attitude
+            ticks = round(100 / hertz[axis])
+            for _ in range(ticks):
+                state = dynamics.step(state, np.zeros(6), np.zeros(3))
+            np.testing.assert_allclose(state.attitude, start, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("buoyancy_z", "words"),
+    [(-0.07, "turn it away from upright with 9.07 N m/rad"), (-0.02, "weight and buoyancy do not right it")],
+)
+def test_a_check_names_a_body_that_does_not_stay_upright(ucat, gaits, buoyancy_z, words):
+    robot = ucat.merged({"body": {"centre_of_buoyancy_m": [0, 0, buoyancy_z]}}, "test")
+    found = check_robot(robot, gaits)
+    (problem,) = found["problems"]
+    assert words in problem
+    assert problem.startswith("body: unstable in roll and pitch")
+    assert found["swing_hz"] == {}
 
 
 def test_a_fin_s_axes_turn_from_thrust_towards_minus_y(ucat):

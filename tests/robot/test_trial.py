@@ -9,8 +9,10 @@ from softfin.robot.evaluate import RobotEvaluateConfig, trial
 from softfin.robot.motion_control import MotionController
 from softfin.robot.noise import NoiseConfig
 from softfin.robot.paths import hold, lemniscate, lissajous
+from softfin.robot.simulation import RobotSimulation
 from softfin.robot.trial import Disturbances, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
+from softfin.tank import Tank
 
 SHORT, LONG = RobotEvaluateConfig(hold_s=40, settled_s=12, path_s=45), RobotEvaluateConfig(hold_s=120, settled_s=30)
 
@@ -76,6 +78,16 @@ def test_the_shaft_of_a_dead_fin_stays_where_it_is(ucat, simulation, gaits, monk
         # Within the drive's dead time and braking; nothing from then on.
         assert abs(moved[0]) < 0.2
         np.testing.assert_allclose(moved[1:], moved[0], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_without_a_fin_it_turns_into_a_current_to_either_side_and_holds(sister, gaits):
+    simulation = RobotSimulation(sister, [Tank()] * 4)
+    current = (0.05 * np.cos(np.radians(-61)), 0.05 * np.sin(np.radians(-61)), 0.0)
+    trouble = Disturbances(current_m_s=current, dead_fin=0, dead_at_s=20)
+    for seed in range(4):
+        record = run_trial(simulation, WrenchDriver(sister, gaits), hold(), 90, trouble, seed=seed)
+        assert np.sqrt((record.position_error()[-3000:] ** 2).mean()) < 0.1
 
 
 @pytest.mark.slow

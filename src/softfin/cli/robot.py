@@ -14,10 +14,10 @@ class RobotArguments(Configured):
     """Check, evaluate or show a robot with several fins, or share wrenches among real ones as a ROS 2 node."""
 
     action: Annotated[Literal["check", "evaluate", "view", "train", "ros2"], Option(positional=True)]
-    """check: rank, singular values and reach; evaluate: wrenches, holding and paths in simulation, as JSON, figures and
-    pages; view: one trial as a page in three dimensions; train: a policy that adds to the motion controller; ros2: a
-    node that takes wrenches and asks the fins' nodes for forces; it moves nothing by itself, Enter or a topic stops it
-    and the fins (docs/robot.md)."""
+    """check: rank, singular values, reach and stability; evaluate: wrenches, holding and paths in simulation, as JSON,
+    figures and pages; view: one trial as a page in three dimensions; train: a policy that adds to the motion
+    controller; ros2: a node that takes wrenches and asks the fins' nodes for forces; it moves nothing by itself, Enter
+    or a topic stops it and the fins (docs/robot.md)."""
     robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
     """The robot: ucat, or a YAML file."""
     out: Annotated[Path, Option("PATH")] | None = None
@@ -87,6 +87,10 @@ class RobotArguments(Configured):
         ]  # fmt: skip
         if abs(found["sinks_n"]) > 1e-3:
             lines.append(f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N")
+        if found["swing_hz"]:
+            swings = " and ".join(f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items())
+            lines.append(f"righted with {found['righting_nm_rad']:.2f} N m/rad: swings in {swings}")
+        lines.extend(f"warning: {problem}" for problem in found["problems"])
         self.tell(found, "\n".join(lines))
 
     def _evaluate(self) -> None:

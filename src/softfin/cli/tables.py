@@ -56,11 +56,11 @@ def table_two(controllers: Mapping[str, Any]) -> str:
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
         rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
-        lines.append(f"  {judged(summary)}")
+        lines.append(f"  {describe_errors(summary)}")
     return "\n".join(lines)
 
 
-def judged(summary: Mapping[str, Any]) -> str:
+def describe_errors(summary: Mapping[str, Any]) -> str:
     """Return a line about the force behind the errors, with the error of the sensor's reading if that is another."""
     mean = summary["mean"]
     if summary["conditions"].get("judged_by") != "true force":

@@ -59,7 +59,7 @@ class Scores(NamedTuple):
     late_travel: Float[np.ndarray, "references seeds"]
     """Path of the shaft a second in the second half [rad/s]; below `STILL_RAD_S` it stands still."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
-    """The same error of the sensor's reading [N]; None if `error` is that already."""
+    """Error of the sensor's reading [N]; None if `error` is that already."""
 
 
 def score(recording: ExperimentRecording) -> Scores:

@@ -75,7 +75,7 @@ class BracedAllocation:
         """Return the bracing under which fins make the least force, or nearly so, with little effort."""
         least = self._config.brace_n
         if len(self._braces) == 1:
-            return self._braces[0]
+            return np.zeros_like(forces)
         alive = self.allocator.reach > 0
         together = forces + self._braces
         sizes = np.sqrt((together**2).sum(axis=2))

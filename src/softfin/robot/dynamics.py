@@ -78,6 +78,11 @@ class Dynamics(NamedTuple):
         wrench: SixVector = operations_of(up).xp.concatenate([(self.buoyancy - self.weight) * up, cross(lever, up)])
         return wrench
 
+    @property
+    def righting_nm_rad(self) -> float:
+        """Stiffness with which weight and buoyancy right the body in roll and pitch [N m/rad]; below 0 it tips over."""
+        return float(self.buoyancy * self.centre_of_buoyancy[2] - self.weight * self.centre_of_gravity[2])
+
     def gyroscopic(self, twist: SixVector) -> SixVector:
         """Return the wrench by which the momentum of body and water turns along with the body."""
         momentum, velocity, turn = self.inertia @ twist, twist[:3], twist[3:]

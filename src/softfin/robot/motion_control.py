@@ -47,6 +47,8 @@ class AxisFilter(NamedTuple):
     ahead: Float[np.ndarray, "6 3 3"]
     """Transition to the time at which new forces act."""
     driven_ahead: Float[np.ndarray, "6 3"]
+    deviation: Float[np.ndarray, "6"]
+    """Standard deviation of the estimated disturbance [m/s2, rad/s2]."""
 
     @classmethod
     def of(
@@ -70,12 +72,16 @@ class AxisFilter(NamedTuple):
                 gain = ahead @ back.T @ np.linalg.inv(back @ ahead @ back.T + measured)
                 covariance = (np.eye(3) - gain @ back) @ ahead
             lag = _exponential(slope * config.lag_s)
-            rows.append((forward, driven, gain, back, driven_back, lag[:3, :3], lag[:3, 3]))
+            rows.append((forward, driven, gain, back, driven_back, lag[:3, :3], lag[:3, 3], covariance[2, 2] ** 0.5))
         return cls(*map(np.array, zip(*rows, strict=True)))
 
 
 STILL_M_S = 0.01
 """A path slower than this is a place to hold."""
+
+SURGE_MEMORY_S = 20.0
+"""Time over which the force along the nose is averaged [s]. A long body has little drag along its nose: 0.2 to 0.5 N in
+a current of 5 cm/s, as much as a single estimate is off; the mean is off by a third of that."""
 
 MOST_DAMPING = 8 / ACTION_S
 """Damping beyond which a filter would see no motion in an action [1/s]."""
@@ -93,6 +99,10 @@ class ControlState(NamedTuple):
     """Accelerations that the fins were made to add to the path's in the last two actions, the newest first."""
     heading: float
     """Angle by which the robot has turned from the path's heading into a current [rad]."""
+    surge_n: float
+    """Force along the nose that holding the place has needed of late [N]."""
+    side: float
+    """Side to which the robot turns into a current: 1 left, -1 right; 0 before the first turn."""
 
 
 class MotionController:
@@ -107,18 +117,17 @@ class MotionController:
         self._rate = np.asarray(config.bandwidth_rad_s, float)
         self._damping, self._lag = config.damping, config.lag_s / ACTION_S
         inertia = self.dynamics.inertia.diagonal()
-        lever = self.dynamics.buoyancy * self.dynamics.centre_of_buoyancy[2]
-        lever -= self.dynamics.weight * self.dynamics.centre_of_gravity[2]
-        self._stiffness = np.array([0, 0, 0, lever, lever, 0]) / inertia
+        righting = self.dynamics.righting_nm_rad
+        self._stiffness = np.array([0, 0, 0, righting, righting, 0]) / inertia
         noise = np.array([[config.position_noise_m, config.velocity_noise_m_s]] * 3
                          + [[config.attitude_noise_rad, config.rate_noise_rad_s]] * 3)  # fmt: skip
-        self._filter = AxisFilter.of(
-            config, self._stiffness, np.minimum(self.dynamics.drag_linear / inertia, MOST_DAMPING), noise
-        )
+        self._damping_rate = np.minimum(self.dynamics.drag_linear / inertia, MOST_DAMPING)
+        self._filter = AxisFilter.of(config, self._stiffness, self._damping_rate, noise)
+        self._surge_noise_n = float(inertia[0] * self._filter.deviation[0])
 
     def init(self) -> ControlState:
         """Return the state before the first action: nothing is known."""
-        return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), 0.0)
+        return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), heading=0.0, surge_n=0.0, side=0.0)
 
     def act(
         self, state: ControlState, seen: Sequence[np.ndarray], middle: PathPoint, now: PathPoint, ahead: PathPoint,
@@ -141,7 +150,8 @@ class MotionController:
         if self.policy is not None:
             later = [_turned(target, state.heading) for target in later]
             correction = correction + self.policy.act(estimate, state.accelerations, [now, *later])
-        state = state._replace(estimate=estimate, heading=self._headed(state.heading, estimate, now))
+        surge_n, side, heading = self._weathervane(state, estimate, now)
+        state = state._replace(estimate=estimate, surge_n=surge_n, side=side, heading=heading)
         return state, np.asarray(self.needed(ahead) + self.dynamics.inertia @ correction)
 
     def observed(
@@ -168,15 +178,36 @@ class MotionController:
         correction: SixVector = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
         return correction
 
-    def _headed(self, heading: float, estimate: Float[np.ndarray, "6 3"], now: PathPoint) -> float:
-        """Return the heading further into the current, where that is more than the fins hold abeam."""
-        surge, sway = -(self.dynamics.inertia @ estimate[:, 2])[:2]
+    def _weathervane(
+        self, state: ControlState, estimate: Float[np.ndarray, "6 3"], now: PathPoint
+    ) -> tuple[float, float, float]:
+        """Return surge force, side and heading of the next state: further into a current that is too much abeam."""
+        if np.linalg.norm(now.velocity) > STILL_M_S:
+            return state.surge_n, state.side, state.heading
+        surge, sway = -self._outside_wrench(estimate)[:2]
+        surge_n = state.surge_n + ACTION_S / SURGE_MEMORY_S * (float(surge) - state.surge_n)
         excess = abs(sway) / (self._config.sway_part * self.sway_reach_n) - 1
-        if excess <= 0 or np.linalg.norm(now.velocity) > STILL_M_S:
-            return heading
-        # On with the turn that was begun, else the shorter way.
-        way = np.sign(heading) or np.sign(sway) * (np.sign(surge) or 1.0)
-        return float(heading + way * self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0))
+        if excess <= 0:
+            return surge_n, state.side, state.heading
+        side = state.side
+        # The sign of what is below noise is a guess, but to wait would be to drift off: the wrong way round passes
+        # abeam and ends as well, later. Only evidence beyond noise turns back; one that wavers stays abeam.
+        if not side or abs(surge_n) > self._surge_noise_n:
+            side = float(np.sign(sway) * (np.sign(surge_n) or 1.0))
+        turn_rad = self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0)
+        return surge_n, side, float(state.heading + side * turn_rad)
+
+    def _outside_wrench(self, estimate: Float[np.ndarray, "6 3"]) -> SixVector:
+        """Return the wrench from outside in the axes of the path [N, N m].
+
+        Each axis has a filter of its own, in which the restoring moment and the drag of this axis alone act. Through
+        the inertia they act on other axes, too: a roll that is held against by the weight would look like sway.
+        """
+        error, rate, disturbance = estimate.T
+        own = self._stiffness * error + self._damping_rate * rate
+        inertia = self.dynamics.inertia
+        wrench: SixVector = inertia @ disturbance + inertia.diagonal() * own - inertia @ own
+        return wrench
 
     def acknowledge(self, state: ControlState, wrench: SixVector, ahead: PathPoint) -> ControlState:
         """Tell the observer what wrench the fins make of the one asked for."""

@@ -25,7 +25,7 @@ TITLES = {"hold": "holds its place", "lemniscate": "follows a lemniscate", "liss
 
 
 def check(robot: str) -> dict[str, Any]:
-    """Return rank, singular values and reach of a robot: the name of one that is built in, or a YAML file."""
+    """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML file."""
     config = load_robot(robot)
     return check_robot(config, gaits_of(tanks_of(config)))
 
