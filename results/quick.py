@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from results import documents, history
 from results.comparison import Comparison, Verdict, compare_figures
 from results.parts import Part, Work
-from results.record import load, machine, shown, versions
+from results.record import QUIET_CORES, load, machine, shown, versions
 from results.steps import Runner, Step
 
 SEEDS = (10,)
@@ -60,11 +60,19 @@ def estimate_minutes(table: Mapping[str, Part], folder: Path) -> float:
     for name in table:
         if (folder / f"{name}.json").is_file():
             for step_name, record in load(name, folder)["steps"].items():
-                # One thread takes the processor time of several.
-                last_s[step_name] = max(record["wall_s"], record["processor_s"])
+                # One thread takes the processor time of several. Wall time counts only if nothing else ran.
+                is_quiet = (record["others_cores"] or 0.0) <= QUIET_CORES
+                wall_s = record["wall_s"] if is_quiet else 0.0
+                last_s[_drop_seed(step_name)] = max(wall_s, record["processor_s"])
     steps = {step.name: step for part in table.values() for step in part.steps}
-    total_s = sum(last_s.get(name, 60 * step.minutes) for name, step in steps.items())
+    total_s = sum(last_s.get(_drop_seed(name), 60 * step.minutes) for name, step in steps.items())
     return total_s / 60 / SIMULTANEOUS_STEPS
+
+
+def _drop_seed(step_name: str) -> str:
+    """Return the name that a step has in common with those of other seeds."""
+    stem, _, seed = step_name.rpartition("-")
+    return stem if seed.isdecimal() else step_name
 
 
 def run_quick(table: Mapping[str, Part], work: Path, folder: Path, say: Say) -> int:

@@ -300,7 +300,7 @@ def test_messages_hold_the_numbers():
     assert "correlation with the force of a model fin 0.0" in message(inspected(swap), "force axes")
     assert message(inspected(spikes), "spikes").startswith("3 spikes, up to 30")
     assert "for 4.00 s" in message(inspected(stuck_force), "stuck")
-    assert "+0.77 N" in message(inspected(offset), "force offset")
+    assert "+0.81 N" in message(inspected(offset), "force offset")
     assert message(inspected(mirrored_command), "command sign").startswith("the angle goes against its command")
 
 
