@@ -26,7 +26,7 @@ setup: .venv/.ready ## make the environment
 	$(UV) sync --frozen --python $(PYTHON)
 	touch $@
 
-demo: setup ## collect, fit, find gaits, train, evaluate, report: about two minutes on 2 cores, once set up
+demo: setup ## collect, fit, find gaits, train, evaluate, report: two to five minutes on 2 cores, once set up
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
 
 day: OUT = runs/day
