@@ -89,6 +89,11 @@ def controllers_paper(seeds: Sequence[int]) -> Part:
 
     def read(work: Work) -> Figures:
         figures = part.figures(work)
+        for way in ways:
+            # Both are trained in the same surrogate and see the same noise, so the seeds are compared in pairs.
+            pairs = zip(figures[f"single-ppo.{way}"]["values"], figures[f"grid-ppo.{way}"]["values"], strict=True)
+            differences = [[one - other for one, other in zip(*each, strict=True)] for each in pairs]
+            figures[f"single_minus_grid.{way}"] = figure("N", differences, seeds)
         found = [work.json(f"paper-{seed}/surrogate.json")["scores"] for seed in seeds]
         for net in ("posnet", "forcenet_measured", "forcenet_free_running"):
             for scale, scores in (("physical", ("rmse", "mae", "dtw_mae")), ("scaled", ("rmse", "mae"))):
