@@ -136,8 +136,8 @@ Try them:
 
 Error of the true mean force in the tank, x / y in N: mean of |moving average over 200 samples - reference| over
 {row["duration_s"]} s from rest, at the references {references}. ± is half of the 95% interval over {row["seeds"]} seeds
-of the sensor's noise and drift. Without force feedback a controller does not use the sensor, so that its true error is the
-same at every seed; other logs and trainings would change it.
+of the sensor's noise and drift. Without force feedback a controller does not use the sensor, so that its true error is
+the same at every seed; other logs and trainings would change it.
 
 | | error | with force feedback (`--trim`) |
 | --- | --- | --- |
