@@ -26,7 +26,7 @@ setup: .venv/.ready ## make the environment
 	$(UV) sync --frozen --python $(PYTHON)
 	touch $@
 
-demo: setup ## collect, fit, find gaits, train, evaluate, report: two to five minutes on 2 cores, once set up
+demo: setup ## collect, fit, find gaits, train, evaluate, report: some minutes on 2 cores, once set up
 	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
 
 day: OUT = runs/day
@@ -68,7 +68,7 @@ bench: setup ## speed and memory, as JSON; EXTRAS="--extra sb3" brings the peer,
 	$(UV) sync --frozen $(EXTRAS)
 	$(RUN) $(EXTRAS) python -m benchmarks
 
-results: setup ## rerun the figures of README and docs: hours; MINUTES=60 PART="surrogates choices/3" SINCE=COMMIT
+results: setup ## rerun the figures of README and docs: hours; MINUTES=60 PART="surrogates choices/13" SINCE=COMMIT
 	$(RUN) $(EXTRAS) python -m results $(PART) $(if $(MINUTES),--minutes $(MINUTES)) $(if $(SINCE),--since $(SINCE))
 	$(RUN) python -m results --write
 

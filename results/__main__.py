@@ -136,7 +136,13 @@ def run_part(runner: Runner, name: str, part: Part, seed: str, end_s: float, fol
 
 def select_steps(part: Part, seed: str) -> list[Step]:
     """Return the steps of a part, or those of one seed."""
-    return [step for step in part.steps if not seed or step.seed == int(seed)]
+    if not seed:
+        return list(part.steps)
+    steps = [step for step in part.steps if str(step.seed) == seed]
+    if not steps:
+        seeds = sorted({step.seed for step in part.steps if step.seed is not None})
+        raise ValueError(f"{part.title}: no step of seed {seed}; the seeds are {', '.join(map(str, seeds)) or 'none'}")
+    return steps
 
 
 def assemble(

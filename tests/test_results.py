@@ -110,6 +110,12 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
         assert (ROOT / each.words[1]).is_file()
 
 
+def test_a_seed_that_a_part_does_not_have_is_refused(run, capsys):
+    with pytest.raises(SystemExit):
+        run("short/3")
+    assert "Two short logs: no step of seed 3; the seeds are 0, 1" in capsys.readouterr().err
+
+
 def test_every_benchmark_is_a_part():
     files = {file.stem for file in (ROOT / "benchmarks").glob("*.py")}
     assert files - set(BENCHMARKS) == {"__init__", "__main__", "compilation", "measure", "nets", "workers"}

@@ -186,14 +186,14 @@ class DisturbanceObserver:
         cross = kept * state.covariance[1]
         drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * config.drift_n**2
         # Neighbouring windows share all actions but one, so a window counts as one sixth of a measurement. While the
-        # reference moves, the fin's own lag looks like an error: it grows with the movement and lasts as long, so that
-        # windows side by side do not average it out. The correction's own motion, which is slow, does not count: it
-        # would hold itself up.
+        # reference moves, the fin's lag looks like an error that lasts as long as the movement, so averaging
+        # neighbouring windows does not remove it. The slow motion of the correction itself is excluded; otherwise it
+        # would block its own update.
         moved = (state.references.max(axis=0) - state.references.min(axis=0)).max()
         trust = xp.minimum(1, config.still_n / xp.maximum(moved, 1e-6)) ** 4
         noise_variance = CYCLE_ACTIONS * config.noise_n**2 / trust
         innovation = error - state.bias - drift
-        # An error beyond three standard deviations is no drift: the fin or its water has changed.
+        # An error beyond three standard deviations cannot be drift: the fin or the water has changed.
         expected = bias_variance + 2 * cross + drift_variance + config.noise_n**2
         learns = ops.choose(state.age >= config.settle_actions, lambda: 1.0, lambda: 0.0)
         bias_variance = bias_variance + learns * trust * xp.maximum((innovation**2).max() - 9 * expected, 0.0)

@@ -212,10 +212,10 @@ class Session:
         return [self.tick() for _ in range(ticks)]
 
     def rest(self, seconds: float) -> Force:
-        """Go to angle 0 slowly, then wait for so long with the fin at rest, for the water to come to rest too.
+        """Move slowly to angle 0 and wait until the water is at rest.
 
-        Returns the mean force (x, y) over the second half of the wait [N]. The true one is zero there, so this is the
-        zero of the sensor for the experiment that follows; drift makes it another one each time.
+        Return the mean force (x, y) [N] over the second half of the wait. The true force is then zero, so this is the
+        sensor's offset for the next experiment. Drift changes it every time.
         """
         slowest = self.machine.limits.velocity_min
         sample = self.newest or self.tick()

@@ -95,7 +95,7 @@ class Sensor(eqx.Module):
         ) = arrays_of(config)  # fmt: skip
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
-        """Return the state at rest after zeroing; the drift is wherever its past has left it.
+        """Return the state at rest after zeroing; the drift starts at a value from its stationary distribution.
 
         The zero is the mean reading over the last T seconds. It misses the drift of this moment by what white noise
         leaves in a mean of T / TICK_S samples, and by what the drift moved within T. A random walk of variance q per
