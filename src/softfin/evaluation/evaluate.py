@@ -67,7 +67,7 @@ class EvaluateConfig(ExperimentsConfig):
     strict: bool = False
     """Whether a reference that the fin cannot make is refused; else the nearest one that it can make is tracked."""
     trim: DisturbanceObserverConfig | None = None
-    """A slow outer loop about the controller that cancels the steady-state force error."""
+    """Force feedback around the controller, which subtracts its estimated steady-state error; None: none."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
     """References along each side of a lattice over the controller's range, for a map of the error; None draws none."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)

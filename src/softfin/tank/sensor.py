@@ -54,9 +54,9 @@ class SensorConfig(Configuration):
     drift_s: float = Field(300.0, gt=0)
     """Time in which the drift forgets itself [s]."""
     resolution_n: float = Field(0.02, ge=0)
-    """Readings are multiples of this [N]."""
+    """Readings are multiples of this before the zero is subtracted [N]."""
     range_n: float = Field(500.0, ge=0)
-    """Readings end at this, either way, on each axis [N]."""
+    """Readings end at this before the zero is subtracted, either way, on each axis [N]."""
     zero_s: float = Field(2.0, ge=0)
     """Time at rest over which the mean reading is taken as zero before each experiment [s]; 0: not zeroed."""
 
@@ -99,7 +99,8 @@ class Sensor(eqx.Module):
 
         The zero is the mean reading over the last T seconds. It misses the drift of this moment by what white noise
         leaves in a mean of T / TICK_S samples, and by what the drift moved within T. A random walk of variance q per
-        second ends at a distance of variance q T / 3 from its mean; here q = 2 drift^2 / drift_time.
+        second ends at a distance of variance q T / 3 from its mean; here q = 2 drift^2 / drift_time,
+        if T is much shorter than drift_time.
         """
         drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
