@@ -59,8 +59,8 @@ def test_a_source_names_file_commits_date_seeds_machine_and_age(monkeypatch):
     monkeypatch.setattr(record, "describe_age", lambda commits: "14 commits old on 2026-11-24")
     loaded = record.load("demo")
     for busy_cores, load in ((0.0, "quiet"), (1.44, "other programs used up to 1.4 cores")):
-        for step in loaded["steps"].values():
-            step["others_cores"] = busy_cores
+        for step_record in loaded["steps"].values():
+            step_record["others_cores"] = busy_cores
         assert record.source("demo", loaded) == (
             f"`results/demo.json` (commit {loaded['commits'][0]}; {loaded['date']}; 5 seeds; "
             f"{loaded['machine']['processor']} with 2 cores, {load}; 14 commits old on 2026-11-24)"
