@@ -76,7 +76,7 @@ def describe_cache() -> str:
 
 
 class ProgramStore:
-    """Entries of JAX's cache as files, each of which is written beside its place, moved there, and holds a digest."""
+    """Entries of JAX's cache as files with a digest, each written to a temporary file and then moved."""
 
     def __init__(self, folder: Path, largest_bytes: int = LARGEST_BYTES) -> None:
         self._path, self.largest_bytes = folder, largest_bytes

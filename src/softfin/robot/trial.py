@@ -35,7 +35,7 @@ class Disturbances(NamedTuple):
     """Impulse on the origin in body axes, within one action [N s]."""
     push_at_s: float = 10.0
     dead_fin: int | None = None
-    """Fin that dies: its drive brakes, its shaft stays where it comes to rest, and the controller is told."""
+    """Fin that dies: its drive brakes, its shaft stays where it stops, and the controller is notified."""
     dead_at_s: float = 20.0
 
 

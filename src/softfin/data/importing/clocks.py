@@ -31,7 +31,7 @@ KERNEL_S = 0.1
 TURN_RAD = 2 * np.pi
 
 TURN_TOLERANCE_RAD = 0.5
-"""Motion within a row beside a jump by a turn: that of a fast fin in 20 ms."""
+"""Tolerance about a jump of one turn [rad]: the motion of a fast fin in 20 ms."""
 
 EARLY_S = 1e-6
 """Lateness at which a stamp is still on time [s]: clocks in double precision are no better."""
