@@ -32,6 +32,10 @@ def wrench(time, x, y, stamped=True):
     return TYPES.types["geometry_msgs/msg/WrenchStamped"](stamp(time, stamped), whole)
 
 
+def text(words):
+    return TYPES.types["std_msgs/msg/String"](words)
+
+
 def array(angle, velocity):
     layout = TYPES.types["std_msgs/msg/MultiArrayLayout"]([], 0)
     return TYPES.types["std_msgs/msg/Float64MultiArray"](layout, np.array([angle, velocity], float))

@@ -11,6 +11,7 @@ from softfin.core.errors import ArtifactError, ConfigurationError, RigError, Saf
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect
+from softfin.data.recordings import open_logs
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.rig.epos2.protocol import State
 from softfin.rig.robot_setup import RobotSetup
@@ -102,7 +103,10 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
     bag = next(bags_of(tmp_path / "out").glob("session-*.mcap"))
     active, rest, inactive = events_of(bag)
     assert (active, inactive) == ("active: free fin", "inactive")
-    assert rest.startswith("force at rest: (")
+    assert rest == "force at rest: (0.0000, 0.1000) N"
+    # The bag's force is raw; what is imported from it is what the controller and the evaluation got.
+    (imported,) = open_logs(bag).logs
+    np.testing.assert_allclose(imported.log.reading.force[:, 1], 0.0, atol=1e-6)
 
 
 def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_path, monkeypatch):

@@ -20,6 +20,7 @@ from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
+from softfin.storage.bag.zero import zero_event
 
 Force: TypeAlias = tuple[float, float]
 """Force (x, y) [N]."""
@@ -230,7 +231,7 @@ class Session:
                             f"{sample.angle:.3f} rad); is it blocked?"))  # fmt: skip
         samples = [self.tick() for _ in range(round(seconds * RATE_HZ))]
         zero = mean_force(samples[len(samples) // 2 :])
-        self._record_event(f"force at rest: ({zero[0]:.4f}, {zero[1]:.4f}) N")
+        self._record_event(zero_event(zero))
         return zero
 
     def abort(self, trip: Trip) -> NoReturn:

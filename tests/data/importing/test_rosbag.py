@@ -8,7 +8,8 @@ from softfin.core.errors import LogError
 from softfin.data.importing.clocks import logs_of
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
-from tests.data.bags import START_S, array, joint, topics_of, wrench, write_bag
+from softfin.storage.bag.zero import zero_event
+from tests.data.bags import START_S, array, joint, text, topics_of, wrench, write_bag
 from tests.data.faulty import columns_of, tank_logs
 
 
@@ -113,6 +114,33 @@ def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns
     (one,), issues = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
     assert set(one.log.command.velocity.tolist()) == {2.5}
     assert "no velocity: 2.5 rad/s throughout, by --velocity" in issues[0].message
+
+
+def test_the_force_at_rest_that_a_session_measured_is_subtracted_from_then_to_the_next(tmp_path, columns):
+    topics = topics_of(columns, force_hz=100)
+    write_bag(tmp_path / "raw", topics)
+    events = [(0.02, "active"), (1.0, zero_event((0.5, -0.25))), (6.0, zero_event((2.0, 0.0))), (7.0, "inactive")]
+    write_bag(tmp_path / "run", topics | {"/fin/events": [(time, text(words)) for time, words in events]})
+    (raw,), before = opened(tmp_path / "raw", force="y,-x")
+    (one,), issues = opened(tmp_path / "run", force="y,-x")
+    assert "zeroed" not in [issue.name for issue in before]
+    (note,) = [issue for issue in issues if issue.name == "zeroed"]
+    assert "the force at rest is subtracted, which /fin/events holds (2 measurements)" in note.message
+    # Before the first measurement its zero holds, too: the sensor is the same.
+    offset = raw.log.reading.force - one.log.reading.force
+    time = raw.start_s + raw.log.reading.time - START_S
+    early, late = offset[time < 5.98], offset[time > 6.02]
+    np.testing.assert_allclose(early, np.tile([-0.25, -0.5], (len(early), 1)), atol=1e-5)
+    np.testing.assert_allclose(late, np.tile([0.0, -2.0], (len(late), 1)), atol=1e-5)
+
+
+def test_a_force_of_another_topic_keeps_its_own_zero(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/other"] = topics.pop("/fin/wrench")
+    write_bag(tmp_path / "run", topics | {"/fin/events": [(1.0, text(zero_event((0.5, -0.25))))]})
+    (one,), _ = opened(tmp_path / "run", topics="wrench=/other")
+    check(one, columns)
+    assert abs(one.log.reading.force[:, 0].mean() - columns["force_x_n"][:999].mean()) < 0.1
 
 
 def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(tmp_path, columns, bag):

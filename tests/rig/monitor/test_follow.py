@@ -12,6 +12,7 @@ from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import ROLES, decode_message
 from softfin.storage.bag.messages import TYPES
 from softfin.storage.bag.recovery import MAX_RECORD_BYTES
+from softfin.storage.bag.zero import zero_event
 from tests.rig.monitor.bags import START_NS, Recording
 
 
@@ -67,6 +68,19 @@ def test_the_mean_is_of_the_last_two_seconds_and_none_before(bag):
     bag.write_bytes(recording.chunk(100, force=(3.0, -0.5)).bytes)
     followed.poll()
     assert followed.summary()["mean_force_n"] == pytest.approx((2.0, -0.5))
+
+
+def test_the_force_is_shown_less_the_zero_that_was_measured_last(bag):
+    recording = Recording().chunk(200).chunk(200, event=zero_event((1.0, -0.25)))
+    bag.write_bytes(recording.bytes)
+    followed = follower(bag)
+    assert followed.summary()["force_n"] == pytest.approx((0.0, -0.25))
+    assert followed.summary()["mean_force_n"] == pytest.approx((0.0, -0.25))
+    bag.write_bytes(recording.chunk(100, event="inactive").chunk(200, event=zero_event((-2.0, 0.5))).bytes)
+    followed.poll()
+    assert followed.summary()["force_n"] == pytest.approx((3.0, -1.0))
+    force = followed.traces["wrench"].array()
+    np.testing.assert_allclose(force[force[:, 0] < 4.995, 1:], np.tile([0.0, -0.25], (500, 1)), atol=1e-12)
 
 
 def test_cut_at_every_byte_only_whole_records_count_and_the_rest_is_read_when_it_comes(bag):

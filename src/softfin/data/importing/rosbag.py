@@ -16,9 +16,10 @@ from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
 from softfin.data.importing.names import Channel
 from softfin.data.importing.tables import derived_velocity
-from softfin.data.issues import Issue, Severity
-from softfin.storage.bag.messages import DEFAULT_TOPICS, JOINT_STATE, WRENCH_STAMPED, type_store
+from softfin.data.issues import Issue, Severity, counted
+from softfin.storage.bag.messages import DEFAULT_TOPICS, EVENTS, JOINT_STATE, STRING, WRENCH, WRENCH_STAMPED, type_store
 from softfin.storage.bag.recovery import check_bag
+from softfin.storage.bag.zero import Force, parse_zero, zeros_at
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 
@@ -47,8 +48,11 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
             tracks, issues = [], []
             for role in READABLE_TYPES:
                 track, found = _read_topic(reader, role, config, path, name)
-                tracks.append(track)
                 issues += found
+                if role == "wrench" and config.topics.get(role, WRENCH) == WRENCH:
+                    track, found = _less_zero(track, _read_zeros(reader), config, name)
+                    issues += found
+                tracks.append(track)
     except LogError:
         raise
     except Exception as error:
@@ -115,6 +119,32 @@ def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, n
         text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, by --velocity"
         issues.append(Issue("note", "columns", name, text))
     return Track(time, channels), issues
+
+
+def _read_zeros(reader: Reader) -> list[tuple[float, Force]]:
+    """Time [s] and value [N] of each zero that softfin measured at rest while it recorded."""
+    connections = [each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING]
+    zeros = []
+    # Without connections the reader would go through all topics.
+    for _, stamp, data in reader.messages(connections) if connections else ():
+        message: Any = type_store().deserialize_cdr(data, STRING)
+        zero = parse_zero(message.data)
+        if zero is not None:
+            zeros.append((stamp / 1e9, zero))
+    return zeros
+
+
+def _less_zero(
+    force: Track, zeros: list[tuple[float, Force]], config: ImportConfig, name: str
+) -> tuple[Track, list[Issue]]:
+    """Subtract the zeros from a force, as the session did for its controller and its logs; a bag's force is raw."""
+    if not zeros:
+        return force, []
+    x, y = zeros_at(zeros, force.time).T
+    zero = converted({"force_x": x, "force_y": y}, config)
+    channels = {channel: values - zero[channel] for channel, values in force.channels.items()}
+    text = f"{WRENCH}: the force at rest is subtracted, which {EVENTS} holds ({counted(len(zeros), 'measurement')})"
+    return Track(force.time, channels), [Issue("note", "zeroed", name, text)]
 
 
 def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Summary of a recording: the last seconds of each topic, and what a person wants to know at a glance."""
 
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,6 +12,7 @@ from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
 from softfin.storage.bag import messages
 from softfin.storage.bag.messages import JOINT_STATE, TYPES, WRENCH_STAMPED, type_store
+from softfin.storage.bag.zero import Force, parse_zero, zeros_at
 
 MOST_ROWS = 30_000
 """Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1 kHz."""
@@ -102,19 +103,30 @@ class Trace:
         self.last = time
         self._waiting.append((time, type_name, data))
 
-    def settle(self, since: float, serials: Iterator[int]) -> None:
-        """Decode what was offered, from the last row before `since` on: it holds until the next one comes."""
+    def settle(self, since: float, serials: Iterator[int], zeros: Sequence[tuple[float, Force]] = ()) -> None:
+        """Decode what was offered, from the last row before `since` on: it holds until the next one comes.
+
+        `zeros` are those of the force, each with the time at which it was measured [s]; they are subtracted.
+        """
         while self._waiting:
             time, type_name, data = self._waiting.popleft()
             if self._waiting and self._waiting[0][0] < since:
                 continue
             values = decode_message(self.role, type_name, data)
+            if values is not None and zeros:
+                zero = zeros_at(zeros, np.array([time]))[0].tolist()
+                values = tuple(value - offset for value, offset in zip(values, zero, strict=True))
             if values is None:
                 self.unreadable += 1
             else:
                 self.rows.append(TraceRow(next(serials), time, values))
         while len(self.rows) > 1 and self.rows[1].time < since:
             self.rows.popleft()
+
+    def zeros(self) -> list[tuple[float, Force]]:
+        """Return the zeros of the force that events record, each with the time at which it was measured [s]."""
+        parsed = ((row.time, parse_zero(str(row.values[0]))) for row in self.rows)
+        return [(time, zero) for time, zero in parsed if zero is not None]
 
     def newest(self) -> list[float | None]:
         """Return the two numbers that came last; None for what is not there."""

@@ -1,0 +1,38 @@
+"""Zero of the force in a bag: a session measures the force at rest and records it as an event; the wrench stays raw.
+
+An event goes in as text; the zero of any moment comes out, to be subtracted from the readings.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+Force = tuple[float, float]
+"""Force (x, y) [N]."""
+
+NUMBER = r"(-?\d{1,6}\.\d{4})"
+EVENT = re.compile(rf"force at rest: \({NUMBER}, {NUMBER}\) N")
+
+
+def zero_event(zero: Force) -> str:
+    """Return the text of the event that records a zero [N]."""
+    return f"force at rest: ({zero[0]:.4f}, {zero[1]:.4f}) N"
+
+
+def parse_zero(text: str) -> Force | None:
+    """Return the zero [N] that an event records; None for any other event."""
+    match = EVENT.fullmatch(text)
+    return None if match is None else (float(match[1]), float(match[2]))
+
+
+def zeros_at(zeros: Sequence[tuple[float, Force]], time: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows 2"]:
+    """Return the zero [N] of each time: the last one measured by then, before the first measurement the first one.
+
+    `zeros` are in the order of their times, on the clock of `time`; where there are none, all are 0.
+    """
+    if not zeros:
+        return np.zeros((len(time), 2))
+    last = np.searchsorted([measured_at for measured_at, _ in zeros], time, side="right") - 1
+    return np.array([zero for _, zero in zeros])[np.maximum(last, 0)]
