@@ -5,7 +5,8 @@
 softfin acts 3 times a second and judges by the mean force over six actions, 2 s. Both are constants, in
 `softfin.core.action_clock`: every row here is trained and judged in processes in which they are others. Gaits are found
 by the mean over their six actions in each row; the policies add to them what they learn by the mean over the window.
-All are judged in the tank. Writes faster_reaction.json.
+All are judged in the tank, each policy with the noise and drift of its own seed, gaits with those of the first seed.
+Writes faster_reaction.json.
 """
 
 import argparse
@@ -53,7 +54,7 @@ def softfin(clock: Clock, *words: str) -> None:
     subprocess.run([sys.executable, "-c", UNDER.format(clock=tuple(clock)), *words], check=True)
 
 
-def judged(surrogate: Path, out: Path, kind: str, clock: Clock, seeds: int) -> list[dict[str, Any]]:
+def judged(surrogate: Path, out: Path, kind: str, clock: Clock, seeds: range) -> list[dict[str, Any]]:
     """Train and judge the controllers of a row; what is there from a run before is left as it is."""
     whole, trained, force_map = clock._replace(window=6), out / "controllers", out.parent / f"map-{len(clock.ticks)}-hz"
     if kind == "gaits" and not trained.exists():
@@ -64,35 +65,41 @@ def judged(surrogate: Path, out: Path, kind: str, clock: Clock, seeds: int) -> l
         # The task's window is a multiple of 8 samples.
         window = f"task.window_samples={clock.samples // 8 * 8}"
         softfin(clock, "train", str(surrogate), "--controller", "single", "--algorithm", "gradient", "--set", window,
-                "--seeds", str(seeds), "--map", str(force_map), "--out", str(trained))  # fmt: skip
-    each = sorted(trained.glob("seed-*")) or [trained]
-    return [score(one, out / f"evaluation-{one.name}", clock) for one in each]
+                "--seed", str(seeds[0]), "--seeds", str(len(seeds)), "--map", str(force_map),
+                "--out", str(trained))  # fmt: skip
+    if kind == "gaits" or len(seeds) == 1:
+        controllers = {seeds[0]: trained}
+    else:
+        controllers = {seed: trained / f"seed-{seed}" for seed in seeds}
+    return [score(one, out / f"evaluation-{seed}", clock, seed) for seed, one in controllers.items()]
 
 
-def score(controller: Path, out: Path, clock: Clock) -> dict[str, Any]:
+def score(controller: Path, out: Path, clock: Clock, seed: int) -> dict[str, Any]:
     """Error, ripple, and the longest settling time of four steps."""
     if not out.exists():
-        softfin(clock, "evaluate", str(controller), "--plant", "tank", "--seeds", "1", "--moving", "step",
-                "--out", str(out))  # fmt: skip
+        softfin(clock, "evaluate", str(controller), "--plant", "tank", "--seeds", "1", "--seed", str(seed),
+                "--moving", "step", "--out", str(out))  # fmt: skip
     found = json.loads((out / "evaluation.json").read_text())
     steps = [row["longest_settling_s"] for row in found["moving"]]
     scores = {name: [found["mean"][axis][f"{name}_n"] for axis in "xy"] for name in ("error", "std", "raw_std")}
-    return {**scores, "settling_s": None if None in steps else max(steps)}
+    return {"seed": seed, **scores, "settling_s": None if None in steps else max(steps)}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("surrogate", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--seeds", type=int, default=5, help="number of policies in each row")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the first")
     parser.add_argument("--tiny", action="store_true", help="gaits alone: does it work at all?")
     words = parser.parse_args()
+    seeds = range(words.seed, words.seed + words.seeds)
     written: dict[str, list[dict[str, Any]]] = {}
     for name, (kind, clock) in ROWS.items():
         if words.tiny and kind != "gaits":
             continue
         folder = words.out / name.replace(", ", "-").replace(" ", "")
-        written[name] = judged(words.surrogate, folder, kind, clock, words.seeds)
+        written[name] = judged(words.surrogate, folder, kind, clock, seeds)
         sys.stdout.write(f"{name}: {json.dumps(written[name])}\n")
     (words.out / "faster_reaction.json").write_text(json.dumps(written))
 

@@ -1,5 +1,6 @@
 """README and docs state what ``results/*.json`` hold; finished steps are reused, and one seed is compared."""
 
+import importlib.util
 import json
 import math
 import subprocess
@@ -10,6 +11,7 @@ import pytest
 from results import __main__ as program
 from results import comparison, documents, history, quick, record, steps
 from results.parts import BENCHMARKS, PARTS, Part, parts
+from results.parts.common import Work
 from results.steps import Runner, step
 
 from tests.documents import ROOT
@@ -111,6 +113,61 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
         assert each.words[2] == "results.scripts" or each.words[3] in BENCHMARKS
     else:
         assert (ROOT / each.words[1]).is_file()
+
+
+def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
+    part = PARTS["robot"]((3, 4))
+    commands = [each.command for each in part.steps if each.command.startswith("softfin robot evaluate")]
+    assert len(commands) == 4
+    assert all(" --seeds 2 --seed 3 " in command for command in commands)
+    rows = [
+        dict.fromkeys(("position_rms_m", "position_worst_m", "attitude_rms_deg"), 1.0) | {"seed": s} for s in (3, 4)
+    ]
+    errors = ("force_error_n", "force_error_worst_n", "moment_error_nm", "moment_error_worst_nm", "roll_ripple_ratio")
+    found = dict.fromkeys(("hold", "lemniscate", "lissajous"), rows)
+    found["wrenches"] = dict.fromkeys(errors, 0.1) | {"ripple": {"roll": 0.1}}
+    for each in part.steps:
+        (tmp_path / each.name).mkdir()
+        (tmp_path / each.name / "robot.json").write_text(
+            json.dumps(found | {"reach_n": [9], "baselines": {"a": found}})
+        )
+        (tmp_path / f"{each.name}.step.json").write_text(json.dumps({"resumed": False, "wall_s": 1.0}))
+    figures = part.figures(Work(tmp_path))
+    for name in ("hold.position", "dead.lissajous.worst", "a.lemniscate.attitude", "policy.hold"):
+        assert figures[name]["seeds"] == [3, 4]
+    for name in ("force_error_n", "a.roll_ripple"):
+        assert figures[name]["seeds"] == [3]
+
+
+def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_is_given(tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("faster_reaction", ROOT / "docs" / "faster_reaction.py")
+    study = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(study)
+    commands = []
+
+    def note(clock, *words):
+        commands.append(words)
+        if words[0] == "evaluate":
+            folder = tmp_path / words[-1]
+            folder.mkdir(parents=True)
+            axis = {"error_n": 1.0, "std_n": 1.0, "raw_std_n": 1.0}
+            found = {"moving": [{"longest_settling_s": 2.0}], "mean": {"x": axis, "y": axis}}
+            (folder / "evaluation.json").write_text(json.dumps(found))
+
+    monkeypatch.setattr(study, "softfin", note)
+    monkeypatch.setattr(
+        sys, "argv", ["faster_reaction", "surrogate", str(tmp_path / "run"), "--seeds", "2", "--seed", "9"]
+    )
+    study.main()
+    for words in commands:
+        line = " ".join(words)
+        if "--algorithm" in words:
+            assert " --seed 9 --seeds 2 " in line
+        elif words[0] == "evaluate":
+            assert " --seed 10 " in line if "seed-10" in words[1] else " --seed 9 " in line
+    written = json.loads((tmp_path / "run" / "faster_reaction.json").read_text())
+    seeds = {name: [row["seed"] for row in rows] for name, rows in written.items()}
+    assert seeds == {name: [9] if kind == "gaits" else [9, 10] for name, (kind, _) in study.ROWS.items()}
 
 
 def test_a_seed_that_a_part_does_not_have_is_refused(run, capsys):

@@ -11,7 +11,8 @@ TINY = "--set hold_s=20 --set path_s=20 --set settled_s=6 --set wrenches=2"
 
 def robot(seeds: Sequence[int]) -> Part:
     """U-CAT with all fins and with one that dies: wrenches, holding, paths."""
-    command = f"softfin robot evaluate ucat --seeds {len(seeds)}"
+    # Seeds of trials count on from the first.
+    command = f"softfin robot evaluate ucat --seeds {len(seeds)} --seed {seeds[0]}"
     whole = step("robot", f"{command} --baselines", 4, tiny=TINY)
     # Each fin dies in one of the first four; the others have other directions of current and push.
     dead = step("robot-dead", f"{command} --hold --lemniscate --lissajous --dead", 2, tiny=TINY)
@@ -21,11 +22,14 @@ def robot(seeds: Sequence[int]) -> Part:
              "--set num_updates=2 --set num_envs=2 --set num_steps=2")
         for seed in seeds
     ]  # fmt: skip
-    command = f"softfin robot evaluate ucat --hold --lemniscate --lissajous --seeds {len(seeds)} --policy robot-policy-"
+    # Each policy has the same trials as the controller without one. Their mean is the figure of the training's seed.
+    command += " --hold --lemniscate --lissajous --policy robot-policy-"
     judged = [step(f"robot-with-policy-{seed}", f"{command}{seed}", 2, seed, TINY) for seed in seeds]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
+        # Wrenches are drawn once, by the first seed.
+        first = seeds[:1]
         found = [work.json(f"{each.name}/robot.json") for each in judged]
         for task in ("hold", "lemniscate", "lissajous"):
             for key, score, factor in (("", "position_rms_m", 100), (".attitude", "attitude_rms_deg", 1)):
@@ -36,25 +40,27 @@ def robot(seeds: Sequence[int]) -> Part:
             found = work.json(f"{name}/robot.json")
             for task in ("hold", "lemniscate", "lissajous"):
                 rows = found[task]
+                trials = [row["seed"] for row in rows]
                 for key, score, factor in (
                     ("position", "position_rms_m", 100), ("worst", "position_worst_m", 100),
                     ("attitude", "attitude_rms_deg", 1),
                 ):  # fmt: skip
                     unit = "degrees" if key == "attitude" else "cm"
-                    figures[f"{prefix}{task}.{key}"] = figure(unit, [factor * row[score] for row in rows], seeds)
+                    figures[f"{prefix}{task}.{key}"] = figure(unit, [factor * row[score] for row in rows], trials)
             if "wrenches" in found:
                 for key in ("force_error_n", "force_error_worst_n", "moment_error_nm", "moment_error_worst_nm",
                             "roll_ripple_ratio"):  # fmt: skip
-                    figures[key] = figure("", [found["wrenches"][key]])
+                    figures[key] = figure("", [found["wrenches"][key]], first)
         for name, row in work.json("robot/robot.json")["baselines"].items():
             key = name.replace(" ", "-")
             for score in ("force_error_n", "moment_error_nm"):
-                figures[f"{key}.{score}"] = figure("", [row["wrenches"][score]])
-            figures[f"{key}.roll_ripple"] = figure("N m", [row["wrenches"]["ripple"]["roll"]])
+                figures[f"{key}.{score}"] = figure("", [row["wrenches"][score]], first)
+            figures[f"{key}.roll_ripple"] = figure("N m", [row["wrenches"]["ripple"]["roll"]], first)
             for task in ("hold", "lemniscate"):
-                figures[f"{key}.{task}"] = figure("cm", [100 * each["position_rms_m"] for each in row[task]], seeds)
+                trials = [each["seed"] for each in row[task]]
+                figures[f"{key}.{task}"] = figure("cm", [100 * each["position_rms_m"] for each in row[task]], trials)
                 figures[f"{key}.{task}.attitude"] = figure(
-                    "degrees", [each["attitude_rms_deg"] for each in row[task]], seeds
+                    "degrees", [each["attitude_rms_deg"] for each in row[task]], trials
                 )
         figures["reach"] = figure("N", [work.json("robot/robot.json")["reach_n"][0]])
         return figures
