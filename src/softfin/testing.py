@@ -10,7 +10,7 @@ import numpy as np
 
 from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, State, roll
+from softfin.core.plant import Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import TICK_S, Command, Limits, Reading, command_of
 
@@ -26,9 +26,10 @@ def check_plant(plant: Any) -> None:
     Checked: the members, the limits, shapes and types, time, finite readings at the corners of the limits, that the
     same state and command give the same readings (purity), that it can be told from plants with other parameters
     (`softfin.core.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and
-    `grad` go through, and that `hold_action`, where it has one, does what `advance` does.
+    `grad` go through, that `hold_action`, where it has one, does what `advance` does, and that `true_force`, where it
+    has one, is a finite force that `jit` and `vmap` go through and that leaves the state as it is.
     """
-    checks = (_members, _purity, _batches, _strokes, _gradient, _held_action)
+    checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     problem = next((found for check in checks for found in check(plant)), None)
     if problem is not None:
         raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
@@ -39,6 +40,13 @@ def _stroke(plant: Plant) -> Command:
     limits = Limits(*plant.limits)
     furthest = max(limits.angle_max, limits.angle_min, key=abs)
     return Command(jnp.float32(furthest / 2), jnp.float32(limits.velocity_max))
+
+
+def _corners(plant: Plant) -> Iterator[Command]:
+    """Yield the commands at the corners of the limits."""
+    limits = np.asarray(plant.limits, np.float32)
+    for angle, velocity in itertools.product(limits[:2], limits[2:]):
+        yield Command(jnp.asarray(angle), jnp.asarray(velocity))
 
 
 def _members(plant: Any) -> Iterator[Problem]:
@@ -103,9 +111,8 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
         asked = "init and advance neither draw numbers nor count calls outside the state"
         yield "is another program each time it is traced", asked
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
-    state, limits = plant.init(jax.random.key(0)), np.asarray(plant.limits, np.float32)
-    for angle, velocity in itertools.product(limits[:2], limits[2:]):
-        command = Command(jnp.asarray(angle), jnp.asarray(velocity))
+    state = plant.init(jax.random.key(0))
+    for command in _corners(plant):
         state, reading = stroke(state, command)
         for name, values in reading._asdict().items():
             if not jnp.isfinite(values).all():
@@ -138,7 +145,51 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
             strict=True,
         )
         # Keys are not compared.
-        numbers = [pair for pair in pairs if not jnp.issubdtype(pair[0].dtype, jax.dtypes.prng_key)]
+        numbers = [pair for pair in pairs if not _is_key(pair[0])]
         if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
             asked = "it gives 34 rows, and the state after the first `ticks` of them"
             yield f"hold_action for {ticks} ticks differs from advance by as many", asked
+
+
+def _true_force(plant: Plant) -> Iterator[Problem]:
+    if not isinstance(plant, TrueForcePlant):
+        return
+    corners = list(_corners(plant))
+    commands = Command(*map(jnp.stack, zip(*corners, strict=True)))
+
+    def after(command: Command) -> Any:
+        state, _ = plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)
+        return plant.true_force(state)
+
+    try:
+        forces = jax.jit(jax.vmap(after))(commands)
+    except Exception as error:
+        asked = "write true_force(state) in jax.numpy, with no Python branches on values"
+        yield f"jit or vmap does not go through true_force ({str(error).splitlines()[0]})", asked
+        return
+    if not isinstance(forces, jax.Array):
+        yield f"true_force returns a {type(forces).__name__}", "it must return an array of shape (2,)"
+        return
+    if forces.shape[1:] != (2,):
+        yield f"true_force has shape {forces.shape[1:]}", "it must be (2,)"
+    if forces.dtype != jnp.float32:
+        yield f"true_force is {forces.dtype}", "forces are float32"
+    for command, force in zip(corners, forces, strict=True):
+        if not jnp.isfinite(force).all():
+            yield f"true_force is not finite under {command}", "forces are finite within the limits"
+    # Without compiling, which would hide what is written to the state.
+    state = plant.init(jax.random.key(0))
+    before = [np.array(leaf) for leaf in _numbers(state)]
+    plant.true_force(state)
+    after_call = _numbers(state)
+    if len(before) != len(after_call) or not all(map(np.array_equal, before, after_call)):
+        yield "true_force changes the state", "it only reads the state"
+
+
+def _numbers(state: State) -> list[Any]:
+    """Return the arrays of a state but for its random keys, which have no values to compare."""
+    return [leaf for leaf in jax.tree.leaves(state) if not _is_key(leaf)]
+
+
+def _is_key(leaf: Any) -> bool:
+    return bool(jnp.issubdtype(jnp.asarray(leaf).dtype, jax.dtypes.prng_key))

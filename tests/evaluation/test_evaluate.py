@@ -128,7 +128,7 @@ class Exploding(PlainFin):
 
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_moment():
-    with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force or angle is not finite"):
+    with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force is not finite"):
         evaluate(Flapper(), Exploding(), CONFIG)
 
 

@@ -4,9 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
 from softfin.core.quantities import Command
-from softfin.evaluation.experiment import ExperimentRecording, run
+from softfin.evaluation.experiment import ExperimentRecording, independent, run
 from softfin.evaluation.scores import judged_force, score
 from tests.plants import AnalyticFin, Flapper, MisreadFin, PlainFin
 
@@ -120,3 +121,18 @@ def test_a_plant_with_readings_alone_is_judged_by_them(recording):
     assert recording.true_force is None
     assert score(recording).reading_error is None
     assert judged_force(recording) == "reading"
+
+
+class Unsure(MisreadFin):
+    """Its sensor reads on where the true force has become infinite."""
+
+    def true_force(self, state):
+        fin, force = state
+        return jnp.where(fin.ticks > 150, jnp.inf, force)
+
+
+def test_a_true_force_that_is_not_finite_is_an_error():
+    recording = run(Flapper(), Unsure(), REFERENCES, 4, KEYS)
+    assert np.isfinite(recording.reading.force).all()
+    with pytest.raises(PlantError, match=r"seed 0, 1\.51 s: true force is not finite after the command"):
+        independent(recording)

@@ -166,7 +166,7 @@ def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs(
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_moment():
     plan = MovingPlan.of(Flapper(), (STEP.model_copy(update={"at_s": 1}),), 3)
-    with pytest.raises(PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force or angle is not finite"):
+    with pytest.raises(PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force is not finite"):
         plan.score(run(Covering(), Exploding(), plan.tracked, plan.seconds, KEYS))
 
 

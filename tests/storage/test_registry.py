@@ -154,6 +154,37 @@ class Branching(PlainFin):
         return super().advance(state, command, ticks)
 
 
+class Telling(PlainFin):
+    """A plant that knows its true force, given as a function of its state."""
+
+    def __init__(self, true_force):
+        super().__init__()
+        self._true_force = true_force
+
+    def init(self, key):
+        return {"fin": super().init(key), "force": jnp.zeros(2)}
+
+    def advance(self, state, command, ticks):
+        fin, reading = super().advance(state["fin"], command, ticks)
+        return {"fin": fin, "force": reading.force[-1]}, reading
+
+    def true_force(self, state):
+        return self._true_force(state)
+
+
+def true_force_of_a_branch(state):
+    return state["force"] if state["fin"].angle > 0 else -state["force"]
+
+
+def true_force_that_counts(state):
+    state["force"] += 1
+    return state["force"]
+
+
+def test_a_plant_may_know_its_true_force():
+    check_plant(Telling(lambda state: state["force"]))
+
+
 @pytest.mark.parametrize(
     ("plant", "words"),
     [
@@ -168,6 +199,12 @@ class Branching(PlainFin):
         (Broken(lambda s, r: (s, tuple(r))), "advance does not return a Reading"),
         (Forgetful(), "the same state and command give other readings"),
         (Branching(), "no Python branches on values"),
+        (Telling(lambda state: state["force"][:1]), r"true_force has shape \(1,\); it must be \(2,\)"),
+        (Telling(lambda state: (0.0, 0.0)), "true_force returns a tuple; it must return an array"),
+        (Telling(lambda state: state["force"].astype(int)), "true_force is int32; forces are float32"),
+        (Telling(lambda state: state["force"] / 0), "true_force is not finite under Command"),
+        (Telling(true_force_of_a_branch), "jit or vmap does not go through true_force .*no Python branches on values"),
+        (Telling(true_force_that_counts), "true_force changes the state; it only reads the state"),
     ],
 )
 def test_the_conformance_kit_names_the_fault(plant, words):

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.tank.sensor import IDEAL, Sensor, SensorConfig
+from softfin.tank.sensor import IDEAL, Sensor, SensorConfig, mean_of_past
 
 SAMPLES = 20_000
 
@@ -64,6 +64,34 @@ def test_zeroing_is_what_a_mean_at_rest_would_be():
     moved = np.asarray(quiet(keys)[:, -1] - quiet(keys).mean(axis=1)).var()
     expected = np.sqrt(moved + 0.05**2 / 200)
     assert np.asarray(states.zero - states.drift).std() == pytest.approx(expected, rel=0.05)
+
+
+@pytest.mark.parametrize("drift_s", [0.5, 2.0, 30.0])
+def test_the_zero_goes_with_the_drift_as_in_a_simulation_whatever_the_two_durations_are(drift_s):
+    """An explicit walk over the 2 s at rest, whose end is the drift and whose mean is the zero."""
+    rng = np.random.default_rng(0)
+    fins, share = 20_000, np.exp(-0.01 / drift_s)
+    walk = np.empty((200, fins))
+    walk[0] = rng.normal(size=fins)
+    for tick in range(1, 200):
+        walk[tick] = share * walk[tick - 1] + np.sqrt(1 - share**2) * rng.normal(size=fins)
+    simulated = np.cov(walk[-1], walk.mean(axis=0))
+    sensor = Sensor(with_only(drift_n=1.0, drift_s=drift_s, zero_s=2.0))
+    states = jax.vmap(sensor.rest)(jax.random.split(jax.random.key(4), fins))
+    drawn = np.cov(np.ravel(states.drift), np.ravel(states.zero))
+    np.testing.assert_allclose(drawn, simulated, rtol=0.04, atol=0.02)
+    error = np.ravel(states.zero - states.drift).var()
+    assert error == pytest.approx((walk.mean(axis=0) - walk[-1]).var(), rel=0.04)
+
+
+def test_the_mean_of_the_past_is_exact_for_short_and_long_times():
+    for a in (1e-7, 1e-3, 0.0999, 0.1001, 1.0, 50.0):
+        slope, spread = mean_of_past(jnp.float32(a))
+        decay = -np.expm1(-a)
+        # Below 0.01 the formula in double precision would cancel, too.
+        exact = (2 * (a - decay) - decay**2) / a**2 if a > 0.01 else 2 * a / 3 - a**2 / 2
+        assert float(slope) == pytest.approx(decay / a, rel=1e-4)
+        assert float(spread) == pytest.approx(exact, rel=2e-4)
 
 
 def test_the_electronics_saturate_before_the_zero_is_subtracted():

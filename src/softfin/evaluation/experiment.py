@@ -113,16 +113,20 @@ def run_together(
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:
     """Drop repetitions that are all alike, as those of a plant without randomness; raise PlantError unless finite."""
-    bad = np.argwhere(~np.isfinite(recording.reading.force).all(axis=-1) | ~np.isfinite(recording.reading.angle))
+    finite = {"force": np.isfinite(recording.reading.force).all(axis=-1), "angle": np.isfinite(recording.reading.angle)}
+    if recording.true_force is not None:
+        finite["true force"] = np.isfinite(recording.true_force).all(axis=-1)
+    bad = np.argwhere(~np.logical_and.reduce(list(finite.values())))
     if bad.size:
         index, seed, tick = bad[0]
+        name = next(name for name, is_finite in finite.items() if not is_finite[index, seed, tick])
         angle, velocity = (float(part[index, seed, tick]) for part in recording.command)
         asked = np.asarray(recording.reference)[index]
         x, y = asked if asked.ndim == 1 else asked[tick]
         raise PlantError(
-            f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: force or angle is not finite "
-            f"after the command (angle {angle:.3f} rad, velocity {velocity:.3f} rad/s); every reading of a plant must "
-            "be finite"
+            f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: {name} is not finite after the "
+            f"command (angle {angle:.3f} rad, velocity {velocity:.3f} rad/s); every reading and true force of a plant "
+            "must be finite"
         )
     force = np.asarray(recording.reading.force)
     return recording.first() if (force == force[:, :1]).all() else recording

@@ -40,6 +40,22 @@ def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[
     return value + jax.lax.stop_gradient(rounded - value)
 
 
+def mean_of_past(duration: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants goes with its value now.
+
+    The process has variance 1. Given the value x, the mean is normal: c x on average, with c = (1 - exp(-a)) / a, and
+    of variance V - c^2, where V = 2 (a - 1 + exp(-a)) / a^2 is the variance of the mean for any x. Returns c and
+    V - c^2.
+    """
+    # Terms cancel where a is small: there the series in a is exact to 1e-4 of V - c^2 in single precision.
+    is_short = duration < 0.1
+    a = jnp.where(is_short, 1.0, duration)
+    decay = -jnp.expm1(-a)
+    series = duration * (2 / 3 - duration / 2 + 7 / 30 * duration**2)
+    slope = jnp.where(is_short, 1 - duration / 2 + duration**2 / 6, decay / a)
+    return slope, jnp.where(is_short, series, (2 * (a - decay) - decay**2) / a**2)
+
+
 class SensorConfig(Configuration):
     """Imperfections of the sensor; 0 turns one off."""
 
@@ -97,17 +113,16 @@ class Sensor(eqx.Module):
     def rest(self, key: PRNGKeyArray) -> SensorState:
         """Return the state at rest after zeroing; the drift starts at a value from its stationary distribution.
 
-        The zero is the mean reading over the last T seconds. It misses the drift of this moment by what white noise
-        leaves in a mean of T / TICK_S samples, and by what the drift moved within T. A random walk of variance q per
-        second ends at a distance of variance q T / 3 from its mean; here q = 2 drift^2 / drift_time,
-        if T is much shorter than drift_time.
+        The zero is the mean reading over the last T seconds: the mean drift, which goes with the drift of this moment
+        as `mean_of_past` says, and what white noise leaves in a mean of T / TICK_S samples.
         """
         drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
-        variance = self.noise**2 / samples + 2 * self.drift**2 / self.drift_time * self.zero_time / 3
+        slope, spread = mean_of_past(self.zero_time / self.drift_time)
+        variance = self.noise**2 / samples + spread * self.drift**2
         # Noise and drift may both be 0, where the square root has no derivative.
         deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 0.0)
-        zero = drift + deviation * jax.random.normal(jax.random.fold_in(key, 1), (2,), self.drift.dtype)
+        zero = slope * drift + deviation * jax.random.normal(jax.random.fold_in(key, 1), (2,), self.drift.dtype)
         return SensorState(jnp.zeros_like(drift), drift, jnp.where(self.zero_time > 0, zero, 0.0))
 
     def read(
