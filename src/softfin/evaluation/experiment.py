@@ -5,7 +5,7 @@ and seeds run side by side in one compiled program.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -113,7 +113,10 @@ def run_together(
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:
     """Drop repetitions that are all alike, as those of a plant without randomness; raise PlantError unless finite."""
-    finite = {"force": np.isfinite(recording.reading.force).all(axis=-1), "angle": np.isfinite(recording.reading.angle)}
+    finite: dict[str, Any] = {
+        "force": np.isfinite(recording.reading.force).all(axis=-1),
+        "angle": np.isfinite(recording.reading.angle),
+    }
     if recording.true_force is not None:
         finite["true force"] = np.isfinite(recording.true_force).all(axis=-1)
     bad = np.argwhere(~np.logical_and.reduce(list(finite.values())))
