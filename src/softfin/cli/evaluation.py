@@ -201,11 +201,12 @@ class ViewArguments(Configured):
         summary = self.stage(view, self.plant, self.out, config, controller=self.controller, reference=self.reference)
         x, y = summary["mean_force_n"]
         frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
+        force = "true force" if summary["force"] == "true force" else "force"
         warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
         self.tell(
             summary,
             f"{self.out}: {summary['title']}; {summary['seconds']:g} s{frames}, "
-            f"mean force ({x:.2f}, {y:.2f}) N{warning}",
+            f"mean {force} ({x:.2f}, {y:.2f}) N{warning}",
         )
 
 

@@ -121,7 +121,8 @@ def view(
         "title": title,
         "seconds": config.seconds,
         "frames": len(ticks_of(len(footage.shape), config.frames_per_second)) if films else None,
-        "mean_force_n": [round(float(force), 4) for force in footage.reading.force.mean(axis=0)],
+        "mean_force_n": [round(float(force), 4) for force in footage.force.mean(axis=0)],
+        "force": "reading" if footage.true_force is None else "true force",
         "shape_known": footage.shape_known,
         "warning": "; ".join(warnings) or None,
     }

@@ -1,10 +1,12 @@
 """A fin that computes its shape without a tank's cost: an arc whose curvature goes with the shaft's speed."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.core.quantities import Command
+from softfin.core.quantities import Command, Reading
 from softfin.core.randomness import key_of
 from softfin.evaluation.view.footage import Footage, film
 from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
@@ -20,6 +22,24 @@ class BendingFin(AnalyticFin):
         angles = state.angle * jnp.linspace(1.0, 0.7, 8)
         steps = LENGTH_M / 8 * jnp.stack([-jnp.cos(angles), jnp.sin(angles)], axis=-1)
         return jnp.concatenate([jnp.zeros((1, 2)), jnp.cumsum(steps, axis=0)])
+
+
+class OffsetSensor(BendingFin):
+    """Its sensor reads 3 N too much in x, and it knows the true force."""
+
+    def init(self, key: PRNGKeyArray) -> Any:
+        return super().init(key), jnp.zeros(2)
+
+    def advance(self, state: Any, command: Command, ticks: int) -> tuple[Any, Reading]:
+        fin, reading = super().advance(state[0], command, ticks)
+        return (fin, reading.force[-1]), reading._replace(force=reading.force + jnp.array([3.0, 0.0]))
+
+    def shape(self, state: Any) -> Float[Array, "points 2"]:
+        return super().shape(state[0])
+
+    def true_force(self, state: Any) -> Float[Array, "2"]:
+        force: Float[Array, "2"] = state[1]
+        return force
 
 
 def beating(plant: AnalyticFin, ticks: int, reference: tuple[float, float] | None = None) -> Footage:

@@ -10,7 +10,7 @@ from softfin.core.errors import ConfigurationError, RunError
 from softfin.evaluation.view.files import ticks_of, write_gif, write_mp4, write_png
 from softfin.evaluation.view.footage import scale_of
 from softfin.evaluation.view.picture import BLUE, FIN, Picture
-from tests.evaluation.view.fins import BendingFin, beating
+from tests.evaluation.view.fins import BendingFin, OffsetSensor, beating
 
 DPI = 50
 
@@ -83,6 +83,25 @@ def test_the_arrow_of_the_force_is_as_long_as_its_scale_says(picture):
     picture.frame(tick)
     drawn = picture.arrows["force"].get_xy()
     np.testing.assert_allclose(drawn[3], force[tick] * scale.metres_per_newton, rtol=1e-5)
+
+
+def texts_of(picture):
+    figure = picture.figure
+    texts = [text.get_text() for axes in figure.get_axes() for text in axes.texts]
+    texts += [text.get_text() for text in figure.get_axes()[1].get_legend().get_texts()]
+    return texts + [axes.get_ylabel() for axes in figure.get_axes()]
+
+
+def test_a_picture_draws_the_true_force_where_it_is_known_and_says_so(picture):
+    assert "measured" in texts_of(picture)
+    assert not any("true" in text for text in texts_of(picture))
+    footage = beating(OffsetSensor(), 220)
+    known = Picture(footage, "a fin", DPI)
+    assert {"angle, true force", "true force x [N]", "true force y [N]"} <= set(texts_of(known))
+    assert f"true force {known.scale.key_n:g} N" in texts_of(known)
+    known.frame(150)
+    drawn = known.arrows["force"].get_xy()
+    np.testing.assert_allclose(drawn[3], footage.true_force[150] * known.scale.metres_per_newton, rtol=1e-5)
 
 
 def test_reference_and_mean_share_a_longer_scale_and_the_reference_moves_with_its_step():

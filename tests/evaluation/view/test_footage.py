@@ -8,11 +8,11 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.core.randomness import key_of
-from softfin.evaluation.view.footage import film
+from softfin.evaluation.view.footage import film, greatest_of
 from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from softfin.tank import Tank, TankConfig
 from softfin.tank.fin import FinConfig
-from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
+from tests.evaluation.view.fins import LENGTH_M, BendingFin, OffsetSensor, beating
 from tests.plants import AnalyticFin, PlainFin
 
 
@@ -70,6 +70,25 @@ def test_another_plant_is_drawn_in_the_default_thickness_in_proportion():
 def test_a_plant_whose_readings_are_not_finite_is_named():
     with pytest.raises(PlantError, match=r"AnalyticFin: reading\.force is not finite; softfin\.testing\.check_plant"):
         beating(AnalyticFin(gain=jnp.nan), 5)
+
+
+def test_a_true_force_that_is_not_finite_is_named():
+    class Unsure(OffsetSensor):
+        def true_force(self, state):
+            return super().true_force(state) * jnp.nan
+
+    with pytest.raises(PlantError, match=r"Unsure: true_force is not finite"):
+        beating(Unsure(), 5)
+
+
+def test_the_true_force_is_drawn_where_the_plant_knows_it():
+    footage, truth = beating(OffsetSensor(), 220), beating(BendingFin(), 220)
+    np.testing.assert_allclose(footage.reading.force - footage.force, np.tile([3.0, 0.0], (220, 1)), atol=1e-5)
+    np.testing.assert_allclose(footage.force, truth.force, atol=1e-5)
+    np.testing.assert_allclose(footage.average, truth.average, atol=1e-5)
+    np.testing.assert_allclose(greatest_of(footage), greatest_of(truth), atol=1e-4)
+    assert truth.true_force is None
+    np.testing.assert_array_equal(truth.force, truth.reading.force)
 
 
 def test_a_shape_that_is_none_is_named():

@@ -7,7 +7,7 @@ import pytest
 
 from softfin.evaluation.view.files import SHAPE_UNIT_M, to_dict, write_page
 from tests.evaluation.test_report import Page
-from tests.evaluation.view.fins import BendingFin, beating
+from tests.evaluation.view.fins import BendingFin, OffsetSensor, beating
 from tests.plants import AnalyticFin
 
 
@@ -43,6 +43,18 @@ def test_the_page_holds_what_was_read(html, footage):
     np.testing.assert_allclose(shape, footage.shape, atol=SHAPE_UNIT_M)
     assert data["reference_x"] == [2.0] * 230
     assert data["reference_y"] == [-1.0] * 230
+
+
+def test_the_page_draws_the_true_force_where_it_is_known_and_says_which_force_it_is(html, tmp_path):
+    assert "the measured force of the fin" in html
+    assert data_of(html)["force_known"] is False
+    footage = beating(OffsetSensor(), 230)
+    write_page(tmp_path / "fin.html", footage, "a fin")
+    page = (tmp_path / "fin.html").read_text()
+    np.testing.assert_allclose(data_of(page)["force_x"], footage.true_force[:, 0], atol=1e-3)
+    assert "the true force of the fin" in page
+    assert "measured</th>" not in page
+    assert data_of(page)["force_known"] is True
 
 
 def test_no_text_closes_the_script_or_becomes_an_element(html):

@@ -13,7 +13,7 @@ from softfin.core.randomness import key_of
 from softfin.evaluation import experiment
 from softfin.evaluation.view.view import StrokeGaitConfig, ViewConfig, footage_of, stroke_gait, title_of
 from softfin.gaits.reachable import Cell, Reachable
-from tests.evaluation.view.fins import BendingFin
+from tests.evaluation.view.fins import BendingFin, OffsetSensor
 from tests.plants import Flapper
 
 PLANT = "tests.evaluation.view.fins:BendingFin"
@@ -90,6 +90,14 @@ def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
     assert told["frames"] == 20
     assert told["title"].startswith("A soft fin in BendingFin")
     assert (tmp_path / "fin.gif").read_bytes()[:6] == b"GIF89a"
+
+
+def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
+    config = ViewConfig(seconds=1)
+    read = softfin.view(BendingFin(), tmp_path / "read.html", config)
+    known = softfin.view(OffsetSensor(), tmp_path / "known.html", config)
+    assert known["mean_force_n"] == pytest.approx(read["mean_force_n"], abs=1e-3)
+    assert (read["force"], known["force"]) == ("reading", "true force")
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,7 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
         title=title,
         shape_known=footage.shape_known,
         asked=footage.reference is not None,
+        force_known=footage.true_force is not None,
         footage=Markup(json.dumps(to_dict(footage), separators=(",", ":"), allow_nan=False)),
         script=Markup(with_canvas(script)),
     )  # fmt: skip
@@ -124,13 +125,14 @@ def to_dict(footage: Footage) -> dict[str, Any]:
     """Return the data that the page draws, as plain numbers."""
     series = {"command": (footage.command.angle, 4), "angle": (footage.reading.angle, 4)}
     for i, axis in enumerate(AXES):
-        vectors = {"force": footage.reading.force, "mean": footage.average, "reference": footage.reference}
+        vectors = {"force": footage.force, "mean": footage.average, "reference": footage.reference}
         series |= {f"{name}_{axis}": (part[:, i], 3) for name, part in vectors.items() if part is not None}
     series["thickness"] = (footage.thickness, 5)
     ticks, points = footage.shape.shape[:2]
     return {
         "rate_hz": RATE_HZ,
         "ticks": ticks,
+        "force_known": footage.true_force is not None,
         "points": points,
         "window": WINDOW,
         "trail": TRAIL_TICKS,

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, State
+from softfin.core.plant import Plant, State, TrueForcePlant
 from softfin.core.quantities import Command, Reading
 from softfin.core.window import moving_average
 from softfin.tank import Tank, TankConfig
@@ -35,8 +35,10 @@ class Footage(NamedTuple):
     """Fields ``(ticks,)``: the command under which the reading of that tick came about."""
     reading: Reading
     """Fields ``(ticks,)``, force ``(ticks, 2)``."""
+    true_force: Series | None
+    """Force on the mount without the errors of the sensor [N]; None if the plant has only readings."""
     average: Float[np.ndarray, "windows 2"]
-    """Mean of the force over the last 200 samples, from the first instant at which all are there [N]."""
+    """Mean of the drawn force over the last 200 samples, from the first instant at which all are there [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
     """Middle line of the fin from the shaft to the tip [m]."""
     length_m: float
@@ -48,9 +50,14 @@ class Footage(NamedTuple):
     reference: Series | None
     """The force that a controller was asked for [N]."""
 
+    @property
+    def force(self) -> Series:
+        """Force that is drawn [N]: the true one if it is known, else the reading."""
+        return np.asarray(self.reading.force if self.true_force is None else self.true_force)
 
-Shots = tuple[Reading, Any]
-"""Readings, and shapes ``(ticks, points, 2)`` [m], or None where the plant does not compute them."""
+
+Shots = tuple[Reading, Any, Any]
+"""Readings, shapes ``(ticks, points, 2)`` [m] and true forces ``(ticks, 2)`` [N]; None for what the plant lacks."""
 
 
 def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series | None = None) -> Footage:
@@ -67,7 +74,8 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
         state, reading = plant.advance(state, command, 1)
-        return state, (jax.tree.map(lambda x: x[0], reading), shape_of(state))
+        true_force = plant.true_force(state) if isinstance(plant, TrueForcePlant) else None
+        return state, (jax.tree.map(lambda x: x[0], reading), shape_of(state), true_force)
 
     shots: Shots = jax.lax.scan(tick, state, commands)[1]
     return shots
@@ -75,14 +83,19 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 
 def develop(plant: Plant, command: Command, shots: Shots, reference: Series | None) -> Footage:
     """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for wrong shapes."""
-    (reading, shape), name, fin = shots, type(plant).__name__, TankConfig().fin
-    for field, values in reading._asdict().items():
+    reading, shape, true_force = shots
+    name, fin = type(plant).__name__, TankConfig().fin
+    series = {f"reading.{field}": values for field, values in reading._asdict().items()}
+    if true_force is not None:
+        series["true_force"] = true_force
+    for field, values in series.items():
         if not np.isfinite(values).all():
-            raise PlantError(f"{name}: reading.{field} is not finite; softfin.testing.check_plant says where")
+            raise PlantError(f"{name}: {field} is not finite; softfin.testing.check_plant says where")
     has_shape = shape is not None
     if has_shape and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
         raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")
-    force, angle = np.asarray(reading.force, np.float64), np.asarray(reading.angle)
+    force = np.asarray(reading.force if true_force is None else true_force, np.float64)
+    angle = np.asarray(reading.angle)
     if not has_shape:
         tip = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
         shape = np.stack([np.zeros_like(tip), tip], axis=1)
@@ -91,6 +104,7 @@ def develop(plant: Plant, command: Command, shots: Shots, reference: Series | No
     return Footage(
         command=command,
         reading=reading,
+        true_force=true_force,
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
         shape=shape,
         length_m=length,
@@ -125,7 +139,7 @@ class Scale(NamedTuple):
 def greatest_of(footage: Footage) -> Float[np.ndarray, "2"]:
     """Return the sizes of the greatest force, and reference or mean force [N]; 0 where it has none."""
     means = np.concatenate([footage.average, NONE if footage.reference is None else footage.reference])
-    return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.reading.force, means)], float)
+    return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.force, means)], float)
 
 
 def scale_of(footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: Range | None = None) -> Scale:
@@ -133,7 +147,7 @@ def scale_of(footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, a
 
     Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within the `angle` [rad].
     """
-    length, force = footage.length_m, np.asarray(footage.reading.force, float)
+    length, force = footage.length_m, np.asarray(footage.force, float)
     asked = NONE if footage.reference is None else np.unique(footage.reference, axis=0)
     shown, angles = np.concatenate([force, asked]), np.concatenate([footage.reading.angle, footage.command.angle])
     force_n, mean_n = (greatest_of(footage) if greatest is None else greatest).tolist()

@@ -5,10 +5,11 @@
 const footage = JSON.parse(document.getElementById("footage").textContent);
 const { scale, ticks, points, window: span } = footage;
 const tank = element("tank"), traces = element("traces"), slider = element("time"), play = element("play");
+const force = footage.force_known ? "true force" : "force";
 const panels = [
   { name: "angle", unit: "rad", measured: footage.angle, asked: footage.command, mean: null, range: scale.angle },
-  { name: "force x", unit: "N", measured: footage.force_x, asked: footage.reference_x || null, mean: footage.mean_x, range: scale.force },
-  { name: "force y", unit: "N", measured: footage.force_y, asked: footage.reference_y || null, mean: footage.mean_y, range: scale.force },
+  { name: `${force} x`, unit: "N", measured: footage.force_x, asked: footage.reference_x || null, mean: footage.mean_x, range: scale.force },
+  { name: `${force} y`, unit: "N", measured: footage.force_y, asked: footage.reference_y || null, mean: footage.mean_y, range: scale.force },
 ];
 
 let now = 0, playing = false, hovered = null, last = null, coming = null;
@@ -86,7 +87,7 @@ function drawKeys(pen, width, height, pixels, tick, thick) {
     const end = width - 18 - pen.measureText(text).width;
     pen.fillRect(end - length, y - 6, length, 3);
   };
-  key(scale.key_n * scale.metres_per_newton * pixels, `${scale.key_n} N`, 22, colours.measured);
+  key(scale.key_n * scale.metres_per_newton * pixels, `${force} ${scale.key_n} N`, 22, colours.measured);
   if (footage.reference_x) {
     key(scale.mean_key_n * scale.metres_per_mean_newton * pixels, `asked for, mean ${scale.mean_key_n} N`, 44, colours.mean);
   }

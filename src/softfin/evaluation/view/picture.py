@@ -109,7 +109,7 @@ class Picture:
         per_newton, per_mean = scale.metres_per_newton, scale.metres_per_mean_newton
         arrows = {
             "asked": (ORANGE, 1.0, partial(arrow, lambda tick: self.footage.reference[tick], per_mean, 1.0)),
-            "force": (BLUE, 0.9, partial(arrow, lambda tick: self.footage.reading.force[tick], per_newton, 1.0)),
+            "force": (BLUE, 0.9, partial(arrow, lambda tick: self.footage.force[tick], per_newton, 1.0)),
             "mean": (BLACK, 1.0, partial(arrow, mean, per_mean, 0.5)),
         }
         self.arrows = {
@@ -129,7 +129,8 @@ class Picture:
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
         """Draw round forces, to measure the arrows by."""
         scale = self.scale
-        keys = [(f"force {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]
+        name = "force" if self.footage.true_force is None else "true force"
+        keys = [(f"{name} {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]
         if self.footage.reference is not None:
             text = f"asked for, mean {scale.mean_key_n:g} N"
             keys.append((text, scale.mean_key_n * scale.metres_per_mean_newton, BLACK))
@@ -146,17 +147,20 @@ class Picture:
         self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
         self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
+        # A true force is not measured.
+        is_read = self.footage.true_force is None
+        force, blue = ("force", "measured") if is_read else ("true force", "angle, true force")
         for i, axes in enumerate(forces):
             if self.footage.reference is not None:
                 asked = partial(lambda i, footage: footage.reference[:, i], i)
                 self._trace(axes, asked, ORANGE, 1.6, style="steps-pre")
-            self._trace(axes, partial(lambda i, footage: footage.reading.force[:, i], i), BLUE, 0.9)
+            self._trace(axes, partial(lambda i, footage: footage.force[:, i], i), BLUE, 0.9)
             self._trace(axes, partial(lambda i, footage: footage.average[:, i], i), BLACK, 1.8, WINDOW - 1)
-            axes.set(ylabel=f"force {AXES[i]} [N]", ylim=self.scale.force)
+            axes.set(ylabel=f"{force} {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
-        keys = {"asked for": ORANGE, "measured": BLUE, "mean over 2 s": BLACK}
+        keys = {"asked for": ORANGE, blue: BLUE, "mean over 2 s": BLACK}
         lines = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()]
         angle.legend(handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
                      handlelength=1.4, columnspacing=1.2)  # fmt: skip
