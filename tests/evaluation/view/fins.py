@@ -38,7 +38,7 @@ class OffsetSensor(BendingFin):
         return super().shape(state[0])
 
     def true_force(self, state: Any) -> Float[Array, "2"]:
-        force: Float[Array, "2"] = state[1]
+        force: Float[Array, 2] = state[1]
         return force
 
 
