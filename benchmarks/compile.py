@@ -1,8 +1,8 @@
 """What users wait for before anything runs: programs, seconds of tracing and of XLA, and their share of each stage.
 
 Each stage is a command in a process of its own with a cache of its own, run twice: cold, and again (warm). Other work
-on the machine lengthens all seconds. With SOFTFIN_PUBLISHED the published surrogate is the authors' nets; else nets of
-random weights with their layout stand in, which make the same programs.
+on the machine lengthens all seconds. With SOFTFIN_PUBLISHED the published surrogate is the authors' networks; otherwise
+networks of the same layout with random weights replace them, which make the same programs.
 """
 
 import json

@@ -1,7 +1,7 @@
 """Every way to a controller, side by side: training steps a second, and the time until the mean error is under 0.3 N.
 
-The time needs a real fin's surrogate: with SOFTFIN_PUBLISHED the folder of the authors' published nets, else it is left
-out. Speeds are of surrogates with their layout. RecurrentPPO is in benchmarks/ppo.py, against the same actions.
+The time needs a real fin's surrogate: with SOFTFIN_PUBLISHED the folder of the authors' published networks; otherwise
+it is left out. Speeds are of surrogates with their layout. RecurrentPPO is in benchmarks/ppo.py, with the same actions.
 """
 
 import os
@@ -63,7 +63,7 @@ def scaling(plant: Plant) -> dict[str, float]:
 
 
 def published() -> Surrogate | None:
-    """The authors' nets, where they are at hand."""
+    """The authors' networks, where they are at hand."""
     folder = os.environ.get("SOFTFIN_PUBLISHED")
     if folder is None:
         return None

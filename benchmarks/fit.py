@@ -1,7 +1,7 @@
-"""Fitting, of the paper's nets and of streaming ones: samples a second, share of the matrix-product rate.
+"""Fitting, of the paper's networks and of streaming ones: samples a second, share of the matrix-product rate.
 
-A streaming net goes through its stretches tick by tick, with products of a few dozen rows and columns: that, and the
-functions between them, keep it far from the rate of large products. What counts there is the time of a whole fit.
+A streaming network goes through its stretches tick by tick, with products of a few dozen rows and columns: that, and
+the functions between them, keep it far from the rate of large products. What counts there is the time of a whole fit.
 """
 
 from collections.abc import Callable
@@ -58,7 +58,7 @@ def main() -> list[dict[str, Any]]:
 
 
 def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], int, int]:
-    """A call of one update of the force nets; member-ticks of it, and FLOPs of each: forward, weights, inputs."""
+    """A call of one update of the force networks; member-ticks of it, and FLOPs of each: forward, weights, inputs."""
     config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
     members = ensemble(config.members, config.drive, config.force, scales, jax.random.key(0))

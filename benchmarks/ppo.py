@@ -1,7 +1,7 @@
 """LSTM-PPO with its updates in the published surrogate, against sb3-contrib's RecurrentPPO on the same task.
 
 Both learn the same Gymnasium task with their own defaults; RecurrentPPO's are the paper's (two LSTMs of 256 units,
-128 actions a rollout, 10 epochs). A second row of RecurrentPPO has softfin's 64 units, so that the size of the nets
+128 actions a rollout, 10 epochs). A second row of RecurrentPPO has softfin's 64 units, so that the size of the networks
 does not decide. Compilation is not counted: it is paid once, and its time is stated.
 """
 

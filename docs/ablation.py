@@ -41,7 +41,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 
 
 class WithoutQuasiSteady(ForceNet):
-    """A force net whose coefficients of added mass and drag stay at zero."""
+    """A force network whose coefficients of added mass and drag stay at zero."""
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Array]:
         """Advance by one tick, with the core alone."""

@@ -84,17 +84,17 @@ class Options(Configuration):
     run: Annotated[Path, Option("RUN", positional=True)]
     """Folder of all recordings, fits and scores."""
     minutes: Numbers = (2, 5, 10, 30, 100, 333)
-    """Of random excitation that streaming nets are fitted to."""
+    """Of random excitation that streaming networks are fitted to."""
     active: Numbers = (5, 10)
     """Of active excitation, in order; each goes on from the one before, the first from the random ones of `start`."""
     start: int = 2
     """Minutes of random excitation that the active one begins with; their fit chooses first."""
     paper: Numbers = ()
-    """Of random excitation that the paper's nets are fitted to."""
+    """Of random excitation that the paper's networks are fitted to."""
     seeds: Numbers = (0, 1, 2)
     """Of logs and weights."""
     set: tuple[str, ...] = ()
-    """Changes of the streaming nets' configuration: path=value."""
+    """Changes of the streaming networks' configuration: path=value."""
     choice: tuple[str, ...] = ()
     """Changes of the configuration of the active excitation: path=value, such as active.candidates=16."""
     choice_name: str = "active"
@@ -104,7 +104,7 @@ class Options(Configuration):
     same: Path | None = None
     """Dataset whose training logs are tested on as those of the same tank; recorded without it."""
     other: Path | None = None
-    """Dataset whose test logs are tested on as those under other conditions; recorded without it."""
+    """Dataset whose test logs are used as those of perturbed tanks; recorded without it."""
     figure: Path | None = None
     """Picture to draw: a .png or .svg."""
 
@@ -185,7 +185,7 @@ def pieces(folder: Path, minutes: int, seed: int) -> list[Log]:
 
 
 def test_logs(options: Options, name: str) -> list[Log]:
-    """Ten of the same tank, three under other conditions, 20,000 rows each, recorded once."""
+    """Ten of the same tank, three of perturbed tanks, 20,000 rows each, recorded once."""
     given = {"same": options.same, "other": options.other}[name]
     path = given or options.run / "logs" / f"test-{name}"
     if given is None and not artifacts.is_kind(path, "dataset"):

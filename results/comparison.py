@@ -1,7 +1,11 @@
 """Compare figures of one seed with the stated ones: does each lie where one further seed is expected?
 
-Over n >= 3 stated values the interval for one further value is mean +- t(n - 1, 0.975) s sqrt(1 + 1/n). The interval of
-the mean, which documents print, is sqrt(n + 1) times as narrow and would reject most single seeds.
+A value that repeats the stated one of its seed is inside. Otherwise it must lie in the interval for one further value:
+over n >= 3 stated values mean +- t(n - 1, 0.975) s sqrt(1 + 1/n). The interval of the mean, which documents print, is
+sqrt(n + 1) times as narrow and would reject most single seeds.
+
+One figure in twenty lies outside such an interval by chance. Two limits therefore hold for a whole run: the number of
+figures outside, and an interval so wide that no figure of a correct program lies outside it.
 """
 
 import math
@@ -9,12 +13,21 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from scipy.stats import binom, t
 
 from results.record import Value
-from softfin.core.window import interval
 
 TOLERANCE = 0.05
-"""Relative tolerance of a figure whose stated values do not differ, or are fewer than three."""
+"""Relative tolerance of a value that repeats that of its seed, or of a figure without an interval."""
+
+FEWEST = 3
+"""Stated values that an interval needs."""
+
+CONFIDENCE = 0.95
+"""Confidence of the interval for one further value."""
+
+FALSE_ALARM = 0.01
+"""Chance that a correct program exceeds one of the two limits of a run."""
 
 Verdict = Literal["inside", "outside", "missing", "not judged"]
 
@@ -34,12 +47,13 @@ def compare_figures(
     measured: Mapping[str, Mapping[str, Any]],
     digits: Mapping[str, float],
     default_digit: float,
+    confidence: float = CONFIDENCE,
 ) -> dict[str, Comparison]:
     """Compare all figures of a part by name; `digits` are the last printed ones."""
     comparisons = {}
     for name, figure in stated.items():
         if name in measured:
-            comparisons[name] = compare(figure, measured[name], digits.get(name, default_digit))
+            comparisons[name] = compare(figure, measured[name], digits.get(name, default_digit), confidence)
         else:
             comparisons[name] = Comparison("missing", figure["unit"], [], [])
     for name in measured.keys() - stated.keys():
@@ -47,24 +61,48 @@ def compare_figures(
     return comparisons
 
 
-def compare(stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float) -> Comparison:
-    """Compare one figure; each measured value must lie inside on each axis."""
+def allowed_outside(judged: int) -> int:
+    """Return how many of the judged figures of a correct program lie outside at most.
+
+    Figures are taken as independent. Those of one training are not, so the chance of a false alarm is somewhat larger.
+    """
+    return int(binom.ppf(1 - FALSE_ALARM, judged, 1 - CONFIDENCE))
+
+
+def compare(
+    stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float, confidence: float = CONFIDENCE
+) -> Comparison:
+    """Compare one figure; each measured value must repeat that of its seed or lie inside on each axis."""
     values = measured["values"]
     stated_axes = split_axes(stated["values"])
-    intervals = [further_interval(axis, stated["summary"], digit) for axis in stated_axes]
+    intervals = [further_interval(axis, stated["summary"], digit, confidence) for axis in stated_axes]
     if stated.get("machine_dependent") or measured.get("machine_dependent"):
         return Comparison("not judged", measured["unit"], values, intervals)
     if not values:
         return Comparison("missing", stated["unit"], [], intervals)
-    # null is a result as well: a force that never settled.
-    is_inside = None not in values or None in stated["values"]
-    measured_axes = split_axes(values)
-    if measured_axes and len(measured_axes) != len(stated_axes):
-        is_inside = False
-    for (low, high), axis in zip(intervals, measured_axes, strict=False):
-        for value in axis:
-            is_inside = is_inside and low <= value <= high
+    same_seed = dict(zip(stated["seeds"], stated["values"], strict=True))
+    is_inside = all(
+        repeats(value, same_seed.get(seed), digit) or lies_within(value, stated["values"], intervals)
+        for seed, value in zip(measured["seeds"], values, strict=True)
+    )
     return Comparison("inside" if is_inside else "outside", measured["unit"], values, intervals)
+
+
+def repeats(value: Value, stated: Value, digit: float) -> bool:
+    """Return whether a value equals the stated one of the same seed, but for rounding."""
+    if value is None or stated is None:
+        return False
+    return np.shape(value) == np.shape(stated) and np.allclose(value, stated, rtol=TOLERANCE, atol=digit)
+
+
+def lies_within(value: Value, stated: Sequence[Value], intervals: Sequence[tuple[float, float]]) -> bool:
+    """Return whether a value lies in the interval of each axis; null is a force that never settled."""
+    if value is None:
+        return None in stated
+    axes = np.atleast_1d(value)
+    return len(axes) == len(intervals) and all(
+        low <= axis <= high for axis, (low, high) in zip(axes, intervals, strict=True)
+    )
 
 
 def split_axes(values: Sequence[Value]) -> list[list[float]]:
@@ -76,10 +114,12 @@ def split_axes(values: Sequence[Value]) -> list[list[float]]:
     return [axis.tolist() for axis in axes]
 
 
-def further_interval(values: Sequence[float], summary: str, digit: float) -> tuple[float, float]:
+def further_interval(
+    values: Sequence[float], summary: str, digit: float, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
     """Return the interval for one further value; a worst case has no lower end."""
     mean = sum(values) / len(values)
-    margin = further_margin(values)
+    margin = further_margin(values, confidence)
     low = mean - margin
     high = mean + margin
     if margin < digit:
@@ -91,9 +131,9 @@ def further_interval(values: Sequence[float], summary: str, digit: float) -> tup
     return low, high
 
 
-def further_margin(values: Sequence[float]) -> float:
+def further_margin(values: Sequence[float], confidence: float = CONFIDENCE) -> float:
     """Return t s sqrt(1 + 1/n), which is sqrt(n + 1) times the margin of the mean; 0 for fewer than three values."""
-    mean_interval = interval(np.asarray(values))
-    if mean_interval is None:
+    count = len(values)
+    if count < FEWEST:
         return 0.0
-    return math.sqrt(len(values) + 1) * (mean_interval[1] - mean_interval[0]) / 2
+    return float(t.ppf((1 + confidence) / 2, count - 1) * np.std(values, ddof=1) * math.sqrt(1 + 1 / count))

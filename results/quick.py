@@ -10,13 +10,13 @@ import os
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from results import documents, history
-from results.comparison import Comparison, Verdict, compare_figures
+from results.comparison import CONFIDENCE, FALSE_ALARM, Comparison, Verdict, allowed_outside, compare_figures
 from results.parts import Part, Work
 from results.record import QUIET_CORES, load, machine, shown, versions
 from results.steps import Runner, Step
@@ -41,6 +41,7 @@ class PartResult(NamedTuple):
     is_failure: bool = False
     """Whether this fails the run; leaving a part out does not."""
     comparisons: Mapping[str, Comparison] = {}
+    measured: Mapping[str, Mapping[str, Any]] = {}
 
     def count(self, verdict: Verdict) -> int:
         """Return the number of figures with a verdict."""
@@ -90,13 +91,14 @@ def run_quick(table: Mapping[str, Part], work: Path, folder: Path, say: Say) -> 
     for name, part in table.items():
         reason = explain_missing(name, part)
         results[name] = compare_part(name, part, work, folder, failures) if reason is None else PartResult(reason)
-    verdict = describe_verdict(results)
+    far_outside = find_far_outside(results, folder)
+    verdict = describe_verdict(results, far_outside)
     report = make_report(results, verdict, (time.perf_counter() - start_s) / 60)
     work.mkdir(parents=True, exist_ok=True)
     report_file.write_text(json.dumps(report, indent=1) + "\n")
     for line in (*format_table(results), *format_figures(results, folder), verdict):
         say(line)
-    return int(not has_passed(results))
+    return int(not has_passed(results, far_outside))
 
 
 def explain_missing(name: str, part: Part) -> str | None:
@@ -147,15 +149,35 @@ def compare_part(name: str, part: Part, work: Path, folder: Path, failures: Mapp
         if step.name in failures:
             return PartResult(failures[step.name], is_failure=True)
     if not (folder / f"{name}.json").is_file():
-        return PartResult(f"no results/{name}.json to compare with; run `python -m results {name}`", is_failure=True)
-    digits = {figure: digit for (owner, figure), digit in documents.printed_digits().items() if owner == name}
-    default_digit = documents.last_digit(documents.DEFAULT_FORM)
+        return PartResult(f"no results/{name}.json to compare with; run `python -m results {name}`")
     try:
         measured = part.figures(Work(work))
-        comparisons = compare_figures(load(name, folder)["figures"], measured, digits, default_digit)
+        comparisons = compare_stated(name, folder, measured)
     except (LookupError, OSError, TypeError, ValueError) as error:
         return PartResult(f"its files are not as expected: {error!r}", is_failure=True)
-    return PartResult(None, comparisons=comparisons)
+    return PartResult(None, comparisons=comparisons, measured=measured)
+
+
+def compare_stated(
+    name: str, folder: Path, measured: Mapping[str, Mapping[str, Any]], confidence: float = CONFIDENCE
+) -> dict[str, Comparison]:
+    """Compare measured figures with the JSON of a part."""
+    digits = {figure: digit for (owner, figure), digit in documents.printed_digits().items() if owner == name}
+    default_digit = documents.last_digit(documents.DEFAULT_FORM)
+    return compare_figures(load(name, folder)["figures"], measured, digits, default_digit, confidence)
+
+
+def find_far_outside(results: Mapping[str, PartResult], folder: Path) -> list[str]:
+    """Return the figures that lie outside even where the chance that any figure does is `FALSE_ALARM`."""
+    judged = count_all(results, "inside") + count_all(results, "outside")
+    confidence = 1 - FALSE_ALARM / max(judged, 1)
+    return [
+        f"{name}.{figure}"
+        for name, result in results.items()
+        if result.count("outside")
+        for figure, comparison in compare_stated(name, folder, result.measured, confidence).items()
+        if comparison.verdict == "outside"
+    ]
 
 
 def count_all(results: Mapping[str, PartResult], verdict: Verdict) -> int:
@@ -163,21 +185,24 @@ def count_all(results: Mapping[str, PartResult], verdict: Verdict) -> int:
     return sum(result.count(verdict) for result in results.values())
 
 
-def has_passed(results: Mapping[str, PartResult]) -> bool:
-    """Return whether no part failed and all figures that were compared, at least one, lie inside."""
-    if any(result.is_failure for result in results.values()):
+def has_passed(results: Mapping[str, PartResult], far_outside: Sequence[str]) -> bool:
+    """Return whether no part failed, no figure is missing or far outside, and no more are outside than by chance."""
+    if any(result.is_failure for result in results.values()) or far_outside:
         return False
-    is_complete = count_all(results, "outside") == 0 and count_all(results, "missing") == 0
-    return is_complete and count_all(results, "inside") > 0
+    inside, outside = count_all(results, "inside"), count_all(results, "outside")
+    return inside > 0 and count_all(results, "missing") == 0 and outside <= allowed_outside(inside + outside)
 
 
-def describe_verdict(results: Mapping[str, PartResult]) -> str:
+def describe_verdict(results: Mapping[str, PartResult], far_outside: Sequence[str]) -> str:
     """Return the last line of a run, which starts with PASS or FAIL."""
-    counts = (
-        f"{count_all(results, 'inside')} figures inside their intervals, {count_all(results, 'outside')} outside, "
+    inside, outside = count_all(results, "inside"), count_all(results, "outside")
+    text = (
+        f"{'PASS' if has_passed(results, far_outside) else 'FAIL'}: {inside} figures inside their intervals, "
+        f"{outside} outside (by chance at most {allowed_outside(inside + outside)}), "
         f"{count_all(results, 'missing')} missing"
     )
-    text = f"{'PASS' if has_passed(results) else 'FAIL'}: {counts}"
+    if far_outside:
+        text += f"; far outside: {', '.join(far_outside)}"
     failed = [name for name, result in results.items() if result.is_failure]
     if failed:
         text += f"; failed: {', '.join(failed)}"

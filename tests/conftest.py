@@ -68,8 +68,8 @@ def few_programs() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def published() -> Path:
-    """The folder of the authors' published nets, which are not part of softfin."""
+    """The folder of the authors' published networks, which are not part of softfin."""
     if not (PUBLISHED / "cnn_pos_net.keras").is_file():
-        reason = f"the authors' published nets are not at {PUBLISHED}; set SOFTFIN_PUBLISHED to their folder"
+        reason = f"the authors' published networks are not at {PUBLISHED}; set SOFTFIN_PUBLISHED to their folder"
         needs.give_up("published", reason)
     return PUBLISHED

@@ -115,3 +115,22 @@ class StrokeFin(eqx.Module):
         """A stroke is one whole, which many ticks one by one are not."""
         (_, angle), reading = self.advance(state, command, MOST_TICKS)
         return (jnp.asarray(reading.time)[ticks - 1], angle), reading
+
+
+class Misread(PlainFin):
+    """A user's simulator whose sensor is off by 0.4 N in x, and which knows the true force."""
+
+    def advance(self, state, command, ticks):
+        state, reading = super().advance(state, command, ticks)
+        return (state, reading.force[-1]), reading._replace(force=reading.force + jnp.array([0.4, 0.0]))
+
+    def init(self, key):
+        return super().init(key), jnp.zeros(2)
+
+    def true_force(self, state):
+        return state[1]
+
+
+class MisreadFin(Misread):
+    def advance(self, state, command, ticks):
+        return super().advance(state[0], command, ticks)

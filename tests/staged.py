@@ -1,4 +1,4 @@
-"""What the commands of the documents name, at tiny sizes: logs, nets with random weights, controllers, a map.
+"""What the commands of the documents name, at tiny sizes: logs, networks with random weights, controllers, a map.
 
 Nothing is recorded, learnt or searched for: what is asked of them is to be there and to be read.
 """
@@ -184,7 +184,7 @@ def scalers(path: Path) -> None:
 
 
 def surrogate(path: Path) -> None:
-    """Streaming nets."""
+    """Streaming networks."""
     fitted = streaming.surrogate()
     # Others of one configuration differ by what they learnt.
     fitted = eqx.tree_at(
@@ -194,7 +194,7 @@ def surrogate(path: Path) -> None:
 
 
 def paper_surrogate(path: Path) -> None:
-    """The paper's nets, for all commands that a controller gives."""
+    """The paper's networks, for all commands that a controller gives."""
     nets = paper.surrogate()
     scaling = dict(nets.scaling.channels)
     for name, low, high in zip(

@@ -1,7 +1,8 @@
 """What parts are made of: steps that several share, and how their files are read.
 
 Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate that is fitted to
-them, the controllers that are trained in it and the tanks, noise and drift of their evaluation all come from N.
+them and the controllers that are trained in it come from N; the tanks, noise and drift of their evaluation come from
+`evaluation_seed` of N.
 """
 
 import json
@@ -146,10 +147,17 @@ def train(kind: str, options: str, surrogate: str, seed: int | None, minutes: fl
     return step(name, f"softfin train {surrogate} {options}{chance}", minutes, seed, tiny)
 
 
+def evaluation_seed(seed: int) -> int:
+    """Return the seed with which controllers and baselines of a chain are evaluated.
+
+    Force feedback was tried out in tanks of smaller seeds, some of them seeds of chains.
+    """
+    return 100 + seed
+
+
 def evaluate(controller: Step, plant: str, name: str, options: str, minutes: float) -> Step:
     """Evaluation of a trained controller, with the noise, drift and tanks of its seed."""
     tiny = "--seconds 6 --random 3" if "--random" in options else "--seconds 6"
-    # Force feedback was tried out in tanks of small seeds.
-    seed = "" if controller.seed is None else f" --seed {100 + controller.seed}"
+    seed = "" if controller.seed is None else f" --seed {evaluation_seed(controller.seed)}"
     command = f"softfin evaluate {controller.name} --plant {plant} {options}{seed}"
     return step(f"{name}-{controller.name}", command, minutes, controller.seed, tiny)

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
+import numpy as np
+
 from results.parts.common import (
     CONTROLLERS,
     PUBLISHED,
@@ -11,6 +13,7 @@ from results.parts.common import (
     Work,
     dataset,
     evaluate,
+    evaluation_seed,
     names_of,
     pair,
     paper,
@@ -132,11 +135,12 @@ def _in_tank(
                     readings = [pair(row["mean"], "reading_error_n") for row in rows]
                     figures[f"{key}.reading"] = figure("N", readings, seeds)
                 if way.startswith("perturbed"):
-                    # A value per tank, so that tables can state how much tanks differ.
-                    tanks = [
-                        list(tank) for row in rows for tank in zip(*pair(row["mean"], "error_seeds_n"), strict=True)
-                    ]
-                    figures[f"{key}.tanks"] = figure("N", tanks)
+                    # How much the tanks of one seed differ.
+                    tanks = [np.asarray(pair(row["mean"], "error_seeds_n")) for row in rows]
+                    quantiles = [np.quantile(each, 0.95, axis=1).tolist() for each in tanks]
+                    figures[f"{key}.tanks_95"] = figure("N", quantiles, seeds)
+                    worst = [each.max(axis=1).tolist() for each in tanks]
+                    figures[f"{key}.tanks_worst"] = figure("N", worst, seeds, "worst")
                 deviations = [pair(row["mean"], "std_n") for row in rows]
                 figures[f"{key}.std"] = figure("N", deviations, seeds)
                 for index, row in enumerate(rows[0]["references"]):
@@ -165,7 +169,10 @@ def baselines_tank(seeds: Sequence[int]) -> Part:
 def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
     tiny = "--seconds 6 --seeds 1 --set search.gaits=8 --set search.kept=1 --set search.refinements=0"
     command = f"softfin baselines {options} --seed"
-    steps = [step(f"baselines-{plant}-{seed}", f"{command.format(seed)} {seed}", 2, seed, tiny) for seed in seeds]
+    steps = [
+        step(f"baselines-{plant}-{seed}", f"{command.format(seed)} {evaluation_seed(seed)}", 2, seed, tiny)
+        for seed in seeds
+    ]
     return Part(f"Baselines, {plant}", (*before, *steps), lambda work: _means(work, plant, seeds))
 
 

@@ -77,8 +77,8 @@ def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked
 
 def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path, dataset, asked):
     text = run(capsys, "fit", dataset, "--model", "auto", "--out", str(tmp_path / "s"))
-    assert "Drive nets, commands to angle" in text
-    assert "Force nets, free-running behind the drive nets" in text
+    assert "Drive networks, commands to angle" in text
+    assert "Force networks, free-running behind the drive networks" in text
     (chosen,) = [line for line in text.splitlines() if "<- chosen" in line]
     assert chosen.startswith("paper ")
     assert "0.5000" in chosen

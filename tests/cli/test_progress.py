@@ -11,11 +11,11 @@ def lines():
 
 
 def test_a_stage_is_told_when_it_begins_and_when_it_ends(lines, capsys):
-    lines.report(0.0, "fit", 0.1, "drive nets")
-    lines.report(1.0, "fit", 0.5, "drive nets")
-    lines.report(2.0, "fit", 1.0, "force nets")
+    lines.report(0.0, "fit", 0.1, "drive networks")
+    lines.report(1.0, "fit", 0.5, "drive networks")
+    lines.report(2.0, "fit", 1.0, "force networks")
     lines.report(2.1, "fit", 1.0, "scores")
-    assert capsys.readouterr().err == "fit: 10% drive nets\nfit: 100% force nets\n"
+    assert capsys.readouterr().err == "fit: 10% drive networks\nfit: 100% force networks\n"
 
 
 def test_lines_come_at_a_steady_pace_while_nothing_is_reported(lines, capsys):

@@ -94,9 +94,9 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
     """Against the textbook's matrices, with a measurement of variance 6 noise^2 a action."""
     config = DisturbanceObserverConfig(lag_actions=0)
     _, states = forces(DisturbanceObserver(Carrier(), config), still(60), ripple=0.0)
-    kept = np.exp(-1 / (3 * config.drift_s))
+    kept = np.exp(-1 / (3 * 2 * config.drift_s))
     transition = np.diag([1.0, kept])
-    process = np.diag([0.0, (1 - kept**2) * config.drift_n**2])
+    process = np.diag([0.0, (1 - kept**2) * 2 * config.drift_n**2])
     covariance = np.diag([config.bias_n**2, 0.0])
     estimate = np.zeros((2, 2))
     sensed = np.ones((1, 2))
@@ -112,14 +112,43 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
         np.testing.assert_allclose(states.drift[action], estimate[1], atol=1e-4)
 
 
+def test_the_variance_of_the_drift_is_that_of_a_zeroed_sensor() -> None:
+    """Of w(t) - w(0), where w is a stationary Ornstein-Uhlenbeck process: 2 s^2 (1 - exp(-t / tau))."""
+    config = DisturbanceObserverConfig(settle_actions=1000)
+    _, states = forces(DisturbanceObserver(Carrier(), config), still(900))
+    time_s = np.arange(1, 901) / 3
+    expected = 2 * config.drift_n**2 * (1 - np.exp(-time_s / config.drift_s))
+    np.testing.assert_allclose(states.covariance[:, 2], expected, rtol=1e-3)
+
+
+def test_the_variance_of_the_bias_grows_with_the_distance_that_the_reference_moves() -> None:
+    """As much in ten small steps as in one large step."""
+    config = DisturbanceObserverConfig(settle_actions=1000)
+    observer = DisturbanceObserver(Carrier(), config)
+    small = np.linspace(1, 2, 11)[:, None] * np.ones(2)
+    large = np.where(np.arange(11) > 0, 2.0, 1.0)[:, None] * np.ones(2)
+    for references in (small, large):
+        _, states = forces(observer, references)
+        np.testing.assert_allclose(states.covariance[-1, 0], config.bias_n**2 + config.bias_per_n**2, rtol=1e-4)
+
+
+def test_the_action_of_a_step_is_not_learnt_from() -> None:
+    """Its window belongs to the reference before the step, but the variance of the bias already to the new one."""
+    _, constant = forces(OBSERVED, still(41), bias=(0.6, -0.2), ripple=0.0)
+    _, stepped = forces(OBSERVED, np.concatenate([still(40), still(1, (2.5, 0.0))]), bias=(0.6, -0.2), ripple=0.0)
+    np.testing.assert_allclose(stepped.bias[40], stepped.bias[39], atol=1e-5)
+    assert (abs(constant.bias[40] - constant.bias[39]) > 1e-4).any()
+
+
 def drifting(seed: int, count: int) -> np.ndarray:
-    """Drift of a sensor that was just zeroed: standard deviation 0.05 N, 300 s."""
+    """Reading of a sensor that was just zeroed and drifts with a standard deviation of 0.05 N and 300 s."""
     random = np.random.default_rng(seed)
     kept = np.exp(-1 / 900)
     drift = np.zeros((count, 2))
+    drift[0] = 0.05 * random.standard_normal(2)
     for action in range(1, count):
         drift[action] = kept * drift[action - 1] + 0.05 * np.sqrt(1 - kept**2) * random.standard_normal(2)
-    return drift
+    return drift - drift[0]
 
 
 def test_drift_of_the_sensor_is_not_chased() -> None:

@@ -165,7 +165,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     ]  # fmt: skip
     page = (out / "report.html").read_text()
     assert "<svg" in page
-    # Neither this fin nor the paper's nets can move in a page.
+    # Neither this fin nor the paper's networks can move in a page.
     assert not (out / "explore.html").exists()
     assert "explore.html" not in page
     assert "src=" not in page

@@ -9,7 +9,7 @@ from softfin.core.plant import Plant
 from softfin.core.quantities import Command
 from softfin.evaluation.experiment import ExperimentRecording, independent, run
 from softfin.evaluation.scores import judged_force, score
-from tests.plants import AnalyticFin, Flapper, PlainFin
+from tests.plants import AnalyticFin, Flapper, MisreadFin, PlainFin
 
 REFERENCES = np.array([[1, -1], [2, 0], [3, 1]], np.float32)
 KEYS = jax.random.split(jax.random.key(0), 2)
@@ -103,25 +103,6 @@ def test_a_moving_reference_that_stays_does_as_a_constant_one(recording):
     np.testing.assert_allclose(
         run(Echo(), AnalyticFin(), stays, 2, KEYS).reading.force, recording.reading.force, atol=1e-6
     )
-
-
-class Misread(PlainFin):
-    """A user's simulator whose sensor is off by 0.4 N in x, and which knows the true force."""
-
-    def advance(self, state, command, ticks):
-        state, reading = super().advance(state, command, ticks)
-        return (state, reading.force[-1]), reading._replace(force=reading.force + jnp.array([0.4, 0.0]))
-
-    def init(self, key):
-        return super().init(key), jnp.zeros(2)
-
-    def true_force(self, state):
-        return state[1]
-
-
-class MisreadFin(Misread):
-    def advance(self, state, command, ticks):
-        return super().advance(state[0], command, ticks)
 
 
 def test_the_true_force_is_recorded_where_a_plant_knows_it_and_judges():

@@ -172,9 +172,7 @@ def test_the_headline_is_of_the_best_controller_and_bounds_its_error_at_every_re
     assert best.holds
     assert best.sentence == "The fin holds each of six forces within 0.04 N on average."
     corrected = headline({"controllers": {"good": good}, "trimmed": {"good": with_errors(summary, [0.01] * 6)}})
-    assert (
-        "within 0.01 N on average; without correcting itself by the measured force, within 0.04" in corrected.sentence
-    )
+    assert "within 0.01 N on average; without force feedback, within 0.04" in corrected.sentence
 
 
 def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(evaluation):
@@ -191,7 +189,7 @@ def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(e
 
 def test_the_page_begins_with_the_headline(page):
     assert page.tags.index("strong") < page.tags.index("nav") < page.tags.index("table")
-    assert "stands still at some of the forces" in page.words or "of six forces within" in page.words
+    assert "stands still at some of the target forces" in page.words or "of six forces within" in page.words
     assert "window" in page.words.partition("Definitions")[0]
 
 

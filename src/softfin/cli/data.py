@@ -30,7 +30,7 @@ class CollectArguments(Armed, Configured):
     logs: int | None = None
     """Training logs to record (the paper's 100)."""
     test_logs: int | None = None
-    """Test logs to record, under other conditions (the paper's 3; none with --extend)."""
+    """Test logs to record, in perturbed tanks (the paper's 3; none with --extend)."""
     rows: int | None = None
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None

@@ -28,7 +28,7 @@ class FitArguments(LogOptions, Configured):
     out: Out
     """Folder of the surrogate to write."""
     model: ModelName = "streaming"
-    """streaming: an ensemble of recurrent nets; paper: PosNet and ForceNet; auto: both, of which the
+    """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet; auto: both, of which the
     best on held-out logs is kept."""
     ignore_errors: bool = False
     """Take logs with errors, too."""
@@ -86,7 +86,7 @@ def warning(counts: Mapping[str, int], dataset: Path) -> str:
 
 
 class ImportKerasArguments(Common):
-    """Turn two Keras 2 nets and their scalers into a surrogate; needs no TensorFlow and reads no pickle."""
+    """Turn two Keras 2 networks and their scalers into a surrogate; needs no TensorFlow and reads no pickle."""
 
     scalers: File
     """JSON of {channel: {scale, offset, data_min, data_max}}."""
@@ -120,7 +120,7 @@ class CompareArguments(Configured):
     """How long they run free, as 1,5,30 in seconds (1,5,30)."""
     noise_floor: Plant | None = None
     """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
-    drift and other conditions leave."""
+    drift and perturbed tanks leave."""
     seed: int | None = None
     """Seed of the second recording's noise (0)."""
 

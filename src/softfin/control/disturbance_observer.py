@@ -10,7 +10,11 @@ correction of d would move the true force away from the reference. The two diffe
 so d starts at 0 and then wanders; b is there from the start, and changes with the reference. A Kalman filter with the
 states b and d, on each axis, therefore attributes an early error to the controller and a late, slow one to the sensor:
 
-    b: random walk with the reference      d: Ornstein-Uhlenbeck, standard deviation and time constant of the sensor
+    b: random walk over the distance that the reference moves
+    d: Ornstein-Uhlenbeck process from 0, standard deviation sqrt(2) drift_n, time constant 2 drift_s
+
+A sensor whose drift w(t) has the standard deviation drift_n and the time constant drift_s reads w(t) - w(0) after it
+was zeroed. The variance of that is 2 drift_n^2 (1 - exp(-t / drift_s)), which is the variance of d.
 
 An error that drift cannot explain is a change of the fin, and reopens the estimate of b. The inner reference stays
 within the controller's cells and the reachable forces, so the observer does not wind up at their edge.
@@ -44,9 +48,11 @@ class DisturbanceObserverConfig(Configuration):
     bias_n: PositiveFloat = 0.2
     """Standard deviation of the controller's force error before anything is measured [N]."""
     bias_per_n: NonNegativeFloat = 0.03
-    """Standard deviation of the change of that error when the reference changes by 1 N [-]."""
+    """Standard deviation of the change of that error when the reference changes by 1 N [N]; the variance is
+    proportional to the distance, so a slow movement adds as much as a step."""
     drift_n: NonNegativeFloat = 0.05
-    """Standard deviation of the force sensor's drift [N]; 0 attributes every error to the controller."""
+    """Standard deviation of the drift of a force sensor that is never zeroed [N]; 0 attributes every error to the
+    controller."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
     noise_n: PositiveFloat = 0.04
@@ -178,27 +184,27 @@ class DisturbanceObserver:
         config = self.config
         xp = ops.xp
         # Predict. The bias may change where the reference changes; before the first action there is no change yet.
-        step = abs(reference - state.references[0]).max()
-        change = ops.choose(state.age > 0, lambda: (config.bias_per_n * step) ** 2, lambda: 0.0 * step)
-        kept = math.exp(-1 / (ACTION_RATE_HZ * config.drift_s))
+        distance = abs(reference - state.references[0]).max()
+        change = ops.choose(state.age > 0, lambda: config.bias_per_n**2 * distance, lambda: 0.0 * distance)
+        kept = math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s))
         drift = kept * state.drift
         bias_variance = state.covariance[0] + change
         cross = kept * state.covariance[1]
-        drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * config.drift_n**2
-        # Neighbouring windows share all actions but one, so a window counts as one sixth of a measurement. While the
-        # reference moves, the fin's lag looks like an error that lasts as long as the movement, so averaging
+        drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * config.drift_n**2
+        # While the reference moves, the fin's lag looks like an error that lasts as long as the movement, so averaging
         # neighbouring windows does not remove it. The slow motion of the correction itself is excluded; otherwise it
         # would block its own update.
-        moved = (state.references.max(axis=0) - state.references.min(axis=0)).max()
-        trust = xp.minimum(1, config.still_n / xp.maximum(moved, 1e-6)) ** 4
-        noise_variance = CYCLE_ACTIONS * config.noise_n**2 / trust
+        highest = xp.maximum(state.references.max(axis=0), reference)
+        lowest = xp.minimum(state.references.min(axis=0), reference)
+        movement = xp.maximum((highest - lowest).max(), config.still_n)
+        noise_variance = (config.noise_n * (movement / config.still_n) ** 2) ** 2
         innovation = error - state.bias - drift
         # An error beyond three standard deviations cannot be drift: the fin or the water has changed.
-        expected = bias_variance + 2 * cross + drift_variance + config.noise_n**2
+        expected = bias_variance + 2 * cross + drift_variance + noise_variance
         learns = ops.choose(state.age >= config.settle_actions, lambda: 1.0, lambda: 0.0)
-        bias_variance = bias_variance + learns * trust * xp.maximum((innovation**2).max() - 9 * expected, 0.0)
-        # Update.
-        total = bias_variance + 2 * cross + drift_variance + noise_variance
+        bias_variance = bias_variance + learns * xp.maximum((innovation**2).max() - 9 * expected, 0.0)
+        # Update. Neighbouring windows share all actions but one, so a window counts as one sixth of a measurement.
+        total = bias_variance + 2 * cross + drift_variance + CYCLE_ACTIONS * noise_variance
         bias_gain = learns * (bias_variance + cross) / total
         drift_gain = learns * (cross + drift_variance) / total
         bias = state.bias + bias_gain * innovation

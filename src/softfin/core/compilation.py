@@ -13,12 +13,12 @@ _OLDER = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__[:2] == (
 
 
 def sooner_compiled(function: Function) -> Function:
-    """A third less time to compile; the nets of a surrogate learn as fast."""
+    """A third less time to compile; the networks of a surrogate learn as fast."""
     return cast(Function, cast(Any, eqx.filter_jit)(function, compiler_options=_OLDER))
 
 
 def briefly_used(function: Function) -> Function:
-    """Half the time to compile; the virtual tank runs as fast, the nets of a surrogate take up to 1.5 times as long."""
+    """Half the time to compile; the virtual tank runs as fast, a surrogate's networks take up to 1.5 times as long."""
     return _compiled(function, 1)
 
 

@@ -1,7 +1,7 @@
-"""Call a function as soon as JAX is imported, by whomever, without importing it.
+"""Run a function once JAX is imported, without importing JAX here.
 
-Robots run controllers without JAX, and a second of every other command would go to importing it. So whatever softfin
-sets up in JAX waits until some module imports it.
+A robot runs controllers without JAX, and importing JAX takes about a second, which most commands do not need. softfin
+therefore delays its JAX settings until some module imports JAX.
 """
 
 import sys
@@ -15,7 +15,7 @@ JAX = "jax"
 
 
 def when_jax_is_imported(action: Callable[[], None]) -> None:
-    """Call the action now if JAX has been imported, else at the end of its import."""
+    """Call the action now if JAX is already imported, otherwise right after its import."""
     if sys.modules.get(JAX) is not None:
         action()
         return
@@ -25,7 +25,7 @@ def when_jax_is_imported(action: Callable[[], None]) -> None:
 
 
 class _JaxFinder(MetaPathFinder):
-    """Finds JAX as the other finders do, and makes its loader call the actions."""
+    """Import hook: finds JAX with the other finders and makes its loader call the actions after the import."""
 
     def __init__(self) -> None:
         self.actions: list[Callable[[], None]] = []

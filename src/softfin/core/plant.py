@@ -107,9 +107,20 @@ def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]
     return jax.lax.scan(partial(_tick, plant), state, commands)
 
 
+def roll_with_true_force(plant: Plant, state: State, commands: Command) -> tuple[State, tuple[Reading, Array | None]]:
+    """Issue commands as `roll` does; also return the true force ``(ticks, 2)`` [N], None where it is not known."""
+    check_commands(plant.limits, commands)
+    return jax.lax.scan(partial(_tick_with_true_force, plant), state, commands)
+
+
 def _tick(plant: Plant, state: State, command: Command) -> tuple[State, Reading]:
     state, reading = plant.advance(state, command, 1)
     return state, jax.tree.map(lambda x: x[0], reading)
+
+
+def _tick_with_true_force(plant: Plant, state: State, command: Command) -> tuple[State, tuple[Reading, Array | None]]:
+    state, reading = _tick(plant, state, command)
+    return state, (reading, plant.true_force(state) if isinstance(plant, TrueForcePlant) else None)
 
 
 def rest_command(limits: Limits) -> Command:
@@ -130,15 +141,13 @@ def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> t
 
 
 def hold_action_with_true_force(
-    plant: TrueForcePlant, state: State, command: Command, ticks: Ticks
-) -> tuple[State, tuple[Reading, Array]]:
-    """Hold a command as `hold_action` does; also return the true force of each tick ``(34, 2)`` [N]."""
-
-    def tick(state: State) -> tuple[State, tuple[Reading, Array]]:
-        state, reading = _tick(plant, state, command)
-        return state, (reading, plant.true_force(state))
-
-    return repeat(tick, state, ticks)
+    plant: Plant, state: State, command: Command, ticks: Ticks
+) -> tuple[State, tuple[Reading, Array | None]]:
+    """Hold a command as `hold_action` does; also return the true force ``(34, 2)`` [N], None where it is not known."""
+    if not isinstance(plant, TrueForcePlant):
+        state, reading = hold_action(plant, state, command, ticks)
+        return state, (reading, None)
+    return repeat(lambda state: _tick_with_true_force(plant, state, command), state, ticks)
 
 
 def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:

@@ -31,7 +31,7 @@ class CollectConfig(Configuration):
     logs: int = pydantic.Field(default=100, ge=1)
     """Number of training logs; the paper's 100."""
     test_logs: int = pydantic.Field(default=3, ge=0)
-    """Number of test logs; the paper's 3, under other conditions."""
+    """Number of test logs; the paper's 3, in perturbed tanks."""
     rows: int = pydantic.Field(default=20_000, ge=2)
     """Readings per log at 100 Hz; the paper's 20,000, which are 200 s."""
     seed: int = pydantic.Field(default=0, ge=0)

@@ -16,16 +16,7 @@ from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
 from softfin.core.compilation import briefly_used
 from softfin.core.errors import PlantError
-from softfin.core.plant import (
-    Plant,
-    State,
-    Ticks,
-    TrueForcePlant,
-    counted,
-    hold_action,
-    hold_action_with_true_force,
-    mean_of,
-)
+from softfin.core.plant import Plant, State, Ticks, counted, hold_action_with_true_force, mean_of
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
@@ -158,11 +149,7 @@ def _program(
         """Act on what was read while the action before was held."""
         (memory, state, measured), (reference, ticks) = carry, now
         memory, command = controller.act(memory, measured, reference)
-        true_force = None
-        if isinstance(plant, TrueForcePlant):
-            state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
-        else:
-            state, reading = hold_action(plant, state, command, ticks)
+        state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
         measured = Measured(jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks))
         held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
         return (memory, state, measured), (held, reading, true_force)

@@ -1,4 +1,4 @@
-"""The outcome of a whole run in one sentence: does the controller hold the forces that are asked for?"""
+"""The outcome of a whole run in one sentence: does the controller hold the target forces?"""
 
 import math
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ class Headline(NamedTuple):
 
 
 def headline(results: Mapping[str, Any]) -> Headline | None:
-    """Choose the best controller of a run's ``results.json``, with the outer loop where there is one; None of none.
+    """Choose the best controller of a run's ``results.json``, with force feedback if evaluated; None if there is none.
 
     A controller under which the fin stands still comes last, however small its error.
     """
@@ -47,9 +47,9 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
         sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
         if plain is not None:
             before = max(map(greatest_error, plain["references"]))
-            sentence += f"; without correcting itself by the measured force, within {within(before)} N"
+            sentence += f"; without force feedback, within {within(before)} N"
     elif still:
-        sentence = "The fin stands still at some of the forces that were asked for: this controller does not work"
+        sentence = "The fin stands still at some of the target forces: this controller does not work"
     else:
         worst = max(too_far, key=lambda reference: too_far[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
@@ -60,9 +60,9 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
     seconds, window = summary["conditions"]["duration_s"], summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
     caption = (
-        f"The mean force over the last {window / rate:g} s (lines) and the force that was asked for (dashed, with "
+        f"The mean force over the last {window / rate:g} s (lines) and the target force (dashed, with "
         f"{SETTLED_N:g} N on both sides), from rest for {seconds} s: controller {name}"
-        f"{', correcting itself' if plain is not None else ''}, the first of {summary['conditions']['seeds']} runs."
+        f"{', with force feedback' if plain is not None else ''}, the first of {summary['conditions']['seeds']} runs."
     )
     return Headline(name, f"{sentence}.", caption, not too_far and not still)
 

@@ -44,7 +44,7 @@ def write_report(path: Path, results: Mapping[str, Any], figures: Mapping[str, F
     ``surrogate``     ``{"scores": ...}`` of `softfin.surrogate.compare.scores.table_one`, or None (imported)
     ``stages``        what was done, each with ``what`` and ``wall_s``
     ``controllers``   by name (``gaits``, ``single``, ``grid``), what `write_evaluation` gives
-    ``trimmed``       the same of these controllers with the outer loop about them
+    ``trimmed``       the same of these controllers with force feedback
     ``in_surrogate``  the same of these controllers in the surrogate that they were trained in
     ``configuration`` nested mappings
     ``provenance``    a mapping
@@ -115,7 +115,7 @@ def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def _overview(results: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A row for each controller: mean errors in the plant, with the outer loop, in the surrogate; settling times."""
+    """A row for each controller: mean errors in the plant, with force feedback, in the surrogate; settling times."""
     parts = [results.get(part) or {} for part in ("controllers", "trimmed", "in_surrogate")]
     return [
         {

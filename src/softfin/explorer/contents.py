@@ -80,7 +80,7 @@ def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
 
 
 def controller_data(controller: LoadedController) -> dict[str, Any]:
-    """Data of a controller of any kind, and the configuration of the outer loop that the page can put about it."""
+    """Data of a controller of any kind, and the configuration of its optional force feedback."""
     step, reachable = controller.step, controller.reachable
     data: dict[str, Any] = {
         "kind": controller.kind,

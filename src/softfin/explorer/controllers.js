@@ -169,17 +169,17 @@ class DisturbanceObserver {
 
   /* One action of the Kalman filter, from the mean force less the mean of the tracked references. */
   estimate(error, reference) {
-    const { config } = this, kept = Math.exp(-1 / (ACTION_RATE_HZ * config.drift_s));
-    const step = Math.max(...reference.map((value, axis) => Math.abs(value - this.references[0][axis])));
+    const { config } = this, kept = Math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s));
+    const distance = Math.max(...reference.map((value, axis) => Math.abs(value - this.references[0][axis])));
     const drift = this.drift.map((value) => kept * value);
-    let variance = this.covariance[0] + (this.age > 0 ? (config.bias_per_n * step) ** 2 : 0);
-    const cross = kept * this.covariance[1], driftVariance = kept ** 2 * this.covariance[2] + (1 - kept ** 2) * config.drift_n ** 2;
-    const range = (axis) => { const values = this.references.map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
-    const trust = Math.min(1, config.still_n / Math.max(range(0), range(1), 1e-6)) ** 4;
+    let variance = this.covariance[0] + (this.age > 0 ? config.bias_per_n ** 2 * distance : 0);
+    const cross = kept * this.covariance[1], driftVariance = kept ** 2 * this.covariance[2] + (1 - kept ** 2) * 2 * config.drift_n ** 2;
+    const range = (axis) => { const values = [reference, ...this.references].map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
+    const noiseVariance = (config.noise_n * (Math.max(range(0), range(1), config.still_n) / config.still_n) ** 2) ** 2;
     const innovation = error.map((value, axis) => value - this.bias[axis] - drift[axis]);
-    const expected = variance + 2 * cross + driftVariance + config.noise_n ** 2, learns = Number(this.age >= config.settle_actions);
-    variance += learns * trust * Math.max(Math.max(...innovation.map((value) => value ** 2)) - 9 * expected, 0);
-    const total = variance + 2 * cross + driftVariance + CYCLE_ACTIONS * config.noise_n ** 2 / trust;
+    const expected = variance + 2 * cross + driftVariance + noiseVariance, learns = Number(this.age >= config.settle_actions);
+    variance += learns * Math.max(Math.max(...innovation.map((value) => value ** 2)) - 9 * expected, 0);
+    const total = variance + 2 * cross + driftVariance + CYCLE_ACTIONS * noiseVariance;
     const gain = learns * (variance + cross) / total, driftGain = learns * (cross + driftVariance) / total;
     this.bias = this.bias.map((bias, axis) => clip(bias + gain * innovation[axis], -config.limit_n, config.limit_n));
     this.drift = drift.map((value, axis) => value + driftGain * innovation[axis]);

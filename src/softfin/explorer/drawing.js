@@ -129,7 +129,7 @@ function drawAsked(pen, [x, y]) {
   }
 }
 
-/* The reference as the outer loop corrects it: a small oblique cross. */
+/* The reference as force feedback corrects it: a small oblique cross. */
 function drawTracked(pen, [x, y]) {
   pen.strokeStyle = colours.asked;
   pen.lineWidth = 2;

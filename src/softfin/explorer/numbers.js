@@ -1,5 +1,5 @@
-/* Arrays as the page holds them, and the few products that the nets need. All numbers are of double precision; weights
- * were rounded to single precision when they were written. */
+/* Arrays as the page holds them, and the few products that the networks need. All numbers are of double precision;
+ * weights were rounded to single precision when they were written. */
 
 const TICK_S = 0.01, WINDOW = 200, ACTION_TICKS = [33, 33, 34], CYCLE_ACTIONS = 6, ACTION_RATE_HZ = 3;
 

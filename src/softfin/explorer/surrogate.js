@@ -1,4 +1,4 @@
-/* The streaming surrogate, tick by tick (softfin.surrogate.streaming): an ensemble of drive nets and force nets. */
+/* The streaming surrogate, tick by tick (softfin.surrogate.streaming): an ensemble of drive and force networks. */
 
 const PROFILE_STEPS = 2;
 
@@ -35,7 +35,7 @@ class MirrorCore {
   }
 }
 
-/* The drive net: commands in, the shaft's motion out. */
+/* The drive network: commands in, the shaft's motion out. */
 class FollowingNet {
   constructor(pick, scales, rest) {
     this.core = new MirrorCore((name) => pick(`core.${name}`));
@@ -68,7 +68,7 @@ class FollowingNet {
   }
 }
 
-/* The force net: motion in, force (x, y) [N] out. */
+/* The force network: motion in, force (x, y) [N] out. */
 class ForceNet {
   constructor(pick, scales, rest) {
     this.core = new MirrorCore((name) => pick(`core.${name}`));

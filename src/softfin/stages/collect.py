@@ -27,7 +27,7 @@ def collect(
 
     The kind of configuration says which; an ActiveCollectConfig goes with the folder of a streaming `surrogate`. The
     dataset `extend`, of the same plant, is taken over into the new one. Test logs are random in any case; those of the
-    virtual tank are recorded in tanks under other conditions, those of other plants differ by seed alone.
+    virtual tank are recorded in perturbed tanks, those of other plants differ by seed alone.
     """
     config = config or CollectConfig()
     artifacts.check_vacant(out, overwrite)

@@ -239,7 +239,7 @@ class _Reproduction:
             evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
         where = {str(self.surrogate): "the surrogate", "tank": "the virtual tank"}.get(plant, plant)
         what = f"these controllers tried in {where}"
-        self.end(folder, what + (", correcting themselves by the measured force (--trim)" if trim else ""), start)
+        self.end(folder, what + (", with force feedback (--trim)" if trim else ""), start)
         return evaluated
 
     def learning_figures(self) -> dict[str, Figure]:

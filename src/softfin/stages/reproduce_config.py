@@ -29,7 +29,7 @@ class ReproduceConfig(Configuration):
     collect: CollectConfig = CollectConfig()
     """Logs of the plant; not used when the plant is a surrogate."""
     fit: FitConfig | StreamingConfig = FitConfig()
-    """The surrogate, the paper's nets or streaming ones; not used when the plant is one."""
+    """The surrogate, the paper's networks or streaming ones; not used when the plant is one."""
     gaits: MapConfig | None = None
     """The force map, whose gaits are a controller, and which policies that begin as gaits begin from. Without a box it
     is of all references that a controller is made for."""

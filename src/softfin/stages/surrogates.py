@@ -35,7 +35,7 @@ def fit(
 ) -> dict[str, Any]:  # fmt: skip
     """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
 
-    The kind of configuration says which model: the paper's nets, streaming nets, or what is best on held-out logs.
+    The kind of configuration selects the model: the paper's networks, streaming networks, or the best on held-out logs.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
     have errors, unless these are ignored, now or when the dataset was imported.
     """
@@ -96,8 +96,8 @@ def compare(
 ) -> dict[str, Any]:  # fmt: skip
     """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON and a figure.
 
-    `noise_floor` is a plant that records the same commands once more, such as the tank: what noise and drift, twice
-    over, and other conditions leave.
+    `noise_floor` is a plant that records the same commands once more, such as the tank: the error that noise and
+    drift, twice over, and the perturbation of the tanks leave.
     """
     config = config or CompareConfig()
     if out is not None:

@@ -7,7 +7,7 @@ from the state that the pieces before have led to, and the one with the greatest
 
 with var the variance over the members of the force's mean over a window. The first factor is the information in a
 reading of a Gaussian with that variance through noise (Shannon; Lindley 1956, Ann. Math. Stat. 27:986). Unlikeness is
-how far the piece's windows are from those already taken, in the memory of the first member's force net.
+how far the piece's windows are from those already taken, in the memory of the first member's force network.
 """
 
 import math

@@ -23,7 +23,7 @@ ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
 COLUMNS = (ANGLE, *COMMAND_COLUMNS, *FORCES)
-"""Channels of the paper's nets: ForceNet's first, PosNet's within them, then what ForceNet predicts."""
+"""Channels of the paper's networks: ForceNet's first, PosNet's within them, then what ForceNet predicts."""
 
 SKIPPED = 100
 """Rows at the beginning of a log that Table I does not score: the first window of PosNet and ForceNet."""
@@ -33,13 +33,13 @@ UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
 
 
 class NetPrediction(NamedTuple):
-    """Predictions of a net for logs: a row of Table I."""
+    """Predictions of a network for logs: a row of Table I."""
 
     channels: tuple[str, ...]
     series: Sequence[Float[np.ndarray, "predicted channels"]]
     """Predicted values of the last rows of each log [rad or N]."""
     window: int | None
-    """Samples of the past that the net sees; None of one with a state."""
+    """Samples of the past that the network sees; None of one with a state."""
     parameters: int
 
 
@@ -55,7 +55,7 @@ class ChannelScaling(Configuration):
 
 
 class Scaling(Configuration):
-    """Scaling of every channel of the paper's nets."""
+    """Scaling of every channel of the paper's networks."""
 
     channels: dict[str, ChannelScaling]
 
@@ -74,7 +74,7 @@ class Scaling(Configuration):
         return cls(channels=channels)
 
     def require(self, source: str) -> None:
-        """Raise ArtifactError where a channel of the paper's nets has no scaling."""
+        """Raise ArtifactError where a channel of the paper's networks has no scaling."""
         for name in COLUMNS:
             if name not in self.channels:
                 raise ArtifactError(f"{source}: no scaling for {name}; there is one for {', '.join(self.channels)}")

@@ -51,11 +51,11 @@ def load_surrogate(path: Path) -> AnySurrogate:
         raise ArtifactError(f"{source}: model {model!r}; this softfin has {', '.join(MODELS)}; update it")
     try:
         surrogate = MODELS[model].from_files(description, weights, source)
-        # Those of the paper's nets follow from the scaling.
+        # Those of the paper's networks follow from the scaling.
         Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate
     except ConfigurationError as error:
-        raise ArtifactError(f"{error}; this softfin has no such nets, so fit it again") from None
+        raise ArtifactError(f"{error}; this softfin has no such networks, so fit it again") from None
     except (KeyError, TypeError, ValueError) as error:
         reason = one_line(error)
         raise ArtifactError(f"{source}: not a surrogate's description ({reason}); fit it again") from None

@@ -1,4 +1,4 @@
-"""Parts that both kinds of nets share: the best weights are kept while they learn, and weights have names in files."""
+"""Functions for both kinds of networks: keeping the best weights during training, and the names of weights in files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -16,18 +16,18 @@ UPDATES_A_CALL = 50
 
 
 class TrainingState(NamedTuple):
-    """Everything that a resumed run needs of several nets, or of one whose arrays have a leading axis ``members``."""
+    """Everything that a resumed run needs of several networks, or of one with a leading axis ``members``."""
 
     nets: Any
     optimiser: Any
     best: Any
-    """Weights with the least held-out loss so far, of each net or member."""
+    """Weights with the least held-out loss so far, of each network or member."""
     best_loss: Any
-    """Loss: one number for each of several nets, or an array ``(members,)``."""
+    """Loss: one number for each of several networks, or an array ``(members,)``."""
 
 
 def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tuple[TrainingState, bool]:
-    """Keep the weights of each net whose held-out loss is least so far, and whether any is; RunError if not finite."""
+    """Keep each network's weights if its held-out loss is the lowest; return if any is. RunError if not finite."""
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
         raise RunError(f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew")
 
@@ -65,7 +65,7 @@ def named(nets: Any) -> dict[str, np.ndarray]:
 
 
 def restored(shapes: Any, arrays: Mapping[str, np.ndarray], source: str) -> Any:
-    """Nets of these shapes with the arrays of `named`; raises ArtifactError where one is missing or does not fit."""
+    """Networks of these shapes with the arrays of `named`; ArtifactError if one is missing or does not fit."""
 
     def leaf(path: Any, like: Any) -> Any:
         array = arrays.get(_name(path))

@@ -1,18 +1,41 @@
 import json
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.plant import rest_command
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
-from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, shared_limits, write_baselines
+from softfin.evaluation.baselines.baselines import (
+    BaselinesConfig,
+    evaluate_baselines,
+    evaluate_commands,
+    shared_limits,
+    write_baselines,
+)
 from softfin.evaluation.baselines.open_loop import OpenLoopSearch, SearchConfig, force_errors, repeated
-from tests.plants import AnalyticFin
+from softfin.evaluation.evaluate import evaluate
+from tests.plants import AnalyticFin, MisreadFin
 
 SEARCH = SearchConfig(seconds=4, centres=5, amplitudes=3, frequencies_hz=(1.0,), kept=2, refinements=1, gaits=40)
 REFERENCES = ((1, -1), (1.5, 0))
 CONFIG = BaselinesConfig(references=REFERENCES, seconds=4, seeds=2, search=SEARCH)
+
+
+class Still(eqx.Module):
+    """Gives the rest command always."""
+
+    def init(self):
+        return jnp.zeros(())
+
+    def act(self, state, measured, reference):
+        return state, rest_command(PAPER_LIMITS)
+
+    def check(self, reference):
+        """Covers everything."""
 
 
 def searching(seed=0, gain=0.5, **changes):
@@ -49,6 +72,17 @@ def test_a_still_fin_misses_each_reference_by_its_size(found):
         assert row["still"]
         for axis, wanted in zip("xy", row["reference_n"], strict=True):
             assert row[axis]["error_n"] == pytest.approx(abs(wanted), abs=1e-6)
+
+
+def test_baselines_are_judged_by_the_true_force_as_controllers_are():
+    """The sensor of this fin is off by 0.4 N in x."""
+    commands = Command(np.zeros((2, 400)), np.full((2, 400), PAPER_LIMITS.velocity_min))
+    baseline = evaluate_commands(MisreadFin(), commands, CONFIG.experiments).summary()
+    controller = evaluate(Still(), MisreadFin(), CONFIG.experiments).summary()
+    assert baseline["conditions"]["judged_by"] == controller["conditions"]["judged_by"] == "true force"
+    for axis in "xy":
+        assert baseline["mean"][axis]["error_n"] == pytest.approx(controller["mean"][axis]["error_n"], abs=1e-4)
+    assert abs(baseline["mean"]["x"]["reading_error_n"] - baseline["mean"]["x"]["error_n"]) > 0.1
 
 
 def test_what_is_searched_beats_what_is_not(found):

@@ -12,7 +12,7 @@ from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
-from tests.plants import AnalyticFin
+from tests.plants import AnalyticFin, MisreadFin
 
 CONFIG = EvaluateConfig(references=((1, -1), (2, 0)), seconds=3, seeds=2)
 TASK = TaskConfig()
@@ -52,6 +52,12 @@ def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
     np.testing.assert_allclose(ours.command.angle, theirs.command.angle, atol=1e-3)
     np.testing.assert_allclose(ours.reading.force, theirs.reading.force, atol=1e-2)
     assert float(np.abs(np.diff(ours.command.angle)).sum()) > 1
+
+
+def test_the_true_force_is_recorded_where_the_plant_knows_it():
+    recording = run_recurrent(Model(), TASK, PAPER_LIMITS, MisreadFin(), CONFIG)
+    assert recording.true_force.shape == (2, 2, 300, 2)
+    np.testing.assert_allclose((recording.reading.force - recording.true_force)[..., 0], 0.4, atol=1e-5)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is not None, reason="the extra sb3 is installed")

@@ -146,7 +146,7 @@ def test_damaged_weights_are_refused_by_name(files):
 
 
 def test_nets_in_the_wrong_order_are_told_apart(files):
-    with pytest.raises(ArtifactError, match="takes 3 channels; this net must take command_angle_rad, command_velo"):
+    with pytest.raises(ArtifactError, match="takes 3 channels; this network must take command_angle_rad, command_velo"):
         import_keras(files[0] / "force.keras", files[0] / "pos.keras", files[0] / "scalers.json")
 
 

@@ -1,4 +1,4 @@
-"""Streaming nets small enough for tests, with random weights everywhere, and logs of a fin that is known."""
+"""Streaming networks small enough for tests, with random weights everywhere, and logs of a fin that is known."""
 
 import functools
 from types import SimpleNamespace
@@ -32,11 +32,11 @@ CONFIG = StreamingConfig(
     drive=DRIVE, force=FORCE, members=2, drive_updates=10, force_updates=10, batch=8, ticks=40, burn_in=10
 )
 MOUNT = lambda net: (net.mount_turn, net.offset)  # noqa: E731
-"""What a force net knows of the sensor, to which no symmetry of the fin applies."""
+"""What a force network knows of the sensor, to which no symmetry of the fin applies."""
 
 
 def filled(tree, seed=0, spread=0.5):
-    """With noise on every number, for nets say nothing before they have learnt something."""
+    """With noise on every number, for networks say nothing before they have learnt something."""
     leaves, structure = jax.tree.flatten(tree)
     random = np.random.default_rng(seed)
     noisy = [np.asarray(leaf) + np.float32(random.normal(0, spread, leaf.shape)) for leaf in leaves]
@@ -155,6 +155,6 @@ def rows_of_first(log):
 
 
 def forces_of(net, reading):
-    """What a net says of a measured motion from its second row on."""
+    """What a network says of a measured motion from its second row on."""
     motion = Motion(jnp.asarray(reading.angle), jnp.asarray(reading.velocity))
     return jax.jit(forces)(net, motion)

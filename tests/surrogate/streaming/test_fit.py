@@ -50,7 +50,7 @@ def same(one, other):
 
 @pytest.mark.parametrize(("after", "from_then_on"), [(0.3, 0.1), (0.7, 0.5)])
 def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from_then_on):
-    """Killed while the drive nets learn, and while the force nets do."""
+    """Killed while the drive networks learn, and while the force networks do."""
 
     def killer(stage, done, note):
         if done > after:
@@ -137,14 +137,15 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return jax.tree.map(lambda x: x + np.float32(1e30), ensemble(*parts))
 
     monkeypatch.setattr(module, "ensemble", far_off)
-    with pytest.raises(RunError, match=r"loss of the drive nets is not finite; lower learning_rate \(--set\), start"):
+    message = r"loss of the drive networks is not finite; lower learning_rate \(--set\), start"
+    with pytest.raises(RunError, match=message):
         fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_progress_never_goes_back_and_ends_at_1(whole):
     _, _, seen = whole
     assert [done for done, _ in seen] == pytest.approx(np.arange(21) / 20)
-    assert [note.split(" nets")[0] for _, note in seen[1:]] == ["drive"] * 10 + ["force"] * 10
+    assert [note.split(" networks")[0] for _, note in seen[1:]] == ["drive"] * 10 + ["force"] * 10
 
 
 @pytest.mark.parametrize("updates", [1, 10, 25, 600, 601, 610, 1000, 2000, 5003])

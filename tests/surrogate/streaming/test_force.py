@@ -68,7 +68,7 @@ def test_a_wake_stands_still_in_the_tank_while_the_fin_turns_and_fades_with_its_
 
 
 def quasi_steady():
-    """A net that has learnt nothing but its coefficients."""
+    """A network that has learnt nothing but its coefficients."""
     net = jax.tree.map(jnp.zeros_like, small.force_net())
     coefficients = jnp.asarray([0.5, 0.2]), jnp.asarray([0.3, -0.4, -0.1])
     return small.eqx.tree_at(lambda net: (net.thrust, net.resistance), net, coefficients)

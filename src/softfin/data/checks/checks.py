@@ -34,7 +34,7 @@ USUAL_LAG_MS = 30.0
 """Either lag in a fin whose clocks agree."""
 
 FRAME_LEAST = 0.12
-"""Least correlation of a fin's force in any frame; the roughest log of the published nets has 0.2."""
+"""Least correlation of a fin's force in any frame; the roughest log of the published networks has 0.2."""
 
 COUNTS_FIX = (
     "convert them in the file: angles are (count - count at rest) * 2 * pi / counts per turn, velocities too are in "
@@ -104,7 +104,7 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
     """Angles that no fin can have between two samples: the seam of two logs, or an encoder that lost its count."""
     steps = np.abs(np.diff(log.calm.angle))
-    # 200 rad/s; the published nets' own jumps reach 1.5 rad.
+    # 200 rad/s; the published networks' own jumps reach 1.5 rad.
     rows = np.flatnonzero(steps > 2.0)
     if rows.size:
         message = f"{counted(rows.size, 'jump')} of up to {steps.max():.2f} rad from one sample to the next"

@@ -20,7 +20,7 @@ from softfin.data.importing.clocks import NamedLog, Part
 
 MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The
-size of a measured velocity proves nothing: the published nets' own jumps reach 145 rad/s."""
+size of a measured velocity proves nothing: the published networks' own jumps reach 145 rad/s."""
 
 MOST_DEGREES = 360.0
 """Size beyond which an angle is not in degrees either, but in a drive's counts."""
@@ -97,8 +97,8 @@ def velocity_slope(columns: Columns) -> tuple[float, float]:
 def without_spikes(values: Series) -> Series:
     """Put the median of five in the place of outliers of one or two samples.
 
-    A spike is 1.2 times as high as half the span of 98% of the samples, where the published nets' own jumps reach 0.8
-    times; its second difference has a robust z of 8, since there are no spikes in a series that is rough anyway.
+    A spike is 1.2 times as high as half the span of 98% of the samples, where the published networks' own jumps reach
+    0.8 times; its second difference has a robust z of 8, since there are no spikes in a series that is rough anyway.
     """
     if len(values) < SHORTEST_S * RATE_HZ:
         return values

@@ -67,7 +67,7 @@ class ImportConfig(Configuration):
     """Longest gap that is bridged by interpolation [s]; a longer one splits the log. 5 samples: a fin at 3 Hz moves
     smoothly for as long."""
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
-    """Shortest piece that is kept as a log [s]; the window of the paper's nets is 1 s."""
+    """Shortest piece that is kept as a log [s]; the window of the paper's networks is 1 s."""
 
     @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
     @classmethod

@@ -119,9 +119,10 @@ def evaluate_baselines(
 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:
     """Score a series of commands for each reference, ``(references, ticks)``, as `evaluate` does a controller."""
-    reading = jax.tree.map(np.asarray, open_loop.run_commands(jit_argument(plant), commands, config.keys()))
+    recorded = open_loop.run_commands(jit_argument(plant), commands, config.keys())
+    reading, true_force = jax.tree.map(np.asarray, recorded)
     issued = Command(*(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands))
-    recording = ExperimentRecording(np.asarray(config.references, np.float32), issued, reading)
+    recording = ExperimentRecording(np.asarray(config.references, np.float32), issued, reading, true_force)
     return score_experiments(recording, plant, config)
 
 

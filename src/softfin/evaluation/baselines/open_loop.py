@@ -22,7 +22,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RunError
-from softfin.core.plant import Plant, roll
+from softfin.core.plant import Plant, roll_with_true_force
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, TICK_S, AnyArray, Command, Limits, Reading
 from softfin.core.randomness import generator_of, key_of
@@ -115,17 +115,19 @@ class SearchConfig(Configuration):
 
 
 @eqx.filter_jit
-def run_commands(plant: Plant, commands: Command, keys: Key[Array, "seeds"]) -> Reading:
-    """Readings of every series of commands with every key of the plant, each from rest: ``(cases, seeds, ticks)``.
+def run_commands(plant: Plant, commands: Command, keys: Key[Array, "seeds"]) -> tuple[Reading, Array | None]:
+    """Issue every series of commands with every key of the plant, each from rest.
 
-    `plant` as `jit_argument` makes it.
+    Returns the readings ``(cases, seeds, ticks)`` and the true force ``(cases, seeds, ticks, 2)`` [N], None where the
+    plant does not know it. `plant` as `jit_argument` makes it.
     """
 
-    def one(command: Command, key: PRNGKeyArray) -> Reading:
-        return roll(plant, plant.init(key), command)[1]
+    def one(command: Command, key: PRNGKeyArray) -> tuple[Reading, Array | None]:
+        return roll_with_true_force(plant, plant.init(key), command)[1]
 
-    readings: Reading = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(commands, keys)
-    return readings
+    recorded: tuple[Reading, Array | None]
+    recorded = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(commands, keys)
+    return recorded
 
 
 def repeated(gaits: Command, seconds: int) -> Command:
@@ -157,7 +159,7 @@ class OpenLoopSearch(NamedTuple):
         padded = Command(*(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands))
         plant, keys = jit_argument(self.plant), key_of(self.seed, "baselines/search")[None]
         parts = (Command(*(part[i : i + size] for part in padded)) for i in range(0, count, size))
-        return np.concatenate([np.asarray(run_commands(plant, part, keys).force[:, 0]) for part in parts])[:count]
+        return np.concatenate([np.asarray(run_commands(plant, part, keys)[0].force[:, 0]) for part in parts])[:count]
 
     def forces_of_sines(self, sines: Sines) -> Forces:
         """Forces of many sines."""

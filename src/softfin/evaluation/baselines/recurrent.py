@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int
 from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, rows_of, ticks_of
 from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
-from softfin.core.plant import Plant, State, Ticks, hold_action
-from softfin.core.quantities import Command, Limits, Reading, command_of
+from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
+from softfin.core.quantities import Limits, command_of
 from softfin.evaluation.evaluate import ExperimentsConfig
-from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.experiment import ExperimentRecording, Recorded
 from softfin.gaits.reachable import Cell
 from softfin.installation import how_to_add
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
@@ -50,10 +50,10 @@ def run_recurrent(
         ages = jnp.full(count, age)
         return jax.vmap(lambda *observed: observation(task, *observed))(angle, jnp.asarray(references), actions, ages)
 
-    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, tuple[Command, Reading]]:
+    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, Recorded]:
         command = command_of(limits, action)
-        state, reading = hold_action(plant, state, command, ticks)
-        return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading)
+        state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
+        return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading, true_force)
 
     advance = jax.jit(jax.vmap(hold, (0, 0, None)))
     state = jax.vmap(plant.init)(jnp.tile(config.keys(), len(config.references)))
@@ -65,13 +65,12 @@ def run_recurrent(
         starts = np.full(count, age == 0)
         predicted, memory = model.predict(observed, state=memory, episode_start=starts, deterministic=True)
         action = jnp.asarray(predicted, jnp.float32)
-        state, (issued, reading) = advance(state, action, ticks)
-        angle, actions = reading.angle[:, ticks - 1], jax.vmap(remember)(actions, action)
-        kept.append(jax.tree.map(np.asarray, (issued, reading)))
+        state, recorded = advance(state, action, ticks)
+        angle, actions = recorded[1].angle[:, ticks - 1], jax.vmap(remember)(actions, action)
+        kept.append(jax.tree.map(np.asarray, recorded))
 
     def together(*parts: Any) -> Any:
         whole = np.concatenate(parts, axis=1)[:, rows_of(len(held))]
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
-    command, reading = jax.tree.map(together, *kept)
-    return ExperimentRecording(np.asarray(config.references, np.float32), command, reading)
+    return ExperimentRecording(np.asarray(config.references, np.float32), *jax.tree.map(together, *kept))

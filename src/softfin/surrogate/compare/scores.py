@@ -39,9 +39,9 @@ NETS = {
     "posnet": ("PosNet, commands to angle", "rad", "posnet"),
     "forcenet_measured": ("ForceNet, given the measured angle", "N", "forcenet"),
     "forcenet_free_running": ("ForceNet, free-running behind PosNet", "N", None),
-    "drive": ("Drive nets, commands to angle", "rad", "posnet"),
-    "force_measured": ("Force nets, given the measured motion", "N", "forcenet"),
-    "force_free_running": ("Force nets, free-running behind the drive nets", "N", None),
+    "drive": ("Drive networks, commands to angle", "rad", "posnet"),
+    "force_measured": ("Force networks, given the measured motion", "N", "forcenet"),
+    "force_free_running": ("Force networks, free-running behind the drive networks", "N", None),
 }
 """Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
 
@@ -144,7 +144,7 @@ TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {"rmse": rms
 
 
 def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
-    """Table I, a row for each net: ``window``, ``parameters``, and means over logs and channels of its scores.
+    """Table I, a row for each network: ``window``, ``parameters``, and means over logs and channels of its scores.
 
     ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or over the measured range.
     """

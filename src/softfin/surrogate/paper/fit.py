@@ -1,6 +1,6 @@
 """Fits PosNet and ForceNet to logs: both learn side by side from the same windows, one step ahead (Sec. III-B).
 
-Adam on the mean square error of the scaled outputs; early stopping per net on held-out logs, best weights kept.
+Adam on the mean square error of the scaled outputs; early stopping per network on held-out logs, best weights kept.
 """
 
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_leng
 
 
 class FitConfig(Configuration):
-    """How the paper's nets are fitted."""
+    """How the paper's networks are fitted."""
 
     posnet: NetworkConfig = POSNET
     """Commands to angle."""
@@ -37,7 +37,7 @@ class FitConfig(Configuration):
     epochs: PositiveInt = 12
     """Most passes over all windows; the learning rate falls to zero over them (cosine)."""
     patience: PositiveInt = 4
-    """Passes without a better held-out error of either net before training stops."""
+    """Passes without a better held-out error of either network before training stops."""
     batch: PositiveInt = 512
     """Windows an update."""
     learning_rate: float = Field(default=1e-3, gt=0)
@@ -56,7 +56,7 @@ class Nets(NamedTuple):
 def fit(
     logs: Sequence[Log], config: FitConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
 ) -> Surrogate:
-    """Fit both nets to the training logs; goes on from the run_directory's checkpoint where there is one."""
+    """Fit both networks to the training logs; goes on from the run_directory's checkpoint where there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # Equal calls, so that one compiled program does them all.
@@ -78,7 +78,7 @@ def fit(
                 note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
                 progress("fit", (epoch + call / calls) / config.epochs, note)
         held_out = Nets(*(_mean_square_error(net, scaling, holding) for net in state.nets))
-        state, improved = keep_best(state, losses, held_out, "nets")
+        state, improved = keep_best(state, losses, held_out, "networks")
         done = {"epoch": epoch + 1, "stale": 0 if improved else done["stale"] + 1}
         means = {"train": Nets(*np.mean(losses, axis=0)), "held_out": held_out}
         scalars = {f"{part}/{net}_mse": float(x) for part, nets in means.items() for net, x in nets._asdict().items()}
@@ -101,7 +101,7 @@ def split(
 
 
 class PaperLearner:
-    """The update of both nets, compiled once."""
+    """The update of both networks, compiled once."""
 
     def __init__(self, config: FitConfig, updates: int) -> None:
         self.config = config
@@ -133,11 +133,11 @@ class PaperLearner:
 def loss(
     nets: Nets, table: Float[Array, "rows channels"], starts: Int[Array, "batch"], key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], Nets]:
-    """Mean square error of the scaled outputs, summed over both nets: each depends on its own alone."""
+    """Mean square error of the scaled outputs, summed over both networks: each depends on its own alone."""
     window = nets.posnet.config.window
     inputs = gather(table[:, : 1 + len(COMMAND_COLUMNS)], starts, window)
     target = table[starts + window]
-    # With one key for both, nets of like layers would drop the same units.
+    # With one key for both, networks of like layers would drop the same units.
     posnet_key, forcenet_key = jax.random.split(key)
     losses = Nets(
         jnp.mean((nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]) ** 2),

@@ -63,7 +63,7 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
             layers, groups, shape = _layers(path, json.loads(archive.read("config.json")))
             content = io.BytesIO(archive.read("model.weights.h5"))
         if shape[0] != len(channels):
-            raise ArtifactError(f"{path}: takes {shape[0]} channels; this net must take {', '.join(channels)}")
+            raise ArtifactError(f"{path}: takes {shape[0]} channels; this network must take {', '.join(channels)}")
         values = {"channels": channels, "outputs": outputs, "window": shape[1], "layers": layers}
         config = NetworkConfig.build(values, str(path))
         with h5py.File(content, "r") as file:

@@ -19,7 +19,7 @@ from softfin.core.configuration import Configuration
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
 MAX_CHUNK_WINDOWS = 2048
-"""Windows that a net takes at once from a table: enough for the matrix products, few enough for the caches."""
+"""Windows that a network takes at once from a table: enough for the matrix products, few enough for the caches."""
 
 Activation = Literal["linear", "relu", "tanh"]
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"linear": lambda x: x, "relu": jax.nn.relu, "tanh": jnp.tanh}

@@ -3,8 +3,8 @@
     command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
-A held command lets all ticks of an action go through each net at once: PosNet sees commands alone, and ForceNet sees
-angles that PosNet has then predicted already. Only the new ticks are computed.
+A held command lets all ticks of an action go through each network at once: PosNet sees commands alone, and ForceNet
+sees angles that PosNet has then predicted already. Only the new ticks are computed.
 """
 
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ class Surrogate(eqx.Module):
 
     @property
     def window(self) -> int:
-        """Samples of the past that both nets see."""
+        """Samples of the past that both networks see."""
         return self.posnet.config.window
 
     memory = window
@@ -56,7 +56,7 @@ class Surrogate(eqx.Module):
 
     @property
     def limits(self) -> Limits:
-        """The range of the commands in the training data: beyond it the nets extrapolate."""
+        """The range of the commands in the training data: beyond it the networks extrapolate."""
         angle, velocity = (self.scaling.channels[name] for name in COMMAND_COLUMNS)
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
@@ -77,7 +77,7 @@ class Surrogate(eqx.Module):
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands), jnp.asarray(table[2]))
 
     def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:
-        """Hold the command for `ticks` samples; all of them go through each net as one batch."""
+        """Hold the command for `ticks` samples; all of them go through each network as one batch."""
         return self._held(state, command, ticks, ticks)
 
     def hold_action(self, state: SurrogateState, command: Command, ticks: Ticks) -> tuple[SurrogateState, Reading]:
@@ -132,7 +132,7 @@ class Surrogate(eqx.Module):
         return self.posnet.config.flops() + self.forcenet.config.flops()
 
     def parameters(self) -> int:
-        """Trainable numbers of both nets."""
+        """Trainable numbers of both networks."""
         return self.posnet.config.parameters() + self.forcenet.config.parameters()
 
     def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -1,11 +1,12 @@
-"""Members of an ensemble, drive net and force net in a row, their predictions of logs, and estimates of their errors.
+"""Members of an ensemble (a drive and a force network in series), their predictions of logs, and their error estimates.
 
 The interval on the mean force is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that
 no weight was trained on, divided by what the members' disagreement expects of them, and their quantile. The errors of
 one log and axis share its drift, so K logs hold little more than 2 K independent ones: the quantile is widened by
 Student's t with 2 K degrees of freedom over the normal quantile, as for a scale estimated from so many. The same logs
 chose among the ten sets of weights of each member: so it is calibrated, not guaranteed. The distance of a motion from
-the training data is Mahalanobis's in the memory of a net (Lee et al. 2018, NeurIPS), which depends on the last motion.
+the training data is Mahalanobis's in the memory of a network (Lee et al. 2018, NeurIPS), which depends on the last
+motion.
 """
 
 import functools
@@ -48,7 +49,7 @@ LOGS, EVERY = 50, 7
 
 
 class MemberState(NamedTuple):
-    """States of both nets."""
+    """States of both networks."""
 
     drive: FollowingState
     force: ForceState
@@ -198,7 +199,7 @@ def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: S
 
 
 class Familiarity(eqx.Module):
-    """Training data in the memory of the first member's force net."""
+    """Training data in the memory of the first member's force network."""
 
     mean: Float[Array, "remembered"]
     whitening: Float[Array, "remembered remembered"]
@@ -210,7 +211,7 @@ class Familiarity(eqx.Module):
 
 
 def remembered(state: ForceState) -> Float[Array, "remembered"]:
-    """Memory of a force net, in which the distance is measured."""
+    """Memory of a force network, in which the distance is measured."""
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 

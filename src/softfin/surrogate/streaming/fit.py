@@ -1,7 +1,7 @@
-"""Fits a streaming surrogate: profile, drive nets, force nets, then the estimates of their errors, in this order.
+"""Fits a streaming surrogate: profile, drive networks, force networks, then their error estimates, in this order.
 
-All members learn side by side. Force nets are trained on the motion that the drive nets predict for whole logs, so that
-both are scored as they will be used: free-running, from the commands alone.
+All members learn side by side. Force networks are trained on the motion that the drive networks predict for whole
+logs, so that both are scored as they will be used: free-running, from the commands alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,14 +44,14 @@ WARM_UP = 100
 """Updates in which the learning rate rises."""
 
 MAX_SCORINGS = 10
-"""Times that a net is scored on the held-out logs while it is trained."""
+"""Times that a network is scored on the held-out logs while it is trained."""
 
 Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
 """Loss of one member: (net, segments, predicted motion, part of the training done, key, config)."""
 
 
 class StreamingConfig(Configuration):
-    """How an ensemble of nets with a state of their own is fitted; docs/surrogates.md measures the choices."""
+    """How an ensemble of networks with a state of their own is fitted; docs/surrogates.md measures the choices."""
 
     drive: DriveNetConfig = DriveNetConfig()
     """Commands to motion."""
@@ -60,9 +60,9 @@ class StreamingConfig(Configuration):
     members: PositiveInt = 5
     """Members of the ensemble, trained side by side from different weights on different segments."""
     drive_updates: PositiveInt = 400
-    """Updates of the drive nets; the learning rate falls to a hundredth over them (cosine)."""
+    """Updates of the drive networks; the learning rate falls to a hundredth over them (cosine)."""
     force_updates: PositiveInt = 2000
-    """Updates of the force nets, likewise."""
+    """Updates of the force networks, likewise."""
     batch: PositiveInt = 16
     """Segments of the logs an update and member."""
     ticks: int = Field(default=250, ge=2)
@@ -72,7 +72,7 @@ class StreamingConfig(Configuration):
     learning_rate: float = Field(default=0.01, gt=0)
     """Greatest learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
-    """Parts of the force nets' training between which they change from the measured to the predicted motion."""
+    """Parts of the force networks' training between which they change from the measured to the predicted motion."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
     """Share of the training logs kept for choosing weights and calibrating intervals; at least one log."""
 
@@ -86,7 +86,7 @@ class StreamingConfig(Configuration):
 
 
 class StreamingLearner:
-    """The updates of one kind of net, compiled once: all members' weights a step further, side by side."""
+    """The updates of one kind of network, compiled once: all members' weights a step further, side by side."""
 
     def __init__(self, loss: Loss, config: StreamingConfig, updates: int) -> None:
         self.loss, self.config, self.updates = loss, config, updates
@@ -145,7 +145,7 @@ def drive_loss(
 def force_loss(
     net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray, config: StreamingConfig
 ) -> Float[Array, ""]:
-    """Mean square error of the force over its scale, given the measured motion of a segment or the drive net's.
+    """Mean square error of the force over its scale, given the measured motion of a segment or the drive network's.
 
     The latter with a probability that grows from 0 to 1 over the `free_running` part of the training.
     """
@@ -184,7 +184,7 @@ def fit_streaming(
     record = run_directory.log(rewind_to=sum(done.values()))
 
     def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
-        """Do all updates of one kind of net; returns the best by `errors` on the held-out logs, ``(members, rows)``."""
+        """Do all updates of one kind of network; return the best by `errors` on held-out logs, ``(members, rows)``."""
         key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
         while done[name] < updates[name]:
@@ -195,10 +195,10 @@ def fit_streaming(
                 losses.append(loss)
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
-                    progress("fit", part, f"{name} nets, loss {float(loss.mean()):.3g}")
+                    progress("fit", part, f"{name} networks, loss {float(loss.mean()):.3g}")
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
-            states[name], _ = keep_best(state, losses, held_out, f"{name} nets")
+            states[name], _ = keep_best(state, losses, held_out, f"{name} networks")
             done[name] = until
             means = {f"train/{name}_loss": loss.mean(), f"held_out/{name}_mse": held_out.mean()}
             record.write(before + until, **jax.tree.map(float, means))

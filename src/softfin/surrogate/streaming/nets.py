@@ -1,7 +1,7 @@
-"""The nets of one fin, tick by tick: the drive net, commands in and motion out; the force net, motion in and force out.
+"""The networks of one fin, tick by tick: drive network (commands to motion) and force network (motion to force).
 
 A fin that is mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y change sign (odd), force
-x and speeds do not (even). The recurrent core of both nets has that built in, weight by weight.
+x and speeds do not (even). The recurrent core of both networks has that built in, weight by weight.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -55,7 +55,7 @@ class MirrorCore(eqx.Module):
         self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
-        # Zero, so that training begins at the physics that stands beside the net.
+        # Zero, so that training begins at the physics that stands beside the network.
         self.even_out = jnp.zeros((hidden, outputs.even))
         self.odd_out = jnp.zeros((units, outputs.odd))
         self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
@@ -90,12 +90,12 @@ def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inpu
 
 
 def products(net: eqx.Module) -> int:
-    """Multiplications of the matrix products of one tick: every matrix of one fin's nets is used once."""
+    """Multiplications of the matrix products of one tick: every matrix of one fin's networks is used once."""
     return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
 
 
 class DriveNetConfig(Configuration):
-    """Size of the drive net, and what is built into it; the latter cannot be changed, but names the net's structure."""
+    """Size of the drive network, and what is built into it; the latter is fixed, but names the network's structure."""
 
     units: PositiveInt = 8
     """Remembered numbers of each parity."""
@@ -104,11 +104,11 @@ class DriveNetConfig(Configuration):
     mirror: Literal[True] = True
     """The drive goes both ways alike."""
     profile: Literal[True] = True
-    """The trapezoidal profile is known, and the net gives only the rest: the fin's load, the servo, the play."""
+    """The trapezoidal profile is known, and the network gives only the rest: the fin's load, the servo, the play."""
 
 
 class FollowingState(NamedTuple):
-    """State that the drive net carries from tick to tick."""
+    """State that the drive network carries from tick to tick."""
 
     profile: ProfileState
     memory: Parity
@@ -116,7 +116,7 @@ class FollowingState(NamedTuple):
 
 
 class FollowingNet(eqx.Module):
-    """The drive net, which predicts how far the shaft is from its profile; one fin, no batch axes."""
+    """The drive network, which predicts how far the shaft is from its profile; one fin, no batch axes."""
 
     core: MirrorCore
     profile: Profile
@@ -142,13 +142,13 @@ class FollowingNet(eqx.Module):
         behind, faster = target.angle - now.angle, now.velocity - before.velocity
         odd = jnp.stack([behind / self.scales.angle_rad, now.velocity / velocity, faster / change])
         memory, outputs = self.core.step(state.memory, Parity((target.velocity / velocity)[None], odd))
-        # Outputs of 1 move the shaft by about a tick's motion: the net is a correction.
+        # Outputs of 1 move the shaft by about a tick's motion: the network is a correction.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
         return FollowingState(profile, memory, Motion(angle, now.velocity + change * outputs.odd[1]))
 
 
 class ForceNetConfig(Configuration):
-    """Size of the force net, and what is built into it; the latter cannot be changed, but names the net's structure."""
+    """Size of the force network, and what is built into it; the latter is fixed, but names the network's structure."""
 
     units: PositiveInt = 16
     """Remembered numbers of each parity."""
@@ -161,13 +161,13 @@ class ForceNetConfig(Configuration):
     turning: Literal[True] = True
     """The force turns with the fin: the tank is the same in all directions."""
     quasi_steady: Literal[True] = True
-    """A force of added mass and drag, with fitted coefficients, stands beside the net."""
+    """A force of added mass and drag, with fitted coefficients, stands beside the network."""
     heteroscedastic: Literal[False] = False
-    """The net does not learn how far readings scatter about its force."""
+    """The network does not learn how far readings scatter about its force."""
 
 
 class ForceState(NamedTuple):
-    """State that the force net carries from tick to tick."""
+    """State that the force network carries from tick to tick."""
 
     memory: Parity
     wake: Parity
@@ -176,10 +176,10 @@ class ForceState(NamedTuple):
 
 
 class ForceNet(eqx.Module):
-    """The force net of one fin; no batch axes.
+    """The force network of one fin; no batch axes.
 
     In the frame that turns with the shaft the angle has no effect: still water looks alike in all directions. So
-    the net takes rates alone and gives the force along the fin's axis (thrust, even) and across it (odd). What the
+    the network takes rates alone and gives the force along the fin's axis (thrust, even) and across it (odd). What the
     water remembers in the tank's own axes, a wake, is a few vectors that the turning frame turns back at each tick.
     """
 

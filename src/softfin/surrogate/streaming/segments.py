@@ -25,7 +25,7 @@ class Motion(NamedTuple):
 
 
 class Scales(Configuration):
-    """Units of the nets' inputs and outputs, from the training logs."""
+    """Units of the networks' inputs and outputs, from the training logs."""
 
     velocity_rad_s: float = Field(gt=0)
     """Standard deviation of the shaft's velocity [rad/s]."""

@@ -1,4 +1,4 @@
-"""An ensemble of streaming nets as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
+"""An ensemble of streaming networks as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -52,7 +52,7 @@ class StreamingSurrogate(eqx.Module):
     familiarity: Familiarity
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """The range of the commands in the training data: beyond it the nets extrapolate."""
+    """The range of the commands in the training data: beyond it the networks extrapolate."""
 
     computed: ClassVar[tuple[str, ...]] = ("rest",)
     """Fields that are computed from the others."""
@@ -116,7 +116,7 @@ class StreamingSurrogate(eqx.Module):
         return self.familiarity.distance(remembered(single(state.members.force)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Mean predictions of logs by the drive nets, and by the force nets given the motion and behind those."""
+        """Mean predictions of logs: drive networks; force networks, given measured and given predicted motion."""
         drive, force = self.members.drive, self.members.force
         free = predict_motion(drive, logs)
         measured = [Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1))) for _, r in logs]
@@ -139,7 +139,7 @@ class StreamingSurrogate(eqx.Module):
         return parameters(self.members)
 
     def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Entries of ``surrogate.json``, and the arrays by their place in the nets."""
+        """Entries of ``surrogate.json``, and the arrays by their place in the networks."""
         drive, force = self.members.drive, self.members.force
         return {
             "channels": SURROGATE_CHANNELS,
