@@ -1,8 +1,7 @@
 """Compare figures of one seed with the stated ones: does each lie where one further seed is expected?
 
-A value that repeats the stated one of its seed is inside. Otherwise it must lie in the interval for one further value:
-over n >= 3 stated values mean +- t(n - 1, 0.975) s sqrt(1 + 1/n). The interval of the mean, which documents print, is
-sqrt(n + 1) times as narrow and would reject most single seeds.
+Over n >= 3 stated values the interval for one further value is mean +- t(n - 1, 0.975) s sqrt(1 + 1/n). The interval of
+the mean, which documents print, is sqrt(n + 1) times as narrow and would reject most single seeds.
 
 One figure in twenty lies outside such an interval by chance. Two limits therefore hold for a whole run: the number of
 figures outside, and an interval so wide that no figure of a correct program lies outside it.
@@ -13,18 +12,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.stats import binom, t
+from scipy.stats import binom
 
 from results.record import Value
+from softfin.core.window import CONFIDENCE, interval
 
 TOLERANCE = 0.05
-"""Relative tolerance of a value that repeats that of its seed, or of a figure without an interval."""
-
-FEWEST = 3
-"""Stated values that an interval needs."""
-
-CONFIDENCE = 0.95
-"""Confidence of the interval for one further value."""
+"""Relative tolerance of a figure whose stated values do not differ, or are fewer than three."""
 
 FALSE_ALARM = 0.01
 """Chance that a correct program exceeds one of the two limits of a run."""
@@ -72,7 +66,7 @@ def allowed_outside(judged: int) -> int:
 def compare(
     stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float, confidence: float = CONFIDENCE
 ) -> Comparison:
-    """Compare one figure; each measured value must repeat that of its seed or lie inside on each axis."""
+    """Compare one figure; each measured value must lie inside on each axis."""
     values = measured["values"]
     stated_axes = split_axes(stated["values"])
     intervals = [further_interval(axis, stated["summary"], digit, confidence) for axis in stated_axes]
@@ -80,19 +74,8 @@ def compare(
         return Comparison("not judged", measured["unit"], values, intervals)
     if not values:
         return Comparison("missing", stated["unit"], [], intervals)
-    same_seed = dict(zip(stated["seeds"], stated["values"], strict=True))
-    is_inside = all(
-        repeats(value, same_seed.get(seed), digit) or lies_within(value, stated["values"], intervals)
-        for seed, value in zip(measured["seeds"], values, strict=True)
-    )
+    is_inside = all(lies_within(value, stated["values"], intervals) for value in values)
     return Comparison("inside" if is_inside else "outside", measured["unit"], values, intervals)
-
-
-def repeats(value: Value, stated: Value, digit: float) -> bool:
-    """Return whether a value equals the stated one of the same seed, but for rounding."""
-    if value is None or stated is None:
-        return False
-    return np.shape(value) == np.shape(stated) and np.allclose(value, stated, rtol=TOLERANCE, atol=digit)
 
 
 def lies_within(value: Value, stated: Sequence[Value], intervals: Sequence[tuple[float, float]]) -> bool:
@@ -133,7 +116,7 @@ def further_interval(
 
 def further_margin(values: Sequence[float], confidence: float = CONFIDENCE) -> float:
     """Return t s sqrt(1 + 1/n), which is sqrt(n + 1) times the margin of the mean; 0 for fewer than three values."""
-    count = len(values)
-    if count < FEWEST:
+    mean_interval = interval(np.asarray(values), confidence)
+    if mean_interval is None:
         return 0.0
-    return float(t.ppf((1 + confidence) / 2, count - 1) * np.std(values, ddof=1) * math.sqrt(1 + 1 / count))
+    return math.sqrt(len(values) + 1) * (mean_interval[1] - mean_interval[0]) / 2

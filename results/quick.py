@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from results import documents, history
-from results.comparison import CONFIDENCE, FALSE_ALARM, Comparison, Verdict, allowed_outside, compare_figures
+from results.comparison import FALSE_ALARM, Comparison, Verdict, allowed_outside, compare_figures
 from results.parts import Part, Work
 from results.record import QUIET_CORES, load, machine, shown, versions
 from results.steps import Runner, Step
+from softfin.core.window import CONFIDENCE
 
 SEEDS = (10,)
 
@@ -42,6 +43,7 @@ class PartResult(NamedTuple):
     """Whether this fails the run; leaving a part out does not."""
     comparisons: Mapping[str, Comparison] = {}
     measured: Mapping[str, Mapping[str, Any]] = {}
+    """Figures as they were measured."""
 
     def count(self, verdict: Verdict) -> int:
         """Return the number of figures with a verdict."""

@@ -497,14 +497,10 @@ def test_one_seed_is_judged_by_the_interval_of_a_further_one(stated, value, verd
     assert comparison.compare(stated, measured, 0.001).verdict == verdict
 
 
-def test_a_value_that_repeats_that_of_its_seed_is_inside():
-    """The last of many stated values lies far from the others, and outside the interval of a further one."""
-    stated = record.figure("N", [1.0] * 19 + [1.9])
-    seeds = stated["seeds"]
-    for seed, value, verdict in ((19, 1.9, "inside"), (19, 1.96, "inside"), (19, 2.1, "outside"), (3, 1.9, "outside")):
-        assert seed in seeds
-        measured = record.figure("N", [value], [seed] if seed else ())
-        assert comparison.compare(stated, measured, 0.001).verdict == verdict
+def test_a_seed_that_gives_its_stated_value_again_is_inside():
+    """Even if it is as far from the other four as it can be."""
+    stated = record.figure("N", [1.0] * 4 + [1.9])
+    assert comparison.compare(stated, record.figure("N", [1.9], [4]), 0.001).verdict == "inside"
 
 
 def test_a_correct_program_passes_with_as_many_figures_outside_as_chance_puts_there():

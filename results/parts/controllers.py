@@ -251,13 +251,14 @@ def whole_map(seeds: Sequence[int]) -> Part:
 def faster(seeds: Sequence[int]) -> Part:
     """Settling time against ripple, with other action rates and windows."""
     first = seeds[0]
-    command = f"python docs/faster_reaction.py streaming-{first} faster --seeds {len(seeds)}"
+    command = f"python docs/faster_reaction.py streaming-{first} faster --seeds {len(seeds)} --seed {first}"
     study = step("faster", command, 20, tiny="--tiny")
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for name, rows in work.json("faster/faster_reaction.json").items():
-            key, own = name.replace(",", ""), range(len(rows))
+            key = name.replace(",", "")
+            own = [row["seed"] for row in rows]
             figures[f"{key}.settling"] = figure("s", [row["settling_s"] for row in rows], own, "median")
             for score in ("error", "std", "raw_std"):
                 figures[f"{key}.{score}"] = figure("N", [row[score] for row in rows], own)

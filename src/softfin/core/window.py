@@ -73,11 +73,11 @@ def window_means(
     return np.asarray(windows.reshape(*series.shape[:-2], count, WINDOW, series.shape[-1]).mean(axis=-2))
 
 
-def interval(values: Float[np.ndarray, "samples"]) -> list[float] | None:
+def interval(values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE) -> list[float] | None:
     """[low, high] of the mean over independent samples, by Student's t; None of fewer than `FEWEST`."""
     n = len(values)
     if n < FEWEST:
         return None
-    half = float(stdtrit(n - 1, (1 + CONFIDENCE) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    half = float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     mean = float(np.mean(values))
     return [mean - half, mean + half]

@@ -130,7 +130,7 @@ def train(
     force_map: ForceMap | None,
     start: Policy | None = None,
 ) -> BestPolicies:
-    """Train a policy for every seed and cell; goes on from the run_directory's checkpoint where there is one.
+    """Train a policy for every seed and cell; continue from the checkpoint in run_directory if there is one.
 
     Agents that `start` from policies, leaves ``(seeds, cells, ...)``, never end with a greater error than these.
     Raises RunError where a loss is no longer finite; the last good checkpoint is left in the run_directory.

@@ -21,7 +21,7 @@ class TrainingState(NamedTuple):
     nets: Any
     optimiser: Any
     best: Any
-    """Weights with the least held-out loss so far, of each network or member."""
+    """Weights with the lowest held-out loss until now, for each network or member."""
     best_loss: Any
     """Loss: one number for each of several networks, or an array ``(members,)``."""
 

@@ -89,7 +89,7 @@ function drawKeys(pen, width, height, pixels, tick, thick) {
   };
   key(scale.key_n * scale.metres_per_newton * pixels, `${force} ${scale.key_n} N`, 22, colours.measured);
   if (footage.reference_x) {
-    key(scale.mean_key_n * scale.metres_per_mean_newton * pixels, `asked for, mean ${scale.mean_key_n} N`, 44, colours.mean);
+    key(scale.mean_key_n * scale.metres_per_mean_newton * pixels, `target, mean ${scale.mean_key_n} N`, 44, colours.mean);
   }
   key(0.05 * pixels, "5 cm", height - 12, colours.soft);
 }

@@ -132,7 +132,7 @@ class Picture:
         name = "force" if self.footage.true_force is None else "true force"
         keys = [(f"{name} {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]
         if self.footage.reference is not None:
-            text = f"asked for, mean {scale.mean_key_n:g} N"
+            text = f"target, mean {scale.mean_key_n:g} N"
             keys.append((text, scale.mean_key_n * scale.metres_per_mean_newton, BLACK))
         for row, (text, length, colour) in enumerate(keys):
             middle = top - (0.1 + 0.11 * row) * scale.length_m
@@ -160,7 +160,7 @@ class Picture:
         for axes in panels:
             axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
-        keys = {"asked for": ORANGE, blue: BLUE, "mean over 2 s": BLACK}
+        keys = {"target": ORANGE, blue: BLUE, "mean over 2 s": BLACK}
         lines = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()]
         angle.legend(handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
                      handlelength=1.4, columnspacing=1.2)  # fmt: skip

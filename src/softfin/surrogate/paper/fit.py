@@ -56,7 +56,7 @@ class Nets(NamedTuple):
 def fit(
     logs: Sequence[Log], config: FitConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
 ) -> Surrogate:
-    """Fit both networks to the training logs; goes on from the run_directory's checkpoint where there is one."""
+    """Fit both networks to the training logs; continue from the checkpoint in run_directory if there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # Equal calls, so that one compiled program does them all.

@@ -164,7 +164,7 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; goes on from the run_directory's checkpoint where there is one."""
+    """Fit an ensemble to the training logs; continue from the checkpoint in run_directory if there is one."""
     training, holding, scales, table = split_streaming(logs, config)
     start = used_once(ensemble)
     members = start(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))

@@ -55,7 +55,7 @@ class MirrorCore(eqx.Module):
         self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
-        # Zero, so that training begins at the physics that stands beside the network.
+        # Zero, so that training begins with the physical model alone.
         self.even_out = jnp.zeros((hidden, outputs.even))
         self.odd_out = jnp.zeros((units, outputs.odd))
         self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
@@ -161,7 +161,7 @@ class ForceNetConfig(Configuration):
     turning: Literal[True] = True
     """The force turns with the fin: the tank is the same in all directions."""
     quasi_steady: Literal[True] = True
-    """A force of added mass and drag, with fitted coefficients, stands beside the network."""
+    """Whether a force of added mass and drag, with fitted coefficients, is added to the output of the network."""
     heteroscedastic: Literal[False] = False
     """The network does not learn how far readings scatter about its force."""
 
