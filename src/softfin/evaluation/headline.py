@@ -49,7 +49,7 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
             before = max(map(greatest_error, plain["references"]))
             sentence += f"; without force feedback, within {within(before)} N"
     elif still:
-        sentence = "The fin does not move at some of the target forces: this controller does not work"
+        sentence = "The fin stands still at some of the target forces: this controller does not work"
     else:
         worst = max(too_far, key=lambda reference: too_far[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
