@@ -18,7 +18,10 @@ from results.record import Value
 from softfin.core.window import CONFIDENCE, interval
 
 TOLERANCE = 0.05
-"""Relative tolerance of a figure whose stated values do not differ, or are fewer than three."""
+"""Relative tolerance of a figure whose stated values do not differ, or are fewer than `LEAST_NUMBERS`."""
+
+LEAST_NUMBERS = 3
+"""Numbers that give an interval for a seed that is not among them."""
 
 FALSE_ALARM = 0.01
 """Chance that a correct program exceeds one of the two limits of a run."""
@@ -74,8 +77,20 @@ def compare(
         return Comparison("not judged", measured["unit"], values, intervals)
     if not values:
         return Comparison("missing", stated["unit"], [], intervals)
-    is_inside = all(lies_within(value, stated["values"], intervals) for value in values)
-    return Comparison("inside" if is_inside else "outside", measured["unit"], values, intervals)
+    if all(lies_within(value, stated["values"], intervals) for value in values):
+        verdict: Verdict = "inside"
+    else:
+        verdict = "outside" if can_be_outside(stated, measured["seeds"]) else "not judged"
+    return Comparison(verdict, measured["unit"], values, intervals)
+
+
+def can_be_outside(stated: Mapping[str, Any], seeds: Sequence[int]) -> bool:
+    """Return whether the stated values tell what to expect of some seeds: they have an interval, or are repeated."""
+    nulls = sum(value is None for value in stated["values"])
+    numbers = len(stated["values"]) - nulls
+    if numbers >= LEAST_NUMBERS or numbers == 0:
+        return True
+    return nulls == 0 and set(seeds) <= set(stated["seeds"])
 
 
 def lies_within(value: Value, stated: Sequence[Value], intervals: Sequence[tuple[float, float]]) -> bool:

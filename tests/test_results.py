@@ -483,7 +483,8 @@ FIVE = record.figure("N", [1, 2, 3, 4, 5])
         (record.figure("N", [0.0] * 5), 0.0009, "inside"),
         (record.figure("N", [0.0] * 5), 0.0011, "outside"),
         (record.figure("s", [2.0, None]), None, "inside"),
-        (record.figure("s", [2.0, None]), 2.2, "outside"),
+        (record.figure("s", [2.0, None]), 2.2, "not judged"),
+        (record.figure("s", [2.0, 2.0, 2.0, None]), 2.2, "outside"),
         (record.figure("s", [None]), None, "inside"),
         (record.figure("s", [None]), 1.0, "outside"),
         (record.figure("N", [[1, 10], [2, 10], [3, 10]]), [2, 10.4], "inside"),
@@ -501,6 +502,12 @@ def test_a_seed_that_gives_its_stated_value_again_is_inside():
     """Even if it is as far from the other four as it can be."""
     stated = record.figure("N", [1.0] * 4 + [1.9])
     assert comparison.compare(stated, record.figure("N", [1.9], [4]), 0.001).verdict == "inside"
+
+
+@pytest.mark.parametrize(("seed", "verdict"), [(0, "outside"), (7, "not judged")])
+def test_another_seed_of_a_figure_without_interval_is_not_judged(seed, verdict):
+    stated = record.figure("N", [2.0, 3.0])
+    assert comparison.compare(stated, record.figure("N", [9.0], [seed]), 0.001).verdict == verdict
 
 
 def test_a_correct_program_passes_with_as_many_figures_outside_as_chance_puts_there():
@@ -627,8 +634,14 @@ def test_a_quick_run_continues_if_it_was_stopped_and_else_starts_afresh(quick_ru
     assert "common 0" in capsys.readouterr().out
 
 
+def test_a_quick_run_takes_another_seed(quick_run, monkeypatch, tmp_path):
+    monkeypatch.setattr(sys, "argv", ["results", "--quick", "--seed", "15"])
+    assert quick_run({"one": 3}) == 0
+    assert json.loads((tmp_path / "quick/report.json").read_text())["seed"] == 15
+
+
 def test_a_quick_run_leaves_out_benchmarks_alone_and_takes_less_than_an_hour():
-    table = parts(quick.SEEDS)
+    table = parts((quick.SEED,))
     left_out = {name for name in table if quick.find_reason_to_leave_out(name) is not None}
     assert left_out == {name for name in PARTS if name.startswith("bench-")}
     kept = {name: part for name, part in table.items() if name not in left_out}
