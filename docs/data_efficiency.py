@@ -67,7 +67,7 @@ PANELS = {
 SETS = {
     "silent": "the same tank, without noise and drift",
     "same": "the same tank",
-    "other": "tanks under other conditions",
+    "other": "perturbed tanks",
 }
 """What is tested on; the first under the commands of the second: what the fin does, and no sensor adds to."""
 

@@ -80,7 +80,7 @@ def _drop_seed(step_name: str) -> str:
 
 
 def run_quick(table: Mapping[str, Part], seed: int, work: Path, folder: Path, say: Say) -> int:
-    """Run one seed of parts, compare it with the JSON files in `folder`, print and write the report; return exit code."""
+    """Compare one seed of parts with the JSON files in `folder`; write a report; return 1 if the figures do not hold."""
     report_file = work / REPORT
     if report_file.is_file():
         shutil.rmtree(work)

@@ -548,6 +548,7 @@ def quick_run(git, script, monkeypatch, tmp_path):
     monkeypatch.setattr(program, "FOLDER", tmp_path / "stated")
     monkeypatch.setattr(program, "QUICK_WORK", tmp_path / "quick")
     monkeypatch.setattr(sys, "argv", ["results", "--quick"])
+    asked_seeds = []
 
     def part(name, value, extra=None):
         def read(work):
@@ -560,12 +561,13 @@ def quick_run(git, script, monkeypatch, tmp_path):
         table = {name: part(name, value, extras.get(name)) for name, value in values.items()}
         table = {name: each._replace(steps=(common, *each.steps)) for name, each in table.items()}
         monkeypatch.setattr(program, "PARTS", table)
-        monkeypatch.setattr(program, "parts", lambda seeds: table)
+        monkeypatch.setattr(program, "parts", lambda seeds: asked_seeds.append(seeds) or table)
         for name in values:
             if name != "unstated":
                 record.write(name, {"title": name, "figures": {"error": FIVE}, "steps": {}}, tmp_path / "stated")
         return program.main()
 
+    call.asked_seeds = asked_seeds
     return call
 
 
@@ -637,6 +639,7 @@ def test_a_quick_run_continues_if_it_was_stopped_and_else_starts_afresh(quick_ru
 def test_a_quick_run_takes_another_seed(quick_run, monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "argv", ["results", "--quick", "--seed", "15"])
     assert quick_run({"one": 3}) == 0
+    assert quick_run.asked_seeds == [(15,)]
     assert json.loads((tmp_path / "quick/report.json").read_text())["seed"] == 15
 
 
