@@ -50,7 +50,10 @@ def main() -> int:
             return quick.run_quick(asked_parts, arguments.seed, QUICK_WORK, FOLDER, say)
         if arguments.tiny is not None:
             return run_parts(asked, arguments, parts(TINY_SEEDS), arguments.tiny / "work", arguments.tiny / "results")
-        return run_parts(asked, arguments, parts(SEEDS), WORK, FOLDER)
+        table = parts(SEEDS)
+        for name, seed in asked:
+            select_steps(table[name], seed)
+        return run_parts(asked, arguments, table, WORK, FOLDER)
     except ValueError as error:
         parser.error(str(error))
 

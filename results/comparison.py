@@ -3,8 +3,9 @@
 Over n >= 3 stated values the interval for one further value is mean +- t(n - 1, 0.975) s sqrt(1 + 1/n). The interval of
 the mean, which documents print, is sqrt(n + 1) times as narrow and would reject most single seeds.
 
-One figure in twenty lies outside such an interval by chance. Two limits therefore hold for a whole run: the number of
-figures outside, and an interval so wide that no figure of a correct program lies outside it.
+One figure in twenty lies outside such an interval by chance: of a pair both axes have to lie inside, so the interval of
+each is wider. Two limits therefore hold for a whole run: the number of figures outside, and a figure outside that has
+changed by more than a factor of three.
 """
 
 import math
@@ -24,7 +25,10 @@ LEAST_NUMBERS = 3
 """Numbers that give an interval for a seed that is not among them."""
 
 FALSE_ALARM = 0.01
-"""Chance that a correct program exceeds one of the two limits of a run."""
+"""Chance that a correct program exceeds the number of figures outside."""
+
+FAR = 3.0
+"""Factor to the stated values beyond which a figure outside its interval is far outside."""
 
 Verdict = Literal["inside", "outside", "missing", "not judged"]
 
@@ -44,13 +48,12 @@ def compare_figures(
     measured: Mapping[str, Mapping[str, Any]],
     digits: Mapping[str, float],
     default_digit: float,
-    confidence: float = CONFIDENCE,
 ) -> dict[str, Comparison]:
     """Compare all figures of a part by name; `digits` are the last printed ones."""
     comparisons = {}
     for name, figure in stated.items():
         if name in measured:
-            comparisons[name] = compare(figure, measured[name], digits.get(name, default_digit), confidence)
+            comparisons[name] = compare(figure, measured[name], digits.get(name, default_digit))
         else:
             comparisons[name] = Comparison("missing", figure["unit"], [], [])
     for name in measured.keys() - stated.keys():
@@ -66,12 +69,11 @@ def allowed_outside(judged: int) -> int:
     return int(binom.ppf(1 - FALSE_ALARM, judged, 1 - CONFIDENCE))
 
 
-def compare(
-    stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float, confidence: float = CONFIDENCE
-) -> Comparison:
+def compare(stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float) -> Comparison:
     """Compare one figure; each measured value must lie inside on each axis."""
     values = measured["values"]
     stated_axes = split_axes(stated["values"])
+    confidence = CONFIDENCE ** (1 / max(len(stated_axes), 1))
     intervals = [further_interval(axis, stated["summary"], digit, confidence) for axis in stated_axes]
     if stated.get("machine_dependent") or measured.get("machine_dependent"):
         return Comparison("not judged", measured["unit"], values, intervals)
@@ -91,6 +93,18 @@ def can_be_outside(stated: Mapping[str, Any], seeds: Sequence[int]) -> bool:
     if numbers >= LEAST_NUMBERS or numbers == 0:
         return True
     return nulls == 0 and set(seeds) <= set(stated["seeds"])
+
+
+def is_far_outside(stated: Mapping[str, Any], comparison: Comparison) -> bool:
+    """Return whether a figure is outside and a number of it is not within a factor of `FAR` of those stated."""
+    if comparison.verdict != "outside":
+        return False
+    for axis, numbers in zip(split_axes(comparison.values), split_axes(stated["values"]), strict=False):
+        magnitudes = np.abs(axis)
+        stated_magnitudes = np.abs(numbers)
+        if magnitudes.max() > FAR * stated_magnitudes.max() or magnitudes.min() < stated_magnitudes.min() / FAR:
+            return True
+    return False
 
 
 def lies_within(value: Value, stated: Sequence[Value], intervals: Sequence[tuple[float, float]]) -> bool:

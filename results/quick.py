@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from results import documents, history
-from results.comparison import FALSE_ALARM, Comparison, Verdict, allowed_outside, compare_figures
+from results.comparison import Comparison, Verdict, allowed_outside, compare_figures, is_far_outside
 from results.parts import Part, Work
 from results.record import QUIET_CORES, load, machine, shown, versions
 from results.steps import Runner, Step
-from softfin.core.window import CONFIDENCE
 
 SEED = 10
 """Seed that a run repeats if no other is asked for; the stated figures contain it."""
@@ -43,8 +42,6 @@ class PartResult(NamedTuple):
     is_failure: bool = False
     """Whether this fails the run; leaving a part out does not."""
     comparisons: Mapping[str, Comparison] = {}
-    measured: Mapping[str, Mapping[str, Any]] = {}
-    """Figures as they were measured."""
 
     def count(self, verdict: Verdict) -> int:
         """Return the number of figures with a verdict."""
@@ -80,7 +77,7 @@ def _drop_seed(step_name: str) -> str:
 
 
 def run_quick(table: Mapping[str, Part], seed: int, work: Path, folder: Path, say: Say) -> int:
-    """Compare one seed of parts with the JSON files in `folder`; write a report; return 1 if the figures do not hold."""
+    """Compare one seed of parts with the JSON files in `folder`; write a report; return 1 if figures do not hold."""
     report_file = work / REPORT
     if report_file.is_file():
         shutil.rmtree(work)
@@ -152,34 +149,31 @@ def compare_part(name: str, part: Part, work: Path, folder: Path, failures: Mapp
         if step.name in failures:
             return PartResult(failures[step.name], is_failure=True)
     if not (folder / f"{name}.json").is_file():
-        return PartResult(f"no results/{name}.json to compare with; run `python -m results {name}`")
+        reason = f"no results/{name}.json to compare with; run `python -m results {name}`"
+        return PartResult(reason, is_failure=True)
     try:
         measured = part.figures(Work(work))
         comparisons = compare_stated(name, folder, measured)
     except (LookupError, OSError, TypeError, ValueError) as error:
         return PartResult(f"its files are not as expected: {error!r}", is_failure=True)
-    return PartResult(None, comparisons=comparisons, measured=measured)
+    return PartResult(None, comparisons=comparisons)
 
 
-def compare_stated(
-    name: str, folder: Path, measured: Mapping[str, Mapping[str, Any]], confidence: float = CONFIDENCE
-) -> dict[str, Comparison]:
+def compare_stated(name: str, folder: Path, measured: Mapping[str, Mapping[str, Any]]) -> dict[str, Comparison]:
     """Compare measured figures with the JSON of a part."""
     digits = {figure: digit for (owner, figure), digit in documents.printed_digits().items() if owner == name}
     default_digit = documents.last_digit(documents.DEFAULT_FORM)
-    return compare_figures(load(name, folder)["figures"], measured, digits, default_digit, confidence)
+    return compare_figures(load(name, folder)["figures"], measured, digits, default_digit)
 
 
 def find_far_outside(results: Mapping[str, PartResult], folder: Path) -> list[str]:
-    """Return the figures that lie outside even where the chance that any figure does is `FALSE_ALARM`."""
-    judged = count_all(results, "inside") + count_all(results, "outside")
-    confidence = 1 - FALSE_ALARM / max(judged, 1)
+    """Return the figures that are outside and have changed by more than a factor of three."""
     return [
         f"{name}.{figure}"
         for name, result in results.items()
         if result.count("outside")
-        for figure, comparison in compare_stated(name, folder, result.measured, confidence).items()
-        if comparison.verdict == "outside"
+        for figure, comparison in result.comparisons.items()
+        if is_far_outside(load(name, folder)["figures"].get(figure, {}), comparison)
     ]
 
 

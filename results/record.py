@@ -6,7 +6,6 @@ minimum and maximum, or ``worst``, the maximum. ``"machine_dependent": true`` ma
 """
 
 import json
-import math
 import os
 import platform
 import statistics
@@ -113,13 +112,13 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
         )
         return middle if least == most else f"{middle} ({least} to {most})"
     mean, between = format(values.mean(), form), interval(values)
-    if summary == "plain" or len(values) == 1:
+    if summary == "plain" or np.allclose(values, values[0], rtol=0, atol=1e-12):
         return mean
     if len(values) == 2 or between is None:
         # Two values have no interval that tells anything.
         return " and ".join(format(value, form) for value in values)
     half = (between[1] - between[0]) / 2
-    return mean if math.isclose(half, 0, abs_tol=1e-12) else f"{mean} \N{PLUS-MINUS SIGN} {format(half, form)}"
+    return f"{mean} \N{PLUS-MINUS SIGN} {format(half, form)}"
 
 
 def source(part: str, record: Mapping[str, Any]) -> str:

@@ -1,8 +1,8 @@
 """What parts are made of: steps that several share, and how their files are read.
 
 Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate that is fitted to
-them and the controllers that are trained in it come from N; the tanks, noise and drift of their evaluation come from
-`evaluation_seed` of N.
+them and the controllers that are trained in it come from N; the tanks, noise and drift of their evaluation, and the
+search of baselines, come from `evaluation_seed` of N. The faster study and RecurrentPPO evaluate with N itself.
 """
 
 import json

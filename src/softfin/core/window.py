@@ -74,9 +74,12 @@ def window_means(
 
 
 def interval(values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE) -> list[float] | None:
-    """[low, high] of the mean over independent samples, by Student's t; None of fewer than `FEWEST`."""
+    """[low, high] of the mean over independent samples, by Student's t.
+
+    None of fewer than `FEWEST`, or where all are equal: then they are not independent.
+    """
     n = len(values)
-    if n < FEWEST:
+    if n < FEWEST or np.ptp(values) == 0:
         return None
     half = float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     mean = float(np.mean(values))

@@ -142,13 +142,9 @@ class Follower:
             # The joint's time counts where there is one: no other topic's wrong stamps empty all traces.
             lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
             newest = next((last for last in lasts if last is not None), 0.0)
-            events = self.traces["event"]
-            # Events first: they hold the zeros of the force.
-            events.settle(-float("inf"), self._serials)
-            zeros = events.zeros()
             for role, trace in self.traces.items():
-                if trace is not events:
-                    trace.settle(newest - self._window, self._serials, zeros if role == "wrench" else ())
+                trace.settle(-float("inf") if role == "event" else newest - self._window, self._serials)
+            self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
             if was_caught_up and self._count() > before:
                 self._grown_at = self._clock()
 

@@ -92,6 +92,8 @@ class Trace:
         """Rows that would fill them."""
         self.last: float | None = None
         """Time of the message that came last, decoded or not [s]."""
+        self.zeros: Sequence[tuple[float, Force]] = ()
+        """Zeros of the force, each with the time at which it was measured [s]; `less_zero` subtracts them."""
         self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_ROWS)
 
     def offer(self, time: float, type_name: str, data: bytes) -> None:
@@ -103,19 +105,13 @@ class Trace:
         self.last = time
         self._waiting.append((time, type_name, data))
 
-    def settle(self, since: float, serials: Iterator[int], zeros: Sequence[tuple[float, Force]] = ()) -> None:
-        """Decode what was offered, from the last row before `since` on: it holds until the next one comes.
-
-        `zeros` are those of the force, each with the time at which it was measured [s]; they are subtracted.
-        """
+    def settle(self, since: float, serials: Iterator[int]) -> None:
+        """Decode what was offered, from the last row before `since` on: it holds until the next one comes."""
         while self._waiting:
             time, type_name, data = self._waiting.popleft()
             if self._waiting and self._waiting[0][0] < since:
                 continue
             values = decode_message(self.role, type_name, data)
-            if values is not None and zeros:
-                zero = zeros_at(zeros, np.array([time]))[0].tolist()
-                values = tuple(value - offset for value, offset in zip(values, zero, strict=True))
             if values is None:
                 self.unreadable += 1
             else:
@@ -123,18 +119,29 @@ class Trace:
         while len(self.rows) > 1 and self.rows[1].time < since:
             self.rows.popleft()
 
-    def zeros(self) -> list[tuple[float, Force]]:
+    def recorded_zeros(self) -> list[tuple[float, Force]]:
         """Return the zeros of the force that events record, each with the time at which it was measured [s]."""
         parsed = ((row.time, parse_zero(str(row.values[0]))) for row in self.rows)
         return [(time, zero) for time, zero in parsed if zero is not None]
 
+    def less_zero(self, row: TraceRow) -> TraceRow:
+        """Return a row less the zero of its time: rows stay raw, because a zero may be read after them."""
+        if not self.zeros:
+            return row
+        zero = zeros_at(self.zeros, np.array([row.time]))[0].tolist()
+        return row._replace(values=tuple(value - offset for value, offset in zip(row.values, zero, strict=True)))
+
     def newest(self) -> list[float | None]:
         """Return the two numbers that came last; None for what is not there."""
-        return ([finite(value) for value in self.rows[-1].values] if self.rows else []) + [None] * 2
+        values = self.less_zero(self.rows[-1]).values if self.rows else ()
+        return [finite(value) for value in values] + [None] * 2
 
     def array(self) -> Float64[np.ndarray, "rows columns"]:
         """Return time [s] and numbers of the rows that are held."""
-        return np.array([(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64)
+        rows = np.array([(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64)
+        if self.zeros:
+            rows[:, 1:] -= zeros_at(self.zeros, rows[:, 0])
+        return rows
 
 
 def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:

@@ -67,8 +67,11 @@ class Server(socketserver.ThreadingTCPServer):
         with self._reading:
             self._follower.poll()
             summary, traces = self._follower.summary(), self._follower.traces
-            rows = {role: [row for row in trace.rows if row.serial > since] for role, trace in traces.items()
-                    if role != "event"}  # fmt: skip
+            rows = {
+                role: [trace.less_zero(row) for row in trace.rows if row.serial > since]
+                for role, trace in traces.items()
+                if role != "event"
+            }
         told = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
         answer = {
             "next": max((row.serial for found in rows.values() for row in found), default=since),

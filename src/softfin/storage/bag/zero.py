@@ -12,7 +12,7 @@ from jaxtyping import Float
 Force = tuple[float, float]
 """Force (x, y) [N]."""
 
-NUMBER = r"(-?\d{1,6}\.\d{4})"
+NUMBER = r"(-?\d{1,15}\.\d{4})"
 EVENT = re.compile(rf"force at rest: \({NUMBER}, {NUMBER}\) N")
 
 
