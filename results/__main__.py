@@ -50,10 +50,7 @@ def main() -> int:
             return quick.run_quick(asked_parts, arguments.seed, QUICK_WORK, FOLDER, say)
         if arguments.tiny is not None:
             return run_parts(asked, arguments, parts(TINY_SEEDS), arguments.tiny / "work", arguments.tiny / "results")
-        table = parts(SEEDS)
-        for name, seed in asked:
-            select_steps(table[name], seed)
-        return run_parts(asked, arguments, table, WORK, FOLDER)
+        return run_parts(asked, arguments, parts(SEEDS), WORK, FOLDER)
     except ValueError as error:
         parser.error(str(error))
 
@@ -83,7 +80,12 @@ def make_parser() -> argparse.ArgumentParser:
 def run_parts(
     asked: Sequence[tuple[str, str]], arguments: argparse.Namespace, table: Mapping[str, Part], work: Path, folder: Path
 ) -> int:
-    """Run parts one after another and write their JSON; return 1 if one failed, after the others."""
+    """Run parts one after another and write their JSON; return 1 if one failed, after the others.
+
+    Raises ValueError before anything runs if a part does not have a seed that is asked for.
+    """
+    for name, seed in asked:
+        select_steps(table[name], seed)
     steps = {step.name: step for part in table.values() for step in part.steps}
     runner = Runner(work.absolute(), tuple(steps.values()), arguments.tiny is not None, arguments.since)
     if arguments.again:

@@ -16,13 +16,10 @@ import numpy as np
 from scipy.stats import binom
 
 from results.record import Value
-from softfin.core.window import CONFIDENCE, interval
+from softfin.core.window import CONFIDENCE, FEWEST, interval
 
 TOLERANCE = 0.05
-"""Relative tolerance of a figure whose stated values do not differ, or are fewer than `LEAST_NUMBERS`."""
-
-LEAST_NUMBERS = 3
-"""Numbers that give an interval for a seed that is not among them."""
+"""Relative tolerance of a figure whose stated values do not differ, or are fewer than `FEWEST`."""
 
 FALSE_ALARM = 0.01
 """Chance that a correct program exceeds the number of figures outside."""
@@ -41,6 +38,8 @@ class Comparison(NamedTuple):
     values: list[Value]
     intervals: list[tuple[float, float]]
     """Interval of a further value, for each axis."""
+    is_far: bool = False
+    """Whether a figure outside is beyond a factor of `FAR` of the stated values."""
 
 
 def compare_figures(
@@ -83,23 +82,22 @@ def compare(stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float
         verdict: Verdict = "inside"
     else:
         verdict = "outside" if can_be_outside(stated, measured["seeds"]) else "not judged"
-    return Comparison(verdict, measured["unit"], values, intervals)
+    is_far = verdict == "outside" and is_far_from(stated["values"], values)
+    return Comparison(verdict, measured["unit"], values, intervals, is_far)
 
 
 def can_be_outside(stated: Mapping[str, Any], seeds: Sequence[int]) -> bool:
     """Return whether the stated values tell what to expect of some seeds: they have an interval, or are repeated."""
     nulls = sum(value is None for value in stated["values"])
     numbers = len(stated["values"]) - nulls
-    if numbers >= LEAST_NUMBERS or numbers == 0:
+    if numbers >= FEWEST or numbers == 0:
         return True
     return nulls == 0 and set(seeds) <= set(stated["seeds"])
 
 
-def is_far_outside(stated: Mapping[str, Any], comparison: Comparison) -> bool:
-    """Return whether a figure is outside and a number of it is not within a factor of `FAR` of those stated."""
-    if comparison.verdict != "outside":
-        return False
-    for axis, numbers in zip(split_axes(comparison.values), split_axes(stated["values"]), strict=False):
+def is_far_from(stated: Sequence[Value], values: Sequence[Value]) -> bool:
+    """Return whether a number on some axis is not within a factor of `FAR` of those stated."""
+    for axis, numbers in zip(split_axes(values), split_axes(stated), strict=False):
         magnitudes = np.abs(axis)
         stated_magnitudes = np.abs(numbers)
         if magnitudes.max() > FAR * stated_magnitudes.max() or magnitudes.min() < stated_magnitudes.min() / FAR:

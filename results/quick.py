@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from results import documents, history
-from results.comparison import Comparison, Verdict, allowed_outside, compare_figures, is_far_outside
+from results.comparison import Comparison, Verdict, allowed_outside, compare_figures
 from results.parts import Part, Work
 from results.record import QUIET_CORES, load, machine, shown, versions
 from results.steps import Runner, Step
@@ -91,7 +91,7 @@ def run_quick(table: Mapping[str, Part], seed: int, work: Path, folder: Path, sa
     for name, part in table.items():
         reason = explain_missing(name, part)
         results[name] = compare_part(name, part, work, folder, failures) if reason is None else PartResult(reason)
-    far_outside = find_far_outside(results, folder)
+    far_outside = find_far_outside(results)
     verdict = describe_verdict(results, far_outside)
     report = make_report(results, seed, verdict, (time.perf_counter() - start_s) / 60)
     work.mkdir(parents=True, exist_ok=True)
@@ -166,14 +166,13 @@ def compare_stated(name: str, folder: Path, measured: Mapping[str, Mapping[str, 
     return compare_figures(load(name, folder)["figures"], measured, digits, default_digit)
 
 
-def find_far_outside(results: Mapping[str, PartResult], folder: Path) -> list[str]:
+def find_far_outside(results: Mapping[str, PartResult]) -> list[str]:
     """Return the figures that are outside and have changed by more than a factor of three."""
     return [
         f"{name}.{figure}"
         for name, result in results.items()
-        if result.count("outside")
         for figure, comparison in result.comparisons.items()
-        if is_far_outside(load(name, folder)["figures"].get(figure, {}), comparison)
+        if comparison.is_far
     ]
 
 

@@ -114,7 +114,7 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
     mean, between = format(values.mean(), form), interval(values)
     if summary == "plain" or np.allclose(values, values[0], rtol=0, atol=1e-12):
         return mean
-    if len(values) == 2 or between is None:
+    if between is None:
         # Two values have no interval that tells anything.
         return " and ".join(format(value, form) for value in values)
     half = (between[1] - between[0]) / 2

@@ -108,6 +108,11 @@ def test_one_seed_or_two_have_no_interval():
     assert interval(np.array([1.0, 1.1])) is None
 
 
+def test_seeds_that_are_all_alike_have_no_interval():
+    """The true force of an open-loop controller is the same at every seed."""
+    assert interval(np.full(5, 0.98973)) is None
+
+
 def test_the_papers_rows_are_complete_and_its_printed_means_disagree_where_we_say():
     for controller, rows in PAPER_TABLE_II.items():
         assert tuple(rows) == PAPER_REFERENCES

@@ -49,7 +49,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
             for role in READABLE_TYPES:
                 track, found = _read_topic(reader, role, config, path, name)
                 issues += found
-                if role == "wrench" and config.topics.get(role, WRENCH).partition(":")[0] == WRENCH:
+                if role == "wrench" and config.topics.get(role, WRENCH) == WRENCH:
                     track, found = _less_zero(track, _read_zeros(reader), config, name)
                     issues += found
                 tracks.append(track)
