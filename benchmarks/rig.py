@@ -108,7 +108,7 @@ def _emulators(file: Path) -> Iterator[RigConfig]:
         values = yaml.safe_load(file.read_text())
         wide = {"overrun_s": 1.0, "stale_s": 1.0, "force_stale_s": 1.0, "watchdog_s": 2.0}
         values["safety"] = SAFETY | wide
-        values["drive"] |= {"zero_needed": False, "heartbeat_s": 2.0}
+        values["drive"] |= {"zero_needed": False, "heartbeat_s": 1.0}
         yield RigConfig.build(values, str(file))
     finally:
         process.terminate()

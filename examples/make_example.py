@@ -131,7 +131,8 @@ Try them:
 
     softfin evaluate single --plant tank --reference=2,-1 --seeds 1 --out evaluation
     softfin view --controller single --plant tank --reference=2,-1 --out fin.html
-    softfin rig emulate && softfin rig zero --arm && softfin run single --reference=2,-1 --seconds 10 --arm
+    softfin rig emulate && softfin rig check --prove --arm && softfin rig zero --arm
+    softfin run single --reference=2,-1 --seconds 10 --arm
     softfin import-logs recordings --out dataset
 
 Error of the true mean force in the tank, x / y in N: mean of |moving average over 200 samples - reference| over

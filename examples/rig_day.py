@@ -32,8 +32,9 @@ def main() -> None:
 
 
 def day(quick: bool) -> None:
-    # Morning: is all well? Where is zero?
+    # Morning: does the drive stop by itself? Where is zero? Is all well?
     softfin("rig", "emulate")
+    softfin("rig", "check", "--prove", *MOVES)
     softfin("rig", "zero", *MOVES)
     softfin("rig", "check")
 

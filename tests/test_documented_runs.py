@@ -68,6 +68,7 @@ what you would type while they run."""
 IN_THE_DAY = (
     "rig emulate",
     "rig check",
+    "rig check --prove --arm",
     "rig zero --arm",
     "collect --plant rig --out dataset --arm",
     "evaluate controller --plant rig --trim --out evaluation --arm",

@@ -123,6 +123,7 @@ def emulated(robot):
 
 def test_the_robots_part_holds_a_force_on_an_emulated_rig(robot, emulated):
     robot.softfin("example", "example")
+    robot.softfin("rig", "check", "--prove", "--arm", "--yes")
     robot.softfin("rig", "zero", "--arm", "--yes")
     words = ("--reference=2,0", "--seconds", "6", "--bag", "run.mcap", "--trim", "--arm", "--yes", "--json")
     result = json.loads(robot.softfin("run", "example/single", *words).stdout)

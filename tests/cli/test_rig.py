@@ -8,7 +8,10 @@ import pytest
 import softfin
 from softfin.cli import main
 from softfin.rig.config import load_rig
+from softfin.rig.emulation.drive import DriveTraits
+from softfin.rig.epos2.drive import Epos2
 from softfin.rig.epos2.protocol import State
+from softfin.rig.machine import Target
 from softfin.rig.safety import SafetyConfig
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
@@ -34,9 +37,10 @@ def found(capsys):
 def test_a_rig_is_checked_without_moving(file, emulated, capsys):
     main(["rig", "check", "--rig", file, "--json"])
     rows = found(capsys)
-    assert list(rows) == ["rig file", "disk", "force sensor", "force at rest", "drive", "angle", "zero", "100 Hz loop",
-                          "readings"]  # fmt: skip
-    for what in ("rig file", "force sensor", "force at rest", "drive", "angle", "zero"):
+    # The simple fin of the tests is given limits of the current that its drive never reaches.
+    assert list(rows) == ["rig file", "disk", "force sensor", "force at rest", "drive", "safety", "own stop", "angle",
+                          "zero", "100 Hz loop", "readings"]  # fmt: skip
+    for what in ("rig file", "force sensor", "force at rest", "drive", "own stop", "angle", "zero"):
         assert rows[what]["state"] == "well", rows[what]
     assert rows["100 Hz loop"]["state"] == "note"
     assert "in simulated time nothing is late" in rows["100 Hz loop"]["text"]
@@ -78,6 +82,69 @@ def test_zeroing_the_angle_needs_arm_and_moves_nothing(file, emulated, capsys):
     assert emulated.fin.now().angle == pytest.approx(0.2)
 
 
+def test_nothing_moves_before_it_is_proved_that_the_drive_stops_by_itself(file, emulated, capsys):
+    record = Path(file).with_suffix(".record.json")
+    record.unlink()
+    zero = ("rig", "zero", "--rig", file, "--angle", "--arm", "--yes")
+    line, code = fails(capsys, *zero)
+    assert "nobody has proved that its drive stops when softfin dies" in line
+    assert line.endswith(f"run: softfin rig check --rig {Path(file).resolve()} --prove --arm")
+    assert code == 2
+    assert emulated.drive.state is State.SWITCH_ON_DISABLED
+    line, code = fails(capsys, "rig", "check", "--rig", file, "--prove")
+    assert (line.endswith("nothing moves without --arm"), code) == (True, 2)
+    main(["rig", "check", "--rig", file, "--prove", "--arm", "--yes", "--json"])
+    proof = json.loads(capsys.readouterr().out)
+    assert 0.2 <= proof["faulted_after_s"] <= 0.25
+    assert json.loads(record.read_text())["stop_proof"] == proof
+    assert emulated.fin.now().angle == 0.0
+    main(list(zero))
+
+
+@pytest.mark.parametrize(
+    "change", [{"drive_serial": 1}, {"drive_serial": None}, {"heartbeat_s": 0.3}, {"host_node": 99}]
+)
+def test_a_proof_of_another_drive_or_with_other_settings_does_not_count(file, capsys, change):
+    record = Path(file).with_suffix(".record.json")
+    proof = json.loads(record.read_text())["stop_proof"]
+    record.write_text(json.dumps({"stop_proof": proof | change}))
+    line, _ = fails(capsys, "rig", "zero", "--rig", file, "--angle", "--arm", "--yes")
+    assert "with this drive, heartbeat_s and host_node; run: softfin rig check" in line
+    main(["rig", "check", "--rig", file, "--json"])
+    assert found(capsys)["own stop"]["state"] == "note"
+
+
+def test_a_drive_that_ignores_the_loss_of_the_heartbeats_loses_its_proof(file, emulated, capsys):
+    emulated.drive._traits = DriveTraits(ignores_heartbeat=True)
+    line, code = fails(capsys, "rig", "check", "--rig", file, "--prove", "--arm", "--yes")
+    assert "drive ignores the loss of softfin's heartbeats" in line
+    assert code == 1
+    assert json.loads(Path(file).with_suffix(".record.json").read_text())["stop_proof"] is None
+    assert emulated.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_drive_that_was_left_powered_is_stopped_by_a_command_without_arm(file, emulated, capsys):
+    emulated.drive._traits = DriveTraits(ignores_heartbeat=True)
+    config = load_rig(Path(file))
+    left = Epos2(config.bus, config.drive, emulated.clock)
+    left.open()
+    left.enable()
+    left.command(Target(1.5, 1.0))
+    emulated.clock.sleep(0.5)
+    # As if its program had been killed.
+    left.connection.close()
+    assert emulated.drive.state is State.OPERATION_ENABLED
+    assert emulated.fin.now().velocity > 0
+    main(["rig", "stop", "--rig", file, "--json"])
+    assert json.loads(capsys.readouterr().out) == {"motor": "off"}
+    assert emulated.drive.state is State.SWITCH_ON_DISABLED
+    assert emulated.fin.now().velocity == 0.0
+    emulated.drive.go_silent()
+    line, code = fails(capsys, "rig", "stop", "--rig", file)
+    assert "press the emergency stop" in line
+    assert code == 1
+
+
 def test_zeroing_the_force_needs_no_arm(file, capsys):
     main(["rig", "zero", "--rig", file, "--force", "--json"])
     assert set(json.loads(capsys.readouterr().out)) == {"force_before_n", "force_after_n", "noise_n"}
@@ -107,11 +174,14 @@ def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(tmp_pat
     monkeypatch.chdir(tmp_path)
     main(["rig", "emulate", "--seed", "3"])
     told = capsys.readouterr().out
-    assert "Next: softfin rig zero --arm, then softfin collect --plant rig --arm" in told
+    assert (
+        "Next: softfin rig check --prove --arm, then softfin rig zero --arm, then softfin collect --plant rig --arm"
+        in told
+    )
     config = load_rig(tmp_path / "rig.yaml")
     assert config.emulation.seed == 3
     assert config.drive.heartbeat_s == 0.2
-    assert config.safety == SafetyConfig(current_peak_a=6.0, current_sustained_a=3.0)
+    assert config.safety == SafetyConfig(current_peak_a=3.0, current_sustained_a=1.5)
     line, code = fails(capsys, "rig", "emulate")
     assert (line.endswith("rig.yaml: exists; give another --rig, or --overwrite to replace it"), code) == (True, 2)
     (tmp_path / "rig.state.json").write_text("of the rig before")

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import can
 
-from softfin.rig.emulation.drive import EmulatedDrive
+from softfin.rig.emulation.drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.simulated_clock import SimulatedClock
@@ -74,10 +74,10 @@ class Bench(NamedTuple):
 
 
 @contextmanager
-def bench(emulated: Epos2Config | None = None, **changes: Any) -> Iterator[Bench]:
+def bench(emulated: Epos2Config | None = None, traits: DriveTraits = USUAL, **changes: Any) -> Iterator[Bench]:
     clock = SimulatedClock()
     config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(clock), []
-    with closing(EmulatedDrive(bus, emulated or config, fin, clock)) as behind:
+    with closing(EmulatedDrive(bus, emulated or config, fin, clock, traits)) as behind:
         drive = Epos2(bus, config, clock, on_fault=faults.append)
         try:
             yield Bench(drive, behind, fin, bus, faults, clock)

@@ -9,8 +9,11 @@ import pytest
 import yaml
 
 from softfin.core.clock import REAL
-from softfin.rig.config import RigConfig
+from softfin.rig.config import RigConfig, load_rig
+from softfin.rig.emulation.drive_objects import values as drive_values
 from softfin.rig.emulation.rig import EmulatedRig, rigs
+from softfin.rig.epos2 import protocol
+from softfin.rig.record import RigRecord, StopProof, save_record
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.simulated_clock import SimulatedClock
@@ -64,6 +67,7 @@ def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
 def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
     """Its file, for the command line in this process."""
     path.write_text(yaml.safe_dump(values_of(behind, **safety) | {"emulation": {}}))
+    prove(path)
     rigs[path.resolve()] = behind
     try:
         yield path
@@ -76,9 +80,23 @@ def over_sockets(path: Path) -> Iterator[EmulatedRig]:
     """A rig in real time and its file, for the command line in another process."""
     with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
         values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
-        values["drive"] |= {"heartbeat_s": 3.0, "sync_s": 0.02, "zero_needed": False}
+        values["drive"] |= {"heartbeat_s": 1.0, "sync_s": 0.02, "zero_needed": False}
         path.write_text(yaml.safe_dump(values))
+        prove(path)
         yield behind
+
+
+def prove(path: Path) -> None:
+    """Record that the emulated drive of a rig's file stops by itself, as `softfin rig check --prove` would."""
+    config = load_rig(path)
+    proof = StopProof(
+        date="2026-01-01T00:00:00+00:00",
+        drive_serial=drive_values(config.drive)[protocol.SERIAL_NUMBER],
+        heartbeat_s=config.drive.heartbeat_s,
+        host_node=config.drive.host,
+        faulted_after_s=config.drive.heartbeat_s,
+    )
+    save_record(config.file, RigRecord(stop_proof=proof))
 
 
 @contextmanager

@@ -4,7 +4,7 @@ import math
 import threading
 
 from softfin.core.clock import REAL, Clock
-from softfin.rig.emulation.fin import FinMotion
+from softfin.rig.emulation.fin import COAST_RAD_S2, FinMotion
 
 SIMPLE_FORCE_N = 0.5
 """Force of a simple fin at 1 rad/s."""
@@ -28,6 +28,17 @@ class SimpleFin:
         """Stop at once."""
         with self._lock:
             self._start = self._target = self._angle()
+
+    def coast(self) -> None:
+        """Go on at half the velocity for as far as `COAST_RAD_S2` would let it: for as long, too."""
+        with self._lock:
+            angle = self._angle()
+            way = math.copysign(self._velocity**2 / (2 * COAST_RAD_S2), self._target - angle)
+            if self._target == angle:
+                way = 0.0
+            self._start, self._began = angle, self._clock()
+            self._target = angle + way
+            self._velocity /= 2
 
     def now(self) -> FinMotion:
         """Force towards -x while it turns to positive angles."""

@@ -13,5 +13,8 @@ class StillFin:
     def halt(self):
         pass
 
+    def coast(self):
+        pass
+
     def now(self):
         return FinMotion(0.0, 0.0, 0.0, 0.0, self.wrench)

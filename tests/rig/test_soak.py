@@ -45,7 +45,7 @@ WIDE = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 0.8, "
         "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 0.2}  # fmt: skip
 """In real time, so that a busy machine alone does not stop the fin: only what is injected does."""
 
-PATIENT = {"heartbeat_s": 1.5, "sync_s": 0.02}
+PATIENT = {"heartbeat_s": 1.0, "sync_s": 0.02}
 """Likewise, of the drive."""
 
 BUSY = "0x8130|silent for|ms late|heartbeat is missing|no new angle for|no new force for"

@@ -171,10 +171,11 @@ class Armed(Configuration):
     yes: bool = False
     """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
 
-    def confirm(self, robot: "RobotSetup", motion: str | None = None) -> None:
-        """Print the machine's notes; raise ConfigurationError unless a person confirms that it may move.
+    def confirm(self, robot: "RobotSetup", motion: str | None = None, proves: bool = False) -> None:
+        """Print the notes of an open machine; raise ConfigurationError unless a person confirms that it may move.
 
-        `motion` is what it will do, if not to follow commands.
+        `motion` is what it will do, if not to follow commands. A rig must be ready for it, unless this is what proves
+        that it is. Raises RigError.
         """
         name = robot.machine.name
         for note in robot.machine.notes:
@@ -182,6 +183,8 @@ class Armed(Configuration):
         if not self.arm:
             told = "answers, and " if motion is None else ""
             raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")
+        if not proves:
+            robot.check_ready()
         if self.yes:
             return
         if not on_terminal():

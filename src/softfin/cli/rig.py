@@ -15,26 +15,31 @@ from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
-from softfin.rig.config import load_rig
+from softfin.rig.config import RigConfig, load_rig
+from softfin.rig.prove import prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.storage.paths import RIG_FILE
 
+PROVING = "the motor is powered and holds where it stands; softfin then falls silent until the drive stops by itself"
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 
 class RigArguments(Armed, Common):
-    """Check the real fin, zero its angle and force, or emulate both devices with the virtual tank behind them."""
+    """Check, stop or zero the real fin, or emulate both devices with the virtual tank behind them."""
 
-    action: Annotated[Literal["check", "zero", "emulate"], Option(positional=True)]
-    """check: a table of what is well and what is not, nothing moves; zero: set angle and force to zero where they are;
-    emulate: the file of a rig whose drive, sensor and tank every command emulates, as fast as the computer allows."""
+    action: Annotated[Literal["check", "stop", "zero", "emulate"], Option(positional=True)]
+    """check: a table of what is well and what is not, nothing moves; stop: stop the motor and take its voltage off,
+    whoever has powered it; zero: set angle and force to zero where they are; emulate: the file of a rig whose drive,
+    sensor and tank every command emulates, as fast as the computer allows."""
     rig: File = RIG_FILE
-    """The rig's file: read by check and zero, written by emulate."""
+    """The rig's file: read by check, stop and zero, written by emulate."""
     reset_fault: bool = False
     """With check: acknowledge the fault that the drive is in, and print which it was."""
+    prove: bool = False
+    """With check: only prove that the drive stops when softfin dies; the motor is powered at rest: needs --arm."""
     angle: bool = False
     """With zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
     force: bool = False
@@ -47,7 +52,7 @@ class RigArguments(Armed, Common):
     """With emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
 
     def __call__(self) -> None:
-        {"check": self._check, "zero": self._zero, "emulate": self._emulate}[self.action]()
+        {"check": self._check, "stop": self._stop, "zero": self._zero, "emulate": self._emulate}[self.action]()
 
     def _check(self) -> None:
         config = load_rig(self.rig)
@@ -56,6 +61,9 @@ class RigArguments(Armed, Common):
                 rig.drive.connect()
                 fault = rig.drive.reset_fault()
             sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
+        if self.prove:
+            self._prove(config)
+            return
         findings = []
         for finding in check_rig(config, self.rig.absolute().parent):
             findings.append(finding)
@@ -68,13 +76,26 @@ class RigArguments(Armed, Common):
         if wrong:
             raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
 
+    def _prove(self, config: RigConfig) -> None:
+        with contextlib.closing(Rig(config)) as rig:
+            rig.drive.open()
+            self.confirm(RobotSetup(rig, config.safety), PROVING, proves=True)
+            proof = prove_stop(config, rig.drive)
+        after_ms = 1000 * proof.faulted_after_s
+        text = f"{rig.name}: its drive stopped by itself {after_ms:.0f} ms after softfin's last heartbeat"
+        self.tell(proof.model_dump(mode="json"), text)
+
+    def _stop(self) -> None:
+        with contextlib.closing(Rig(load_rig(self.rig))) as rig:
+            rig.drive.switch_off()
+        self.tell({"motor": "off"}, "the motor is off")
+
     def _zero(self) -> None:
         config = load_rig(self.rig)
         both = self.angle == self.force
         result: dict[str, Any] = {}
         if both or self.angle:
-            self.confirm(RobotSetup(Rig(config), config.safety), ZEROING)
-            result |= zero_angle(config)
+            result |= zero_angle(config, confirm=lambda rig: self.confirm(RobotSetup(rig, config.safety), ZEROING))
         if both or self.force:
             result |= zero_force(config)
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
@@ -102,8 +123,8 @@ class RigArguments(Armed, Common):
         write_simulated(self.rig, tank, values, self.seed)
         plant, option = ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
         sys.stdout.write(
-            f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig zero"
-            f"{option} --arm, then softfin collect --plant {plant} --arm\n"
+            f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig check"
+            f"{option} --prove --arm, then softfin rig zero{option} --arm, then softfin collect --plant {plant} --arm\n"
         )
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from softfin.core.clock import Clock
-from softfin.core.errors import DeviceError, SoftfinError
+from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
+from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.pace import Pace
+from softfin.rig.prove import check_proof
 from softfin.rig.rig import Rig
 from softfin.rig.simulated_clock import SimulatedClock
 
@@ -75,6 +77,9 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
         raise DeviceError(f"{where}: {error}") from None
     angle = rig.drive.sync_and_read(0.02).angle
     yield CheckResult("drive", "well", f"{where}: limits, ramps and mapping written and read back")
+    yield from (CheckResult("drive setup", "note", note) for note in rig.drive.notes)
+    yield from _check_currents(rig)
+    yield from _check_own_stop(rig)
     inside = config.angle_min_rad <= angle <= config.angle_max_rad
     yield CheckResult("angle", "well" if inside else "wrong", f"{angle:+.3f} rad, limits "
                       f"{config.angle_min_rad:+.2f} .. {config.angle_max_rad:+.2f} rad")  # fmt: skip
@@ -82,6 +87,38 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
     text = "known" if is_known else "not known since power-up; turn the fin to zero and run: softfin rig zero --arm"
     yield CheckResult("zero", "well" if is_known else "wrong", text)
     yield from (CheckResult("drive status", "wrong", line) for line in rig.drive.complaints())
+
+
+def _check_currents(rig: Rig) -> Iterator[CheckResult]:
+    """Compare the limits of the current with those that the drive keeps itself: beyond these they can never trip."""
+    safety = rig.config.safety
+    for name, limit_a, entry in (
+        ("current_peak_a", safety.current_peak_a, protocol.CURRENT_LIMIT),
+        ("current_sustained_a", safety.current_sustained_a, protocol.CONTINUOUS_CURRENT),
+    ):
+        held_ma = procedures.read_optional(rig.drive.connection, entry)
+        if held_ma is None or limit_a is None:
+            continue
+        # At a peak the drive limits the current to its own limit, so one that equals it is never exceeded.
+        is_peak = entry is protocol.CURRENT_LIMIT
+        if limit_a * 1000 > held_ma or (is_peak and limit_a * 1000 == held_ma):
+            text = f"{name} {limit_a:g} A can never trip: the drive itself keeps to {held_ma / 1000:g} A; lower it"
+            yield CheckResult("safety", "note", text)
+
+
+def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
+    """Show whether it was proved that the drive stops when softfin dies."""
+    if rig.config.file is None:
+        return
+    behaviour = procedures.read_optional(rig.drive.connection, protocol.LOSS_BEHAVIOUR)
+    try:
+        proof = check_proof(rig.config, rig.drive.serial)
+    except RigError as error:
+        yield CheckResult("own stop", "note", str(error))
+        return
+    if proof is not None:
+        after = f"{proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat the drive had stopped"
+        yield CheckResult("own stop", "well", f"{after}, proved {proof.date}; 0x1029.1 is {behaviour}")
 
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:

@@ -9,6 +9,7 @@ from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.machine import Sample, Target
+from softfin.rig.prove import check_proof
 
 ANSWER_S = 0.006
 """Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer more."""
@@ -44,6 +45,10 @@ class Rig:
     def notes(self) -> tuple[str, ...]:
         """Notes of the sensor."""
         return self.sensor.notes()
+
+    def check_ready(self) -> None:
+        """Raise RigError unless the drive, once opened, is proved to stop by itself when softfin dies."""
+        check_proof(self.config, self.drive.serial)
 
     @property
     def stop_unconfirmed(self) -> str | None:
@@ -116,12 +121,18 @@ def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = No
     return {name: [round(value, 4) for value in values[:3]] for name, values in results.items()}
 
 
-def zero_angle(config: RigConfig, clock: Clock | None = None) -> dict[str, Any]:
-    """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered, nothing moves."""
+def zero_angle(
+    config: RigConfig, clock: Clock | None = None, confirm: Callable[[Rig], object] = lambda rig: None
+) -> dict[str, Any]:
+    """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered, nothing moves.
+
+    `confirm` is called once the drive is open, before its motor is powered.
+    """
     rig = Rig(config, clock)
     drive = rig.drive
     try:
         drive.open()
+        confirm(rig)
         before = drive.sync_and_read(0.02).angle
         drive.home_here()
         return {"angle_before_rad": round(before, 5), "angle_after_rad": round(drive.sync_and_read(0.02).angle, 5)}

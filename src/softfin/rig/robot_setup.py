@@ -24,6 +24,12 @@ class RobotSetup:
     configuration: dict[str, Any] = field(default_factory=dict)
     """The whole configuration, for JSON."""
 
+    def check_ready(self) -> None:
+        """Raise RigError where an open machine must not move yet; only a machine that has such a check is checked."""
+        check = getattr(self.machine, "check_ready", None)
+        if check is not None:
+            check()
+
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
         """Raise RigError where a controller is for another fin, or commands more than this machine takes."""
         if None not in (fin, self.fin) and fin != self.fin:

@@ -54,7 +54,7 @@ print("moved and stopped")
 def test_another_process_drives_the_emulated_drive_over_tcp() -> None:
     import json
 
-    channel, fin, config = f"test {uuid.uuid4()}", SimpleFin(), drive_config(heartbeat_s=2.0)
+    channel, fin, config = f"test {uuid.uuid4()}", SimpleFin(), drive_config(heartbeat_s=1.0)
     virtual = BusConfig(interface="virtual", channel=channel)
     with closing(EmulatedDrive(virtual, config, fin)) as drive, SocketcandServer(channel) as server:
         bus = BusConfig(interface="socketcand", channel=channel, options={"host": HOST, "port": server.port})

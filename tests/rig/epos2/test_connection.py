@@ -29,7 +29,7 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
     with bench() as made:
         made.drive.connect()
         connection = made.drive.connection
-        with pytest.raises(DeviceError, match=r"refuses nonesuch .*0x06020000, Object does not exist: check that"):
+        with pytest.raises(DeviceError, match=r"refuses nonesuch .*0x06020000, object does not exist: check that"):
             connection.read(Object(0x2099, 0, "I", "nonesuch"))
         with pytest.raises(DeviceError, match=r"refuses mode .*0x06090030, .* change the value in the rig's file"):
             connection.write(protocol.MODE, 8)

@@ -1,19 +1,21 @@
 """The drive against its emulator: start, motion, everything that can go wrong, stop."""
 
+import itertools
 import struct
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 
 import can
 import pytest
 
 from softfin.core.errors import CommandError, DeviceError, RigError
 from softfin.rig.emulation import drive_motor
+from softfin.rig.emulation.drive import DriveTraits
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.epos2.procedures import REFUSED
-from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, State
+from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
 from softfin.rig.simulated_clock import SimulatedClock
@@ -30,8 +32,12 @@ def test_opening_gives_no_power_and_the_drive_holds_our_limits() -> None:
         assert not made.drive.referenced
         ask = made.drive.connection.read
         units = made.drive.units
-        assert ask(protocol.POSITION_MIN) == units.counts(-1.0)
-        assert ask(protocol.POSITION_MAX) == units.counts(0.5)
+        # A stroke to the end of the range may overshoot a little, and is no fault.
+        assert ask(protocol.POSITION_MIN) == units.counts(-1.15)
+        assert ask(protocol.POSITION_MAX) == units.counts(0.65)
+        assert made.drive.notes == ()
+        assert [ask(entry) for entry in protocol.REACTIONS] == [1, 2, 6]
+        assert ask(protocol.SYNC_ID) == made.drive.sync_id == 0x080 + 127 - NODE
         assert ask(protocol.QUICK_STOP_DECELERATION) == units.rpm(60.0)
         assert ask(protocol.CURRENT_LIMIT) == 1500
         assert ask(protocol.MODE_DISPLAY) == 1
@@ -155,7 +161,7 @@ def test_a_bus_that_does_not_exist_is_named_in_one_line() -> None:
 def test_a_drive_that_is_set_up_for_another_encoder_is_refused() -> None:
     with bench() as made:
         made.emulated._node.sdo.download(0x2210, 1, struct.pack("<I", 1024))
-        with pytest.raises(RigError, match=r"1024 lines.*500"):
+        with pytest.raises(RigError, match=r"is 1024: lines in the drive, encoder_lines 500"):
             made.drive.open()
 
 
@@ -191,10 +197,29 @@ def test_a_drive_in_fault_is_refused_with_its_name_and_reset_only_when_asked() -
 def test_a_drive_that_another_program_has_enabled_is_left_alone() -> None:
     with enabled() as made:
         made.drive.command(Target(1.0, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.1)
         other = Epos2(made.bus, drive_config(host_node=126), made.clock)
-        with pytest.raises(RigError, match="operation enabled already"):
+        with swimming(made), pytest.raises(RigError, match="operation enabled already"):
             other.open()
         assert made.until(lambda: made.fin.now().angle > 0.9)
+
+
+@contextmanager
+def swimming(made: Bench) -> Iterator[None]:
+    """Keep the loop of the drive going in a thread."""
+    ended = made.clock.event()
+
+    def loop() -> None:
+        while not ended.wait(0.01):
+            made.drive.send_heartbeat()
+            made.drive.sync_and_read(0.003)
+
+    thread = made.clock.spawn(loop, "loop")
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def complaint(made: Bench, words: str) -> bool:
@@ -290,6 +315,111 @@ def test_receiving_errors_are_told_and_do_not_end_the_receiver(monkeypatch: pyte
         assert complaint(made, "cannot be read (bus off)")
         assert made.until(lambda: left[0] == 0 and made.drive.sync_and_read(0.1).new)
         assert made.faults
+
+
+@pytest.mark.parametrize(
+    ("classes", "controller", "name"),
+    [
+        (0x02, 0, "lost arbitrations"),
+        (0x04, 0x08, "error warnings"),
+        (0x08, 0, "protocol violations"),
+        (0x20, 0, "frames without acknowledge"),
+        (0x00, 0, "error frames"),
+    ],
+)
+def test_an_error_that_the_bus_mends_itself_is_counted_and_no_stop(classes: int, controller: int, name: str) -> None:
+    with enabled() as made:
+        made.emulated.send_error_frame(classes, controller)
+        made.emulated.send_error_frame(classes, controller)
+        assert made.until(lambda: made.drive.counters().get(name) == 2)
+        assert made.drive.complaints() == ()
+        assert made.faults == []
+
+
+@pytest.mark.parametrize(("classes", "controller", "name"), [(0x40, 0, "bus-off"), (0x04, 0x20, "error passive")])
+def test_an_adapter_that_gives_up_is_told_at_once(classes: int, controller: int, name: str) -> None:
+    with enabled() as made:
+        made.emulated.send_error_frame(classes, controller)
+        assert complaint(made, f"the adapter is {name}; look at its cable")
+        assert name in made.faults[0]
+
+
+def test_a_limit_that_is_touched_for_a_moment_is_no_complaint_and_one_that_lasts_is() -> None:
+    with enabled() as made:
+        made.emulated.at_limit = True
+        began = made.clock()
+        assert made.until(lambda: made.clock() - began > 0.08)
+        assert made.drive.complaints() == ()
+        made.emulated.at_limit = False
+        assert made.until(lambda: made.clock() - began > 0.3)
+        assert made.drive.complaints() == ()
+        made.emulated.at_limit = True
+        assert complaint(made, "holds back at one of its own limits")
+
+
+def test_a_fin_whose_voltage_is_taken_coasts_and_one_that_is_stopped_stands() -> None:
+    ways = []
+    for word in (0x0000, 0x0002):
+        with enabled() as made, Sniffer(made) as sniffer:
+            made.drive.command(Target(1.5, 3.0))
+            assert made.until(lambda made=made: made.fin.now().angle > 0.3)
+            began = made.fin.now().angle
+            sniffer.send(*made.drive.order(word))
+            made.clock.sleep(0.01)
+            assert (made.fin.now().velocity == 0.0) is (word == 0x0002)
+            made.clock.sleep(0.5)
+            assert made.fin.now().velocity == 0.0
+            ways.append(made.fin.now().angle - began)
+    # v^2 / (2 * 10 rad/s2)
+    assert ways[0] == pytest.approx(0.45, abs=0.03)
+    assert ways[1] < 0.03
+
+
+def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from_its_target_or_a_stop() -> None:
+    with enabled(traits=DriveTraits(coarse_velocity=True, current_noise_a=0.1)) as made:
+        made.drive.command(Target(0.5, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.1)
+        rpm = made.drive.units.rpm(made.drive.sync_and_read(0.1).velocity)
+        assert rpm % 30 == 0
+        assert rpm > 0
+        assert made.until(lambda: abs(made.fin.now().angle - 0.5) < 1e-3)
+        currents = {made.drive.sync_and_read(0.1).current for _ in range(5)}
+        assert len(currents) > 1
+        made.drive.stop()
+        assert made.emulated.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "words"),
+    [
+        (protocol.MOTOR_TYPE, 3, "motor type .* is 3: no motor that softfin knows"),
+        (protocol.VELOCITY_NOTATION, -3, "velocity notation index .* is -3: set it to 0 in EPOS Studio"),
+        (protocol.POSITION_NOTATION, 1, "every angle is off by powers of ten"),
+        (protocol.ACCELERATION_NOTATION, 1, "every acceleration is off by powers of ten"),
+    ],
+)
+def test_a_setting_that_changes_units_is_refused(entry: Object, value: int, words: str) -> None:
+    with bench() as made:
+        made.emulated._node.sdo.download(entry.number, entry.sub, entry.layout.pack(value))
+        with pytest.raises(RigError, match=words):
+            made.drive.open()
+
+
+def test_settings_that_a_drive_does_not_have_are_notes() -> None:
+    with bench(traits=DriveTraits(missing=frozenset({protocol.MOTOR_TYPE, protocol.SERIAL_NUMBER}))) as made:
+        made.drive.open()
+        assert made.drive.notes == ("drive has no motor type (0x6402.0); check this setting in EPOS Studio",)
+        assert made.drive.serial is None
+
+
+def test_other_devices_are_read_while_the_drive_is_being_enabled() -> None:
+    with bench() as made:
+        made.drive.open()
+        made.drive.home_here()
+        times: list[float] = []
+        made.drive.enable(meanwhile=lambda: times.append(made.clock()))
+        assert len(times) > 2
+        assert max(later - earlier for earlier, later in itertools.pairwise(times)) < 0.02
 
 
 def test_an_on_fault_that_fails_does_not_end_the_receiver() -> None:

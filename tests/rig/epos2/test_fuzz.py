@@ -2,12 +2,14 @@
 
 import os
 import random
+import struct
 
 from softfin.rig.epos2.protocol import POWERED
 from softfin.rig.machine import Target
+from softfin.rig.safety import OVERSHOOT_RAD
 from tests.rig.epos2_bench import NODE, Sniffer, bench, enabled
 
-CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
+CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 3_000
 BATCH = 200
 
 
@@ -49,6 +51,27 @@ def test_frames_of_chance_do_not_keep_a_target_from_being_the_one_commanded() ->
                 sniffer.send(cob_id, data)
         made.until(lambda: made.fin.now().velocity == 0.0)
         assert -1e-3 < made.fin.now().angle < 0.2 + 1e-3
+
+
+def test_no_process_data_of_chance_move_an_enabled_drive_beyond_its_limits() -> None:
+    chance = random.Random(4)
+    with enabled(heartbeat_s=1.0) as made, Sniffer(made) as sniffer:
+        reach = made.drive.config.angle_max_rad + OVERSHOOT_RAD + 1e-3
+        moved = 0
+        for case in range(CASES):
+            word = chance.choice((0x0F, 0x1F, 0x3F, 0x0006, 0x0007, chance.randrange(0x10000)))
+            near = chance.random() < 0.5
+            target = chance.randrange(-40_000, 40_000) if near else chance.randrange(-(2**31), 2**31)
+            sniffer.send(0x300 + NODE, chance.randbytes(4))
+            sniffer.send(0x200 + NODE, struct.pack("<Hi", word, target))
+            if case % 20 == 0:
+                made.clock.sleep(0.02)
+                made.drive.send_heartbeat()
+                motion = made.fin.now()
+                moved += motion.velocity != 0.0
+                # A drive that faults at its limits is reset by chance, and goes on.
+                assert abs(motion.angle) <= reach
+        assert moved > 0
 
 
 def test_no_frame_moves_or_ends_the_emulated_drive() -> None:

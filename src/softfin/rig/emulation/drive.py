@@ -8,7 +8,7 @@ import contextlib
 from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import canopen
@@ -16,7 +16,7 @@ import canopen
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import EmulatedMotor
-from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, ProcessData, dictionary, values
+from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, READ_ONLY, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
@@ -25,6 +25,8 @@ from softfin.rig.simulated_network import open_bus
 
 MOTION_STEP_S = 0.005
 RECEIVE_TIMEOUT_S = 0.05
+STANDSTILL_RPM = 5
+"""Velocity of the motor at which a fault reaction ends, and the voltage is taken."""
 
 
 class _Network(canopen.Network):
@@ -52,18 +54,51 @@ class _Network(canopen.Network):
         return SimpleNamespace(stop=ended.set, update=newest.append)
 
 
+class DriveTraits(NamedTuple):
+    """Ways in which drives may differ from each other, and in which this one behaves."""
+
+    missing: frozenset[Object] = frozenset()
+    """Objects that it does not have."""
+    read_only: frozenset[Object] = frozenset()
+    """Objects that cannot be written, beside those that nobody can write."""
+    ignores_heartbeat: bool = False
+    """The motor goes on when the host's heartbeats end, whatever was written."""
+    needs_reset_of_communication: bool = False
+    """A fault of the communication can only be reset after NMT reset communication, as in an EPOS4."""
+    coarse_velocity: bool = False
+    """Velocities are measured in whole counts per millisecond: 30 rpm of the motor with 500 lines."""
+    current_noise_a: float = 0.0
+    """Standard deviation of the measured current [A]."""
+
+
+USUAL = DriveTraits()
+
+
 class EmulatedDrive:
     """A drive set up as `config` describes a real one; it has power from construction until `close`."""
 
-    def __init__(self, bus_config: BusConfig, config: Epos2Config, fin: EmulatedFin, clock: Clock = REAL) -> None:
-        self._config, self._clock = config, clock
+    def __init__(
+        self,
+        bus_config: BusConfig,
+        config: Epos2Config,
+        fin: EmulatedFin,
+        clock: Clock = REAL,
+        traits: DriveTraits = USUAL,
+    ) -> None:
+        self._config, self._clock, self._traits = config, clock, traits
         self._lock = clock.lock()
         self._network = _Network(clock)
         node: Any = canopen.LocalNode
-        self._node = node(config.node, dictionary(values(config)))
+        objects = {entry: value for entry, value in values(config).items() if entry not in traits.missing}
+        self._node = node(config.node, dictionary(objects, READ_ONLY | traits.read_only))
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
-        self.motor = motor = EmulatedMotor(fin, Units.of(config), self._value, self.fault)
+        velocity_step_rpm = 60_000 // (4 * config.encoder_lines) if traits.coarse_velocity else 1
+        self.motor = motor = EmulatedMotor(
+            fin, Units.of(config), self._value, self.fault, velocity_step_rpm, traits.current_noise_a
+        )
+        self.at_limit = False
+        """Whether it holds back at a limit of its own, such as that of the current: bit 11 of the statusword."""
         self._process_data = ProcessData(self._node, self._network.send_message)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
@@ -88,7 +123,7 @@ class EmulatedDrive:
         self._ending.set()
         while self._threads:
             self._threads.pop().join(1.0)
-        self.motor.halt()
+        self.motor.release()
         self._node.nmt.stop_heartbeat()
         bus, self._network.bus = self._network.bus, None
         if bus is not None:
@@ -107,10 +142,19 @@ class EmulatedDrive:
         with self._lock:
             if self.state in protocol.FAULT_STATES:
                 return
-            powered = self.state in protocol.POWERED
-            self._enter(State.FAULT_REACTION_ENABLED if powered else State.FAULT_REACTION_DISABLED)
+            # Reaction 0 takes the voltage at once; every other one is emulated as a brake at the steepest ramp.
+            brakes = self.state in protocol.POWERED and self._option(protocol.FAULT_REACTION, 2) != 0
+            self._enter(State.FAULT_REACTION_ENABLED if brakes else State.FAULT_REACTION_DISABLED)
             self._newest_error = code
+            self._is_cut_off = code in protocol.NEEDS_RESET_OF_COMMUNICATION
             self._emergency(code)
+
+    def send_error_frame(self, classes: int, controller: int = 0) -> None:
+        """Have the host's adapter report an error by a frame of SocketCAN."""
+        data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
+        frame = can.Message(arbitration_id=classes, data=data, is_extended_id=False, is_error_frame=True)
+        assert self._network.bus is not None
+        self._network.bus.send(frame)
 
     def drop_heartbeat(self) -> None:
         """Send no more heartbeats; all else goes on."""
@@ -126,8 +170,17 @@ class EmulatedDrive:
             self.state = State.START
             self.motor.power_up()
             self._word = self._newest_error = 0
-            self._host_beat: float | None = None
+            self._is_cut_off = False
             self._node.data_store.clear()
+            self._restart_communication()
+
+    def _restart_communication(self) -> None:
+        """Send the boot-up message, with the objects of the communication as they are delivered."""
+        with self._lock:
+            self._is_cut_off = False
+            self._host_beat: float | None = None
+            for index in [index for index in self._node.data_store if index < 0x2000]:
+                del self._node.data_store[index]
             self._process_data.enabled.clear()
             self._node.nmt.stop_heartbeat()
             for code in (protocol.NMT_RESET, protocol.NMT_PRE_OPERATIONAL):
@@ -141,6 +194,7 @@ class EmulatedDrive:
             bits = {
                 Bit.REMOTE: self._node.nmt.state == "OPERATIONAL",
                 Bit.TARGET_REACHED: reaches and motor.is_target_reached,
+                Bit.LIMIT: self.at_limit,
                 Bit.ACKNOWLEDGED: motor.acknowledged,
                 Bit.ERROR: self._is_behind(),
                 Bit.REFERENCED: motor.referenced,
@@ -149,8 +203,14 @@ class EmulatedDrive:
 
     def _enter(self, state: State) -> None:
         before, self.state = self.state, state
-        if before is not state and before in protocol.POWERED:
+        if before is state or before not in protocol.POWERED:
+            return
+        if state in protocol.ENABLING:
+            return
+        if state in protocol.POWERED:
             self.motor.halt()
+        else:
+            self.motor.release()
 
     def _demand(self) -> int:
         return self.motor.demand if self.state is State.OPERATION_ENABLED else self.motor.position
@@ -162,16 +222,34 @@ class EmulatedDrive:
         value: int = entry.layout.unpack(self._node.get_data(entry.number, entry.sub))[0]
         return value
 
+    def _option(self, entry: Object, default: int) -> int:
+        """Value of an object that a drive may lack; the default is how it behaves then."""
+        return default if entry in self._traits.missing else self._value(entry)
+
     def _run(self) -> None:
         while not self._ending.wait(MOTION_STEP_S):
             with self._lock, contextlib.suppress(can.CanError):
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
+                if self.state is State.FAULT_REACTION_ENABLED and abs(self.motor.rpm) <= STANDSTILL_RPM:
+                    self._enter(State.FAULT)
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
                     self.fault(0x8611)
                 silence = self._value(protocol.HEARTBEAT_CONSUMER) & 0xFFFF
                 if silence and self._host_beat is not None and self._clock() - self._host_beat > silence / 1000:
                     self._host_beat = None
-                    self.fault(0x8130)
+                    self._lose_host()
+
+    def _lose_host(self) -> None:
+        """React to the end of the host's heartbeats as 0x6007 and 0x1029 say (CiA 402 and 301)."""
+        if self._traits.ignores_heartbeat or self._option(protocol.LOSS_REACTION, 1) == 0:
+            return
+        self.fault(protocol.HOST_LOST)
+        # 0: to pre-operational; 1: stay as it is; 2: stopped.
+        behaviour = self._option(protocol.LOSS_BEHAVIOUR, 0)
+        if behaviour == 0 and self._node.nmt.state == "OPERATIONAL":
+            self._node.nmt.send_command(protocol.NMT_PRE_OPERATIONAL)
+        elif behaviour == 2:
+            self._node.nmt.send_command(protocol.NMT_STOP)
 
     def _live(self, index: int, subindex: int, od: Any) -> int | None:
         with self._lock:
@@ -184,6 +262,8 @@ class EmulatedDrive:
             if index == protocol.CONTROLWORD.number:
                 was, before = self.state, self._word
                 self._word = protocol.CONTROLWORD.layout.unpack(data)[0]
+                if self._is_cut_off and self._traits.needs_reset_of_communication:
+                    self._word &= ~protocol.FAULT_RESET
                 self._enter(drive_motor.next_state(was, self._word, before))
                 if was is State.FAULT and self.state is not State.FAULT:
                     self._emergency(0)
@@ -225,11 +305,14 @@ class EmulatedDrive:
         self._network.notify(cob_id, bytearray(data), self._clock())
         with self._lock:
             if cob_id == protocol.NMT and nmt.state == "INITIALISING":
-                self.reboot()
+                if data[0] == protocol.NMT_RESET_COMMUNICATION:
+                    self._restart_communication()
+                else:
+                    self.reboot()
             elif cob_id & 0x780 == protocol.HEARTBEAT:
                 if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
                     self._host_beat = self._clock()
-            elif nmt.state == "OPERATIONAL" and cob_id == protocol.SYNC:
+            elif nmt.state == "OPERATIONAL" and cob_id == self._option(protocol.SYNC_ID, protocol.SYNC) & 0x7FF:
                 self._process_data.synchronise()
             elif nmt.state == "OPERATIONAL":
                 self._process_data.take(cob_id, data)

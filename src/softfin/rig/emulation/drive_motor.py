@@ -3,6 +3,7 @@
 Every target takes effect at once, as our driver asks for; a relative one is not taken.
 """
 
+import random
 from collections.abc import Callable
 
 from softfin.rig.emulation.fin import EmulatedFin
@@ -21,7 +22,6 @@ BY_ITSELF = {
     State.REFRESH: State.MEASURE_INIT,
     State.MEASURE_INIT: State.OPERATION_ENABLED,
     State.FAULT_REACTION_DISABLED: State.FAULT,
-    State.FAULT_REACTION_ENABLED: State.FAULT,
 }
 """States that a drive leaves by itself, a tick later."""
 
@@ -49,9 +49,17 @@ class EmulatedMotor:
     """`value(entry)` is the drive's object, `fault(code)` its fault."""
 
     def __init__(
-        self, fin: EmulatedFin, units: Units, value: Callable[[Object], int], fault: Callable[[int], None]
+        self,
+        fin: EmulatedFin,
+        units: Units,
+        value: Callable[[Object], int],
+        fault: Callable[[int], None],
+        velocity_step_rpm: int = 1,
+        current_noise_a: float = 0.0,
     ) -> None:
         self._fin, self._units, self._value, self._fault = fin, units, value, fault
+        self._velocity_step_rpm, self._current_noise_a = velocity_step_rpm, current_noise_a
+        self._noise = random.Random(0)
         self.power_up()
 
     def power_up(self) -> None:
@@ -59,11 +67,19 @@ class EmulatedMotor:
         self.mode, self.referenced = protocol.PROFILE_POSITION, False
         # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
         self.zero = self._units.counts(self._fin.now().angle)
-        self.halt()
+        self.release()
 
     def halt(self) -> None:
         """Brake and forget the target."""
         self._fin.halt()
+        self._forget()
+
+    def release(self) -> None:
+        """Let the fin coast, without voltage, and forget the target."""
+        self._fin.coast()
+        self._forget()
+
+    def _forget(self) -> None:
         self._goal: int | None = None
         self.acknowledged = False
         """Bit 12 of the statusword: target acknowledged, or home attained."""
@@ -81,12 +97,13 @@ class EmulatedMotor:
     @property
     def rpm(self) -> int:
         """Velocity of the motor [rpm]."""
-        return self._units.direction * round(self._fin.now().velocity * self._units.rpm_per_rad_s)
+        rpm = self._fin.now().velocity * self._units.rpm_per_rad_s
+        return self._units.direction * self._velocity_step_rpm * round(rpm / self._velocity_step_rpm)
 
     @property
     def current(self) -> int:
         """Current of the motor [mA]."""
-        return round(1000 * self._fin.now().current)
+        return round(1000 * (self._fin.now().current + self._noise.gauss(0.0, self._current_noise_a)))
 
     @property
     def is_target_reached(self) -> bool:

@@ -20,7 +20,8 @@ FIRST_TAKEN, FIRST_SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY = frozenset(
     {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
-     protocol.POSITION, protocol.VELOCITY, protocol.MOTOR_CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR}
+     protocol.POSITION, protocol.VELOCITY, protocol.MOTOR_CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR,
+     protocol.SERIAL_NUMBER}
 )  # fmt: skip
 _TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
           "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
@@ -33,6 +34,13 @@ def values(config: Epos2Config) -> dict[Object, int]:
     """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
     start = dict.fromkeys(protocol.OBJECTS, 0) | {
         protocol.DEVICE_TYPE: 0x00020192,
+        protocol.SYNC_ID: protocol.SYNC,
+        protocol.SERIAL_NUMBER: 0x36020000 + config.node,
+        # From memory: no action at a lost heartbeat, and a brushless motor. A drive as delivered may differ.
+        protocol.LOSS_REACTION: 0,
+        protocol.FAULT_REACTION: 2,
+        protocol.QUICK_STOP_OPTION: 6,
+        protocol.MOTOR_TYPE: 10,
         protocol.ENCODER_LINES: config.encoder_lines,
         protocol.MODE: protocol.PROFILE_POSITION,
         protocol.POSITION_MIN: -(2**31),
@@ -43,7 +51,9 @@ def values(config: Epos2Config) -> dict[Object, int]:
         protocol.ACCELERATION: 10000,
         protocol.DECELERATION: 10000,
         protocol.QUICK_STOP_DECELERATION: 10000,
-        protocol.CURRENT_LIMIT: 3000,
+        # From memory: an EPOS2 Module 36/2 gives 2 A for long and 4 A for a moment.
+        protocol.CONTINUOUS_CURRENT: 2000,
+        protocol.CURRENT_LIMIT: 4000,
         # Homing and profile position: bits 5 and 0.
         protocol.SUPPORTED_MODES: 0x21,
     }
@@ -58,7 +68,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
     return start
 
 
-def dictionary(start: dict[Object, int]) -> Any:
+def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONLY) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
     found = library.ObjectDictionary()
@@ -68,7 +78,7 @@ def dictionary(start: dict[Object, int]) -> Any:
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
         variable.data_type, variable.default = _TYPES[entry.form], value
-        variable.access_type = "ro" if entry in READ_ONLY else "rw"
+        variable.access_type = "ro" if entry in read_only else "rw"
         if entry.number in records:
             found[entry.number].add_member(variable)
         else:

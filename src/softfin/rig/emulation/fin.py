@@ -4,6 +4,9 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from softfin.rig.machine import Wrench
 
+COAST_RAD_S2 = 10.0
+"""Deceleration of a fin without voltage [rad/s2]; assumed: far less than a quick stop, so that the two differ."""
+
 
 class FinMotion(NamedTuple):
     """Motion and force of an emulated fin at one moment."""
@@ -29,6 +32,9 @@ class EmulatedFin(Protocol):
 
     def halt(self) -> None:
         """Brake and stay."""
+
+    def coast(self) -> None:
+        """Go on without a motor, which the water slows down at `COAST_RAD_S2`."""
 
     def now(self) -> FinMotion:
         """Motion and force at this moment."""

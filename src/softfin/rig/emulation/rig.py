@@ -151,13 +151,18 @@ def write_rig(path: Path, values: dict[str, Any], comment: str) -> None:
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
+# The emulated fin draws 1.1 A at its peaks and 0.3 A on average over 0.5 s; the emulated drive gives 4 A and 2 A.
+EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
+"""Limits of the current that an emulated fin keeps, and that trip before the drive limits the current itself."""
+
+
 def _rig_values(drive: Epos2Config, bus: dict[str, Any], **ports: int) -> dict[str, Any]:
     return {
         "fin": "emulated",
         "bus": bus,
         "drive": drive.model_dump(mode="json", exclude_defaults=True),
         "sensor": {"address": HOST, **ports, "frame": SENSOR_MOUNTING},
-        "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0},
+        "safety": dict(EMULATED_SAFETY),
         "settle_s": 1.0,
     }
 

@@ -14,7 +14,7 @@ import numpy as np
 from softfin.core.clock import REAL, Clock
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
-from softfin.rig.emulation.fin import FinMotion
+from softfin.rig.emulation.fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
 
 AMPERE_PER_NM = 1 / (111 * 0.0259)
@@ -79,6 +79,13 @@ class TankFin:
             self._catch_up()
             angle, velocity = self._after[0], self._after[1]
             self.move(angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)), math.inf)
+
+    def coast(self) -> None:
+        """Go as far as it would coast; the tank's drive has one ramp, so it keeps its velocity until shortly before."""
+        with self._lock:
+            self._catch_up()
+            angle, velocity = self._after[0], self._after[1]
+            self.move(angle + velocity * abs(velocity) / (2 * COAST_RAD_S2), abs(velocity))
 
     def now(self) -> FinMotion:
         """Motion and force one sample ago."""

@@ -50,18 +50,23 @@ class Epos2Config(Configuration):
     """Acceleration and deceleration of the profile [rad/s2]; no default: it follows from motor, gear and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
     """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount bears."""
-    following_error_rad: float = Field(gt=0)
+    following_error_rad: float = Field(gt=0, le=1)
     """Distance from the profile at which the drive faults [rad]; no default: too large and a blocked fin burns."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
     """Largest motor current [A]; written to the drive where given, else the drive's own setting stands."""
-    heartbeat_s: float = Field(0.2, ge=0.1, le=5)
+    heartbeat_s: float = Field(0.2, ge=0.1, le=1)
     """Silence after which each side takes the other for dead [s]: a drive whose host hangs stops this much later."""
-    host_node: int = Field(127, ge=1, le=127)
-    """Node number of the host's heartbeat, one that no device on the bus has."""
+    host_node: int | None = Field(None, ge=1, le=127)
+    """Node number of this program's heartbeat and SYNC, which nobody else on the bus has; None means 127 - node."""
     sync_s: float = Field(TICK_S, ge=0.001, le=0.1)
     """Period of the loop that reads the drive [s]."""
     zero_needed: bool = True
     """Refuse to move before the fin was zeroed since the drive's power-up; false only for an absolute encoder."""
+
+    @property
+    def host(self) -> int:
+        """Node number of this program: its own, so that no other program's heartbeats keep this drive moving."""
+        return 127 - self.node if self.host_node is None else self.host_node
 
     @property
     def limits(self) -> Limits:
@@ -72,7 +77,9 @@ class Epos2Config(Configuration):
     def _fits(self) -> "Epos2Config":
         if problem := self.limits.problem(one_velocity=True):
             raise ValueError(problem)
-        if self.node == self.host_node:
+        if self.host == 0:
+            raise ValueError("node 127 leaves no number for the host; give host_node a number that no device has")
+        if self.node == self.host:
             raise ValueError(f"node and host_node are both {self.node}; give host_node a number that no device has")
         braking = self.fastest_rad_s / self.quick_stop_rad_s2
         if braking > LONGEST_BRAKE_S:

@@ -32,6 +32,14 @@ UPLOAD, DOWNLOADED, ABORTED = 0x40, 0x60, 0x80
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
+class SdoRefusal(DeviceError):
+    """The drive refused to read or write an object; `code` is its reason."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+
 class CanConnection:
     """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called in the receiver's thread."""
 
@@ -52,6 +60,7 @@ class CanConnection:
         self._sending, self._requesting = clock.lock(), clock.lock()
         self._answered = clock.event()
         self._request, self._answer = b"", b""
+        self._foreign_ids: set[int] | None = None
         self.counters: Counter[str] = Counter()
 
     @property
@@ -85,6 +94,13 @@ class CanConnection:
         if bus is not None:
             with contextlib.suppress(Exception):
                 bus.shutdown()
+
+    def listen(self, seconds: float) -> frozenset[int]:
+        """Send nothing for a time [s]; return the COB-IDs of the frames that others sent meanwhile."""
+        foreign_ids = self._foreign_ids = set[int]()
+        self._clock.sleep(seconds)
+        self._foreign_ids = None
+        return frozenset(foreign_ids)
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Send one frame; raises DeviceError where the bus does not take it."""
@@ -134,7 +150,8 @@ class CanConnection:
                 "look at its supply, the bus's cable and its bitrate"
             )
         if answer[0] == ABORTED:
-            raise DeviceError(f"drive refuses {entry}: {protocol.abort_line(int.from_bytes(answer[4:], 'little'))}")
+            code = int.from_bytes(answer[4:], "little")
+            raise SdoRefusal(f"drive refuses {entry}: {protocol.abort_line(code)}", code)
         if answer[0] not in allowed:
             raise DeviceError(f"drive's answer for {entry} makes no sense ({answer.hex()}); try again")
         return answer
@@ -157,11 +174,13 @@ class CanConnection:
     def _sort(self, message: can.Message) -> None:
         cob_id, data = message.arbitration_id, bytes(message.data)
         if message.is_error_frame:
-            self.counters["error frames"] += 1
-            self._on_problem(f"{self.name} reports an error frame; look at cable, termination and bitrate")
-        elif message.is_remote_frame or message.is_extended_id:
+            self._count_errors(cob_id, data)
             return
-        elif cob_id != protocol.SDO_ANSWER + self.node:
+        if message.is_remote_frame or message.is_extended_id:
+            return
+        if self._foreign_ids is not None:
+            self._foreign_ids.add(cob_id)
+        if cob_id != protocol.SDO_ANSWER + self.node:
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1
@@ -169,6 +188,15 @@ class CanConnection:
         elif self._request and data[1:4] == self._request[1:4]:
             self._answer = data
             self._answered.set()
+
+    def _count_errors(self, classes: int, data: bytes) -> None:
+        """Count the errors in an error frame; an adapter that has given up, or is about to, is a problem."""
+        names = protocol.bus_errors(classes, data)
+        self.counters.update(names)
+        # A single error is repeated by the controllers themselves: it costs a fraction of a millisecond, and no stop.
+        for name in names:
+            if name in protocol.BUS_FAILURES:
+                self._on_problem(f"{self.name}: the adapter is {name}; look at its cable, termination and bitrate")
 
 
 def download(entry: Object, value: int) -> bytes:

@@ -3,6 +3,8 @@
 One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a real drive.
 """
 
+from collections.abc import Callable
+
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.epos2.exchange import DriveStatus, Exchange
@@ -11,6 +13,8 @@ from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, check_target
 
 RESET_TIMEOUT_S = 1.0
+LIMITED_S = 0.1
+"""Time for which the drive may hold back at a limit of its own: a steep stroke touches one for milliseconds."""
 FIRST_ANSWER_S = 0.5
 STOP_TIMEOUT_S = 2.0
 """Longest that one stop waits for another that is under way."""
@@ -28,7 +32,9 @@ class Epos2(Exchange):
         self.reset()
         try:
             self.connection.open()
+            self.foreign_ids = procedures.refuse_others(self.connection, self.config)
             procedures.identify(self.connection)
+            self.serial = procedures.read_optional(self.connection, protocol.SERIAL_NUMBER)
         except BaseException:
             self.connection.close()
             raise
@@ -37,11 +43,13 @@ class Epos2(Exchange):
         """Connect, check, write the limits and start the node, without power to the motor; closed again on failure."""
         self.connect()
         try:
-            procedures.check(self.connection, self.config)
+            self.notes = procedures.check(self.connection, self.config)
             self.powered, self.owned = False, True
             self.connection.send(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
             self.connection.write(protocol.CONTROLWORD, protocol.DISABLE_VOLTAGE)
             procedures.configure(self.connection, self.config)
+            self.notes += procedures.set_reactions(self.connection)
+            self._own_sync()
             self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
             status = self.status
             with self.lock:
@@ -67,13 +75,15 @@ class Epos2(Exchange):
     def reset_fault(self) -> str | None:
         """Acknowledge the drive's fault and return its name; None when there was none. Raises DeviceError.
 
-        After `connect` or `open`; the motor stays without power.
+        The motor stays without power. The drive must be opened anew before it is enabled.
         """
         fault = procedures.fault_of(self.connection)
         if fault is None:
             return None
         with self.lock:
-            self.armed, self.stopped = False, True
+            self.armed, self.stopped, self.owned = False, True, False
+        if procedures.newest_error(self.connection) in protocol.NEEDS_RESET_OF_COMMUNICATION:
+            self._reset_communication()
         # Else it would at once miss the heartbeat of a host that is gone.
         self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
         for word in protocol.RESET_EDGE:
@@ -106,6 +116,8 @@ class Epos2(Exchange):
             status, fault, unanswered = self.status, self.status.fault(), self.handshake.unanswered
             silence = self.clock() - status.heartbeat_time
             enabled = self.armed and not fault
+            limited_s = 0.0 if status.limited_since is None else self.clock() - status.limited_since
+            is_limited = limited_s > LIMITED_S
             lines = (
                 (fault, fault),
                 (self.trouble, self.trouble),
@@ -115,7 +127,7 @@ class Epos2(Exchange):
                  f"drive left the operational state (NMT 0x{status.nmt or 0:02X}); close other programs, start again"),
                 (enabled and status.state is not State.OPERATION_ENABLED,
                  f"drive is {status.words} though it was enabled; look at its enable input and other programs"),
-                (enabled and status.has(Bit.LIMIT),
+                (enabled and is_limited,
                  "drive holds back at one of its own limits; ask for less velocity, acceleration or angle"),
                 (enabled and status.has(Bit.ERROR),
                  "drive is behind its profile by more than its limit; look for a blocked fin"),
@@ -139,8 +151,11 @@ class Epos2(Exchange):
         counted = self.status.counters + self.connection.counters
         return {"targets repeated": self.handshake.repeated} | dict(counted)
 
-    def enable(self) -> None:
-        """Give power to the motor, which holds where it is; on RigError or DeviceError it is stopped again."""
+    def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Give power to the motor, which holds where it is; on RigError or DeviceError it is stopped again.
+
+        It takes up to a second; `meanwhile` is called every few milliseconds, so that other devices can be read.
+        """
         angle, low, high = self._new_reading().angle, self.config.angle_min_rad, self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
@@ -154,7 +169,7 @@ class Epos2(Exchange):
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
-        self._power_up(then_arm=True)
+        self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def home_here(self) -> None:
         """Make the present position the drive's zero (homing method 35); the motor is powered for it, nothing moves."""
@@ -170,6 +185,41 @@ class Epos2(Exchange):
             procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         if self.stop_unconfirmed:
             raise DeviceError(self.stop_unconfirmed)
+
+    def prove_stop(self) -> float:
+        """Power the motor at rest and withhold the heartbeats; return the time until the drive faults by itself [s].
+
+        Nothing moves, so no zero is needed. Raises DeviceError if the drive does not fault; it must be opened anew.
+        """
+        self._new_reading()
+        # As for homing, so that a fin without a zero may stand beyond the drive's limits of the position.
+        procedures.set_mode(self.connection, protocol.HOMING)
+        # The fault is what is waited for: a stop from here must not take the power off before the drive does.
+        on_fault, self.on_fault = self.on_fault, None
+        try:
+            self._power_up(then_arm=False)
+            faulted_after_s = procedures.time_own_stop(self)
+            self.stop()
+            if self.stop_unconfirmed:
+                raise DeviceError(self.stop_unconfirmed)
+            self.reset_fault()
+            return faulted_after_s
+        finally:
+            self.stop()
+            self.on_fault = on_fault
+
+    def switch_off(self) -> None:
+        """Stop a drive whoever has powered it, with no condition at all; raises DeviceError if its motor stays on."""
+        self.reset()
+        try:
+            self.connection.open()
+            is_off = procedures.switch_off(self)
+        except DeviceError as error:
+            raise DeviceError(f"{UNCONFIRMED} ({error})") from None
+        finally:
+            self.connection.close()
+        if not is_off:
+            raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
 
     def stop(self) -> None:
         """Quick stop at once, then no voltage; from any thread, any number of times; never raises."""
@@ -195,7 +245,27 @@ class Epos2(Exchange):
             raise DeviceError("drive does not answer; look at its supply and the bus's cable")
         return self.status
 
-    def _power_up(self, then_arm: bool) -> None:
+    def _own_sync(self) -> None:
+        self.sync_id = procedures.set_sync(self.connection, self.config)
+        if self.sync_id != protocol.SYNC:
+            return
+        self.notes += ("drive answers everybody's SYNC; give each fin a bus of its own",)
+        if protocol.SYNC in self.foreign_ids:
+            raise RigError(
+                f"{self.connection.name}: another program sends the SYNC that this drive answers; give each fin a bus "
+                "of its own, or end the other program"
+            )
+
+    def _reset_communication(self) -> None:
+        """Reset the node's communication and wait for its boot-up; the drive keeps its zero."""
+        self.status.rebooted = False
+        self.connection.send(protocol.NMT, bytes([protocol.NMT_RESET_COMMUNICATION, self.config.node]))
+        with self.lock:
+            # A drive that does not start anew may do without: what counts is whether the fault goes away.
+            self.lock.wait_for(lambda: self.status.rebooted, RESET_TIMEOUT_S)
+            self.status.rebooted = False
+
+    def _power_up(self, then_arm: bool, meanwhile: Callable[[], object] = lambda: None) -> None:
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
             raise DeviceError("drive is still being stopped; wait, then enable it again")
         try:
@@ -207,8 +277,8 @@ class Epos2(Exchange):
         try:
             self.send_heartbeat()
             silence = round(1000 * self.config.heartbeat_s)
-            procedures.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
-            procedures.reach_enabled(self, then_arm)
+            procedures.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host << 16 | silence)
+            procedures.reach_enabled(self, then_arm, meanwhile)
         except BaseException:
             self.stop()
             raise

@@ -55,6 +55,8 @@ class DriveStatus:
         self.nmt: int | None = None
         self.emergency: int | None = None
         self.rebooted = False
+        self.limited_since: float | None = None
+        """Time since which the drive reports that it holds back at a limit of its own [s]; None if it does not."""
         self.counters: Counter[str] = Counter()
 
     @property
@@ -113,6 +115,10 @@ class DriveStatus:
         if which == 0:
             self.statusword, self.position = values
             self.angle = self._units.angle(self.position)
+            if not self.has(Bit.LIMIT):
+                self.limited_since = None
+            elif self.limited_since is None:
+                self.limited_since = now
         elif which == 1:
             self.velocity, self.current = self._units.velocity(values[0]), values[1] / 1000
         else:
@@ -193,6 +199,14 @@ class Exchange:
         """Forget everything, as before the first frame."""
         self.status = DriveStatus(self.config.node, self.units)
         self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
+        self.serial: int | None = None
+        """Serial number of the drive; None if it does not report it, or was not connected."""
+        self.foreign_ids: frozenset[int] = frozenset()
+        """COB-IDs of the frames that others sent before we did."""
+        self.notes: tuple[str, ...] = ()
+        """Notes on how the drive is set up, each one line, since it was opened."""
+        self.sync_id = protocol.SYNC
+        """COB-ID of the SYNC that the drive answers."""
         self.trouble: str | None = None
         """The newest that went wrong on the bus; it stays until the drive is connected anew."""
         self.owned = False
@@ -206,14 +220,14 @@ class Exchange:
         """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
         with self.lock:
             self.status.synchronise(self.clock())
-            self.attempt(protocol.SYNC, b"")
+            self.attempt(self.sync_id, b"")
             self.lock.wait_for(lambda: self.status.new, timeout)
             self.carry_on()
             return self.status
 
     def send_heartbeat(self) -> None:
         """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last one."""
-        self.attempt(protocol.HEARTBEAT + self.config.host_node, bytes([protocol.OPERATIONAL]))
+        self.attempt(protocol.HEARTBEAT + self.config.host, bytes([protocol.OPERATIONAL]))
 
     def attempt(self, cob_id: int, data: bytes) -> bool:
         """Send where a bus that fails is a complaint and no error; whether it took the frame."""

@@ -3,15 +3,20 @@
 Limits and settings are written and read back; nothing is stored for good: the drive forgets it at power-down.
 """
 
+import contextlib
 from collections.abc import Callable
+from typing import NamedTuple
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Epos2Config, Units
-from softfin.rig.epos2.connection import CanConnection
+from softfin.rig.epos2.connection import CanConnection, SdoRefusal
 from softfin.rig.epos2.exchange import Exchange
 from softfin.rig.epos2.protocol import Bit, Object, State, fault_line
+from softfin.rig.safety import OVERSHOOT_RAD
 
+LISTEN_S = 0.3
+"""Time for which others are listened to before anything is sent; a program that drives sends every 10 to 40 ms."""
 ENABLE_TIMEOUT_S = 1.0
 DISABLE_TIMEOUT_S = 0.3
 STATE_STEP_S = 0.002
@@ -20,9 +25,32 @@ STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
 REFUSED = 3
 """Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
+STOP_CONFIRMED_S = 0.3
+"""Time for which a motor must stay off; a program that still drives it would enable it within this."""
+LOSS_MARGIN_S = 0.3
+"""Time that a drive may take to fault after `heartbeat_s` of silence, with its braking at rest."""
 NO_REMOTE_REQUEST = 1 << 30
 HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, protocol.HOME_POSITION: 0}
 """Homing method that makes the present position zero."""
+
+
+def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[int]:
+    """Listen before anything is sent; raise RigError if another program drives this drive or has our number.
+
+    Its heartbeats would pass for ours: the drive would then go on although this program hangs. Return the COB-IDs of
+    the frames of others.
+    """
+    foreign_ids = connection.listen(LISTEN_S)
+    if foreign_ids & {protocol.HEARTBEAT + config.host, protocol.SYNC + config.host}:
+        raise RigError(
+            f"{connection.name}: number {config.host} of this program is in use by another program or device; give "
+            "each rig's file a drive.host_node of its own, or end the other program"
+        )
+    if foreign_ids & {protocol.SDO_REQUEST + config.node, *(pdo + config.node for pdo in protocol.RPDO)}:
+        raise RigError(
+            f"{connection.name}: another program talks to drive {config.node}; end it, or correct drive.node"
+        )
+    return foreign_ids
 
 
 def identify(connection: CanConnection) -> None:
@@ -40,13 +68,68 @@ def fault_of(connection: CanConnection) -> str | None:
     """The fault that the drive is in, asked for; None when it is in none."""
     if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
         return None
-    if connection.read(protocol.ERROR_COUNT):
-        return fault_line(connection.read(protocol.NEWEST_ERROR) & 0xFFFF)
-    return "drive is in fault without an entry in its error history"
+    code = newest_error(connection)
+    return fault_line(code) if code else "drive is in fault without an entry in its error history"
 
 
-def check(connection: CanConnection, config: Epos2Config) -> None:
-    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the rig's file says."""
+def newest_error(connection: CanConnection) -> int:
+    """Code of the newest error in the drive's history; 0 if it has none."""
+    if connection.read(protocol.ERROR_COUNT) == 0:
+        return 0
+    return connection.read(protocol.NEWEST_ERROR) & 0xFFFF
+
+
+def read_optional(connection: CanConnection, entry: Object) -> int | None:
+    """Read an object of the drive; None if it has no such object."""
+    try:
+        return connection.read(entry)
+    except SdoRefusal as refusal:
+        if refusal.code not in protocol.MISSING:
+            raise
+        return None
+
+
+class Setting(NamedTuple):
+    """Object whose value would make units or limits wrong, and what is to be done about it."""
+
+    entry: Object
+    fits: Callable[[int], bool]
+    fix: str
+
+
+def settings(config: Epos2Config) -> tuple[Setting, ...]:
+    """List the objects that must fit before anything is written."""
+    in_epos_studio = "set it to 0 in EPOS Studio, or every {} is off by powers of ten"
+    return (
+        Setting(
+            protocol.DEVICE_TYPE,
+            # CiA 402: the number of the profile for drives is in the lower half.
+            lambda value: value & 0xFFFF == 402,
+            "no drive by CiA 402; correct drive.node",
+        ),
+        Setting(
+            protocol.MOTOR_TYPE,
+            # From memory: 1 is a DC motor, 10 and 11 are brushless ones. All of them take the same commands.
+            lambda value: value in (1, 10, 11),
+            "no motor that softfin knows; set the motor's type in EPOS Studio",
+        ),
+        Setting(
+            protocol.ENCODER_LINES,
+            lambda value: value == config.encoder_lines,
+            f"lines in the drive, encoder_lines {config.encoder_lines} in the rig's file; correct whichever is wrong, "
+            "or every angle is",
+        ),
+        Setting(protocol.POSITION_NOTATION, lambda value: value == 0, in_epos_studio.format("angle")),
+        Setting(protocol.VELOCITY_NOTATION, lambda value: value == 0, in_epos_studio.format("velocity")),
+        Setting(protocol.ACCELERATION_NOTATION, lambda value: value == 0, in_epos_studio.format("acceleration")),
+    )
+
+
+def check(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
+    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the rig's file says.
+
+    Return a note for each object that the drive does not have.
+    """
     if fault := fault_of(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(protocol.STATUSWORD)
@@ -54,18 +137,51 @@ def check(connection: CanConnection, config: Epos2Config) -> None:
     if state not in protocol.UNPOWERED:
         words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
         raise RigError(f"drive is {words} already; close the program that drives it, or switch it off and on")
-    lines = connection.read(protocol.ENCODER_LINES)
-    if lines != config.encoder_lines:
-        raise RigError(
-            f"drive is set to an encoder of {lines} lines, the rig's file to encoder_lines {config.encoder_lines}; "
-            "correct whichever is wrong, or every angle is"
-        )
+    notes = []
+    for setting in settings(config):
+        value = read_optional(connection, setting.entry)
+        if value is None:
+            notes.append(f"drive has no {setting.entry}; check this setting in EPOS Studio")
+        elif not setting.fits(value):
+            raise RigError(f"drive's {setting.entry} is {value}: {setting.fix}")
+    return tuple(notes)
+
+
+def set_reactions(connection: CanConnection) -> tuple[str, ...]:
+    """Set what stops the fin when softfin dies; return a note for each object that the drive does not have."""
+    notes = []
+    for entry, value in protocol.REACTIONS.items():
+        try:
+            write(connection, entry, value)
+        except SdoRefusal as refusal:
+            if refusal.code not in protocol.MISSING:
+                raise
+            notes.append(f"drive has no {entry}; only rig check --prove shows that it stops by itself")
+    return tuple(notes)
+
+
+def set_sync(connection: CanConnection, config: Epos2Config) -> int:
+    """Have the drive answer to this program's own SYNC alone; return the COB-ID that it answers to."""
+    wanted = protocol.SYNC + config.host
+    try:
+        connection.write(protocol.SYNC_ID, wanted)
+        held = connection.read(protocol.SYNC_ID) & 0x7FF
+    except SdoRefusal:
+        # Whether an EPOS2 lets it be changed is not known; it then keeps the one that CiA 301 gives to all.
+        held = (read_optional(connection, protocol.SYNC_ID) or protocol.SYNC) & 0x7FF
+    if held not in (wanted, protocol.SYNC):
+        raise RigError(f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, switch it off and on")
+    return held
 
 
 def configure(connection: CanConnection, config: Epos2Config) -> None:
     """Write limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
     units = Units.of(config)
-    ends = sorted((units.counts(config.angle_min_rad), units.counts(config.angle_max_rad)))
+    # softfin keeps its commands within the range itself. A stroke to its end may overshoot by some counts, at which a
+    # drive that judges its actual position would fault.
+    lowest = units.counts(config.angle_min_rad - OVERSHOOT_RAD)
+    highest = units.counts(config.angle_max_rad + OVERSHOOT_RAD)
+    ends = sorted((lowest, highest))
     values = {
         protocol.HEARTBEAT_CONSUMER: 0,
         protocol.POSITION_MIN: ends[0],
@@ -130,10 +246,11 @@ def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Obj
     set_cob_id(cob_id)
 
 
-def reach_enabled(exchange: Exchange, then_arm: bool) -> None:
+def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], object]) -> None:
     """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError."""
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
+        meanwhile()
         exchange.send_heartbeat()
         exchange.sync_and_read(STATE_STEP_S)
         with exchange.lock:
@@ -202,3 +319,76 @@ def rest(exchange: Exchange) -> bool:
     repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S)
     # Without process data, as of a node that is not operational, the drive can still be asked.
     return is_off() or protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
+
+
+def time_own_stop(exchange: Exchange) -> float:
+    """Withhold the heartbeats of a powered drive until it faults by itself; return how long that takes [s].
+
+    Raises DeviceError if it does not fault for the loss of the heartbeats, or does not take its power off.
+    """
+    exchange.send_heartbeat()
+    last_heartbeat = exchange.clock()
+    longest = exchange.config.heartbeat_s + LOSS_MARGIN_S
+    while (silence := exchange.clock() - last_heartbeat) <= longest:
+        # All goes on as in a run but the heartbeats: nothing else may be what stops it. After the fault the node may
+        # have left the operational state, in which it answers no SYNC, so its state is read.
+        exchange.sync_and_read(STATE_STEP_S)
+        state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
+        if state is State.FAULT:
+            code = exchange.status.emergency or newest_error(exchange.connection)
+            if code != protocol.HOST_LOST:
+                raise DeviceError(f"drive faulted for another reason: {fault_line(code)}")
+            return silence
+        exchange.clock.sleep(STATE_STEP_S)
+    raise DeviceError(
+        f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so a fin would go on when "
+        f"softfin dies; set {protocol.LOSS_REACTION} to 1 and {protocol.FAULT_REACTION} to 2 in EPOS Studio, and move "
+        "nothing until this passes"
+    )
+
+
+def switch_off(exchange: Exchange) -> bool:
+    """Quick stop, then no voltage, whatever state drive and node are in; return whether the motor is then off.
+
+    By process data first, which take effect at once where they are mapped as softfin maps them, and by SDO.
+    """
+    connection, config = exchange.connection, exchange.config
+
+    def order(word: int) -> State | None:
+        exchange.attempt(*exchange.order(word))
+        try:
+            connection.write(protocol.CONTROLWORD, word)
+            return protocol.decode(connection.read(protocol.STATUSWORD))
+        except DeviceError:
+            # A node that is stopped answers no SDO; pre-operational it does.
+            exchange.attempt(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, config.node]))
+            return None
+
+    def brakes() -> bool:
+        return order(protocol.QUICK_STOP) not in protocol.UNPOWERED and not stands()
+
+    def stands() -> bool:
+        velocity = read_optional(connection, protocol.VELOCITY)
+        return velocity is not None and abs(velocity) <= STANDSTILL_RPM
+
+    def until(done: Callable[[], bool], seconds: float) -> bool:
+        """Until it is done or the time is over, but three times at least: one unanswered request may take it all."""
+        end = exchange.clock() + seconds
+        attempts = 0
+        while attempts < REFUSED or exchange.clock() <= end:
+            attempts += 1
+            with contextlib.suppress(DeviceError):
+                if done():
+                    return True
+            exchange.clock.sleep(config.sync_s)
+        return False
+
+    # As long as braking from the highest velocity may take; then the voltage is taken whether it stands or not.
+    until(lambda: not brakes(), config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s)
+    if not until(lambda: order(protocol.DISABLE_VOLTAGE) in protocol.UNPOWERED, DISABLE_TIMEOUT_S):
+        return False
+    for _ in range(round(STOP_CONFIRMED_S / config.sync_s)):
+        if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.UNPOWERED:
+            return False
+        exchange.clock.sleep(config.sync_s)
+    return True

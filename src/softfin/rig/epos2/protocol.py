@@ -9,15 +9,17 @@ import struct
 from enum import Enum, IntFlag
 from typing import NamedTuple
 
-from canopen import SdoAbortedError
-
 BOOT_UP, OPERATIONAL = 0x00, 0x05
 """States of a node in its heartbeat."""
 
-NMT_START, NMT_PRE_OPERATIONAL, NMT_RESET = 0x01, 0x80, 0x81
+NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
+NMT_RESET, NMT_RESET_COMMUNICATION = 0x81, 0x82
 
 NMT, SYNC, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x080, 0x580, 0x600, 0x700
-"""COB-IDs; to all but NMT and SYNC the node's number is added."""
+"""COB-IDs; the node's number is added, except to NMT and to the SYNC that all share.
+
+A host's own SYNC is 0x080 plus its number: the emergency of a node that never sends one.
+"""
 TPDO = (0x180, 0x280, 0x380)
 RPDO = (0x200, 0x300)
 
@@ -54,12 +56,18 @@ DEVICE_TYPE = Object(0x1000, 0, "I", "device type")
 ERROR_REGISTER = Object(0x1001, 0, "B", "error register")
 ERROR_COUNT = Object(0x1003, 0, "B", "number of errors")
 NEWEST_ERROR = Object(0x1003, 1, "I", "newest error")
+SYNC_ID = Object(0x1005, 0, "I", "COB-ID of the SYNC")
 HEARTBEAT_CONSUMER = Object(0x1016, 1, "I", "consumer heartbeat")
 HEARTBEAT_PRODUCER = Object(0x1017, 0, "H", "producer heartbeat")
+SERIAL_NUMBER = Object(0x1018, 4, "I", "serial number")
+LOSS_BEHAVIOUR = Object(0x1029, 1, "B", "state after a communication error")
 HOME_POSITION = Object(0x2081, 0, "i", "home position")
 ENCODER_LINES = Object(0x2210, 1, "I", "encoder lines")
+LOSS_REACTION = Object(0x6007, 0, "h", "abort connection option")
 CONTROLWORD = Object(0x6040, 0, "H", "controlword")
 STATUSWORD = Object(0x6041, 0, "H", "statusword")
+QUICK_STOP_OPTION = Object(0x605A, 0, "h", "quick stop option")
+FAULT_REACTION = Object(0x605E, 0, "h", "fault reaction option")
 MODE = Object(0x6060, 0, "b", "mode of operation")
 MODE_DISPLAY = Object(0x6061, 0, "b", "mode of operation display")
 DEMAND = Object(0x6062, 0, "i", "position demand")
@@ -77,9 +85,21 @@ ACCELERATION = Object(0x6083, 0, "I", "profile acceleration")
 DECELERATION = Object(0x6084, 0, "I", "profile deceleration")
 QUICK_STOP_DECELERATION = Object(0x6085, 0, "I", "quick-stop deceleration")
 PROFILE_TYPE = Object(0x6086, 0, "h", "profile type")
+POSITION_NOTATION = Object(0x6089, 0, "b", "position notation index")
+VELOCITY_NOTATION = Object(0x608B, 0, "b", "velocity notation index")
+ACCELERATION_NOTATION = Object(0x608D, 0, "b", "acceleration notation index")
 HOMING_METHOD = Object(0x6098, 0, "b", "homing method")
+MOTOR_TYPE = Object(0x6402, 0, "H", "motor type")
+CONTINUOUS_CURRENT = Object(0x6410, 1, "H", "continuous current limit")
 CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
+
+REACTIONS = {LOSS_REACTION: 1, FAULT_REACTION: 2, QUICK_STOP_OPTION: 6}
+"""Reactions that stop the fin when softfin dies: a lost heartbeat is a fault, a fault brakes at the quick-stop ramp,
+and a quick stop brakes at that ramp and then holds (CiA 402).
+
+Any of them may be stored in the drive as "no action". Whether an EPOS2 has all three is known from memory alone.
+"""
 
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
 
@@ -208,16 +228,87 @@ FAULTS = {
 }
 
 
+HOST_LOST = 0x8130
+NEEDS_RESET_OF_COMMUNICATION = frozenset({HOST_LOST, 0x8120, 0x81FD})
+"""Faults of the communication, of which an EPOS4 is only rid after NMT reset communication; an EPOS2 bears it."""
+
+
 def fault_line(code: int) -> str:
     """Name and way out of a fault, such as ``drive fault 0x8611, following error: look for a blocked fin; ..``."""
     name, way_out = FAULTS.get(code, ("not in softfin's list", "look it up in the EPOS2 Firmware Specification"))
     return f"drive fault 0x{code:04X}, {name}: {way_out}"
 
 
+NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x06020000, 0x06090011, 0x06010002
+MISSING = frozenset({NO_OBJECT, NO_SUB_INDEX})
+"""Reasons of an SDO abort by which a drive says that it does not have an object."""
+
+ABORTS = {
+    0x05030000: "toggle bit not alternated",
+    0x05040000: "the drive gave up waiting",
+    0x05040001: "unknown command",
+    0x06010000: "object cannot be accessed like this",
+    0x06010001: "object can only be written",
+    READ_ONLY: "object can only be read",
+    NO_OBJECT: "object does not exist",
+    0x06040041: "object cannot be mapped to process data",
+    0x06040042: "process data would become too long",
+    0x06060000: "hardware error",
+    0x06070010: "value has another length",
+    NO_SUB_INDEX: "sub-index does not exist",
+    0x06090030: "value outside its range",
+    0x06090031: "value too high",
+    0x06090032: "value too low",
+    0x06090036: "maximum below minimum",
+    0x08000000: "general error",
+    0x08000020: "value cannot be stored",
+    0x08000022: "not in the present state of the drive",
+    0x0F00FFC0: "wrong NMT state",
+    0x0F00FFBF: "illegal command",
+    0x0F00FFBE: "wrong password",
+    0x0F00FFBC: "not in service mode",
+    0x0F00FFB9: "wrong node number",
+}
+"""Reasons of SDO aborts (CiA 301; the last five are maxon's)."""
+
+
 def abort_line(code: int) -> str:
-    """Name and way out of an SDO abort, such as ``0x06020000, Object does not exist: check that ..``."""
-    name = SdoAbortedError.CODES.get(code, "see the EPOS2 Communication Guide")
+    """Name and way out of an SDO abort, such as ``0x06020000, object does not exist: check that ..``."""
+    name = ABORTS.get(code, "see the EPOS2 Communication Guide")
     way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
     if 0x06090030 <= code <= 0x06090036:
         way_out = "change the value in the rig's file to one that the drive takes"
     return f"0x{code:08X}, {name}: {way_out}"
+
+
+_ERROR_CLASSES = {
+    0x001: "transmit time-outs",
+    0x002: "lost arbitrations",
+    0x008: "protocol violations",
+    0x010: "transceiver errors",
+    0x020: "frames without acknowledge",
+    0x040: "bus-off",
+    0x080: "bus errors",
+    0x100: "controller restarts",
+}
+"""Classes of errors in the identifier of an error frame (linux/can/error.h)."""
+_CONTROLLER_CLASS = 0x004
+_CONTROLLER_STATES = {
+    0x01: "receive overflows",
+    0x02: "transmit overflows",
+    0x04: "error warnings",
+    0x08: "error warnings",
+    0x10: "error passive",
+    0x20: "error passive",
+}
+"""States of the controller in byte 1 of an error frame of its class."""
+BUS_FAILURES = frozenset({"error passive", "bus-off"})
+"""Errors after which the adapter is not to be relied on: its frames, a stop among them, may not reach the drive."""
+
+
+def bus_errors(classes: int, data: bytes) -> list[str]:
+    """Name the errors in an error frame of SocketCAN, each once."""
+    names = {name for bit, name in _ERROR_CLASSES.items() if classes & bit}
+    if classes & _CONTROLLER_CLASS and len(data) > 1:
+        names |= {name for bit, name in _CONTROLLER_STATES.items() if data[1] & bit}
+    return sorted(names) or ["error frames"]

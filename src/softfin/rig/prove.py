@@ -1,0 +1,58 @@
+"""Proof that the drive stops by itself when softfin dies, tried at the powered motor and kept in the rig's record.
+
+Nothing else stops a fin whose program is killed or hangs. Whether a drive does depends on its settings and its
+firmware, so no fin of a rig's file moves before it was seen.
+"""
+
+import shlex
+from datetime import datetime
+from pathlib import Path
+
+from softfin.core.errors import RigError, SoftfinError
+from softfin.rig.config import RigConfig
+from softfin.rig.epos2.drive import Epos2
+from softfin.rig.record import StopProof, load_record, save_record
+
+
+def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
+    """Withhold the heartbeats of the open drive, its motor powered at rest; save the proof in the rig's record.
+
+    Raises DeviceError if the drive does not stop by itself; an earlier proof is then removed.
+    """
+    record = load_record(config.file)
+    try:
+        faulted_after_s = drive.prove_stop()
+    except SoftfinError:
+        save_record(config.file, record.model_copy(update={"stop_proof": None}))
+        raise
+    proof = StopProof(
+        date=datetime.now().astimezone().isoformat(timespec="seconds"),
+        drive_serial=drive.serial,
+        heartbeat_s=config.drive.heartbeat_s,
+        host_node=config.drive.host,
+        faulted_after_s=round(faulted_after_s, 4),
+    )
+    save_record(config.file, record.model_copy(update={"stop_proof": proof}))
+    return proof
+
+
+def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None:
+    """Return the proof for this drive and these settings; raise RigError if there is none.
+
+    None is returned for a rig without a file, which is built in Python and has no record.
+    """
+    if config.file is None:
+        return None
+    proof = load_record(config.file).stop_proof
+    settings = (drive_serial, config.drive.heartbeat_s, config.drive.host)
+    if proof is not None and (proof.drive_serial, proof.heartbeat_s, proof.host_node) == settings:
+        return proof
+    problem = "nobody has proved that its drive stops when softfin dies"
+    if proof is not None:
+        problem += " with this drive, heartbeat_s and host_node"
+    raise RigError(f"rig of {config.fin}: {problem}; run: {proving_command(config.file)}")
+
+
+def proving_command(file: Path) -> str:
+    """Command that proves the stop of a rig's file."""
+    return f"softfin rig check --rig {shlex.quote(str(file))} --prove --arm"
