@@ -58,7 +58,10 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
     ("changes", "words"),
     [
         ({"node": 0}, "node"),
-        ({"node": 127}, "host_node"),
+        ({"node": 127}, "node 127 leaves no number for the host; give host_node"),
+        ({"host_node": 5}, "node and host_node are both 5"),
+        ({"heartbeat_s": 1.1}, "heartbeat_s"),
+        ({"following_error_rad": 1.1}, "following_error_rad"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.57"),
         (
             {"angle_min_rad": 0.2},
@@ -74,3 +77,10 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
 def test_a_configuration_that_cannot_be_is_refused_with_the_reason(changes: dict[str, float], words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         Epos2Config.build({**drive_config().model_dump(), **changes})
+
+
+def test_each_node_has_a_host_of_its_own() -> None:
+    hosts = [drive_config(node=node).host for node in range(1, 127)]
+    assert len(set(hosts)) == 126
+    assert all(1 <= host <= 126 for host in hosts)
+    assert drive_config(node=127, host_node=1).host == 1
