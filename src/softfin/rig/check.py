@@ -118,7 +118,7 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
         return
     if proof is not None:
         after = f"{proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat the drive had stopped"
-        yield CheckResult("own stop", "well", f"{after}, proved {proof.date}; 0x1029.1 is {behaviour}")
+        yield CheckResult("own stop", "well", f"{after}, proved {proof.date}; {protocol.LOSS_BEHAVIOUR} is {behaviour}")
 
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
