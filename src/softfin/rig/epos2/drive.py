@@ -25,12 +25,14 @@ class Epos2(Exchange):
 
     def connect(self) -> None:
         """Connect to the node, whatever its state, changing nothing; raises RigError or DeviceError."""
+        self.device_lock.acquire(self.clock)
         self.reset()
         try:
             self.connection.open()
             procedures.identify(self.connection)
         except BaseException:
             self.connection.close()
+            self.device_lock.release()
             raise
 
     def open(self) -> None:
@@ -63,6 +65,7 @@ class Epos2(Exchange):
         self.stop()
         self.owned = False
         self.connection.close()
+        self.device_lock.release()
 
     def reset_fault(self) -> str | None:
         """Acknowledge the drive's fault and return its name; None when there was none. Raises DeviceError.
