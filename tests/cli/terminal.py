@@ -21,10 +21,13 @@ class Terminal:
     def __init__(self, words: Sequence[object], folder: Path) -> None:
         self._master, slave = pty.openpty()
         environment = os.environ | {"PYTHONPATH": f"{ROOT / 'src'}:{ROOT}", "COLUMNS": "200"}
+        # Tests that run under nohup would pass its ignored SIGHUP on.
+        hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "softfin.cli", *map(str, words)],
             stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=environment, start_new_session=True,
         )  # fmt: skip
+        signal.signal(signal.SIGHUP, hangup)
         os.close(slave)
         self.said = ""
 

@@ -1,14 +1,19 @@
 import json
+import os
+import pty
 import signal
 from pathlib import Path
 
 import pytest
 
 from softfin.cli import main
+from softfin.cli.driving import listen_on_terminal
 from softfin.rig.epos2.protocol import State
+from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_of
+from tests.patience import wait_until
 from tests.rig.bags import counts_of, events_of
 from tests.rig.rigs import filed, over_sockets, simulated
 
@@ -181,3 +186,34 @@ def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated,
     assert ended.value.code == 3
     assert capsys.readouterr().err.rstrip().endswith("stopped, motor disabled: stopped by Ctrl-C")
     still(emulated)
+
+
+@pytest.mark.parametrize("key", ["\n", "\x04"], ids=["Enter", "Ctrl-D"])
+@pytest.mark.parametrize("command", ["collect", "evaluate"])
+def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewhere, tmp_path):
+    words = {
+        "collect": ["collect", "--logs", "1", "--test-logs", "0", "--rows", "20000"],
+        "evaluate": ["evaluate", controller, "--seconds", "300", "--seeds", "1"],
+    }[command]
+    with Terminal([*words, "--plant", "rig:other.yaml", "--out", "out", "--arm"], tmp_path) as terminal:
+        # The word between is coloured, as everything in quotes above a progress bar.
+        terminal.wait_for(" and Enter: ")
+        terminal.type("move\n")
+        wait_until(lambda: elsewhere.drive.state is State.OPERATION_ENABLED)
+        terminal.type("faster\n")
+        terminal.wait_for("the commands are fixed; Enter alone stops the fin")
+        terminal.type(key)
+        assert terminal.ended() == 3, terminal.said
+    reason = "stopped by a key" if key == "\n" else "the terminal's input ended"
+    assert f"softfin {command}: stopped, motor disabled: {reason}" in terminal.said
+    still(elsewhere)
+
+
+def test_a_job_in_the_background_does_not_read_the_terminal(monkeypatch):
+    monkeypatch.setattr("softfin.cli.driving.on_terminal", lambda: True)
+    monkeypatch.setattr("softfin.cli.driving.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal"))
+    master, slave = pty.openpty()
+    with os.fdopen(master), os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        monkeypatch.setattr("os.tcgetpgrp", lambda descriptor: os.getpgrp() + 1)
+        listen_on_terminal(StopRequest(), print)

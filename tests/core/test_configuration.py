@@ -127,3 +127,44 @@ def test_a_missing_yaml_file_is_refused_by_name(tmp_path):
 def test_of_several_configurations_the_one_that_is_meant_is_explained(change, words):
     with pytest.raises(ConfigurationError, match=words):
         ReproduceConfig().changed([change])
+
+
+def nested_aliases(levels: int, template: str) -> str:
+    lines = ["a0: &a0 {k0: 1, k1: 2}"]
+    for level in range(1, levels):
+        aliases = ", ".join([f"*a{level - 1}"] * 9)
+        lines.append(f"a{level}: &a{level} {template.format(aliases)}")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("template", ["[{}]", "{{<<: [{}]}}"], ids=["sequences", "merged mappings"])
+def test_a_short_file_of_nested_aliases_is_refused_at_once(template, tmp_path):
+    file = tmp_path / "bomb.yaml"
+    # 9 to the power of 11 values: a walk over them would not end.
+    file.write_text(nested_aliases(12, template))
+    with pytest.raises(ConfigurationError, match=r"bomb.yaml: not YAML \(more than 100,000 values with its aliases"):
+        read_yaml(file)
+
+
+def test_a_value_that_contains_itself_is_refused(tmp_path):
+    file = tmp_path / "loop.yaml"
+    file.write_text("a: &a [*a]")
+    with pytest.raises(ConfigurationError, match="use fewer aliases"):
+        read_yaml(file)
+
+
+def test_some_aliases_are_fine_and_an_empty_file_is_empty(tmp_path):
+    file = tmp_path / "good.yaml"
+    file.write_text("a: &a {k: 1}\nb: {<<: *a, l: [*a, *a]}\n")
+    assert read_yaml(file) == {"a": {"k": 1}, "b": {"k": 1, "l": [{"k": 1}, {"k": 1}]}}
+    file.write_text("# nothing\n")
+    assert read_yaml(file) == {}
+
+
+def test_a_long_value_is_shortened_before_it_is_written_out():
+    values = [1]
+    for _ in range(30):
+        values = [values] * 9
+    with pytest.raises(ConfigurationError) as error:
+        Outer.build({"steps": values})
+    assert len(str(error.value)) < 400

@@ -42,14 +42,15 @@ def test_angle_and_force_are_of_one_fin_in_softfins_axes():
     assert all(0.03 < sample.time - sample.force_time < 0.045 for sample in samples)
 
 
-def test_a_sensor_that_does_not_answer_leaves_nothing_open():
+def test_a_device_that_does_not_answer_leaves_nothing_open():
     with emulated() as (behind, robot):
+        behind.sensor.close()
+        with pytest.raises(DeviceError, match="force sensor"):
+            robot.machine.open()
+        with pytest.raises(DeviceError, match="is closed; open the drive first"):
+            robot.machine.drive.connection.send(0x80, b"")
         behind.drive.close()
         with pytest.raises(RigError, match="no drive answers"):
-            robot.machine.open()
-        assert robot.machine.sensor._stream.client.closed
-        behind.sensor.close()
-        with pytest.raises(DeviceError):
             robot.machine.open()
 
 

@@ -21,8 +21,8 @@ CURRENTS = {"current_peak_a": 4.0, "current_sustained_a": 2.0}
 class Made:
     """A session with all that it works with; its clock is the test's."""
 
-    def __init__(self, observers=(), **safety) -> None:
-        self.hours = Hours()
+    def __init__(self, observers=(), clock=None, **safety) -> None:
+        self.hours = clock or Hours()
         self.machine = FreeFin(self.hours)
         self.stop = StopRequest()
         guard = Guard(SafetyConfig.build({**CURRENTS, **safety}, "safety"), self.machine.limits)
@@ -153,6 +153,68 @@ def test_a_drive_that_takes_no_command_stops_the_fin_and_its_fault_is_the_reason
         with pytest.raises(SafetyStop, match=r"angle 1.6 is outside") as raised:
             session.command(Target(0.0, 1.0))
         made.check_stopped(raised.value, "device")
+
+
+def test_a_drive_that_takes_no_command_is_stopped_before_it_is_read():
+    made = Made()
+    with made.session as session:
+        made.moving()
+        made.machine.command = _raise(DeviceError("drive is not enabled; enable it first"))
+        read = made.machine.read
+        enabled_at_reads = []
+
+        def noted_read():
+            enabled_at_reads.append(made.machine.enabled)
+            return read()
+
+        made.machine.read = noted_read
+        with pytest.raises(SafetyStop, match="not enabled"):
+            session.command(Target(0.0, 1.0))
+    assert enabled_at_reads == [False]
+
+
+class Sleeper(Hours):
+    """A clock of a computer that sleeps when the test says so."""
+
+    suspended_s = 7.0
+
+    def suspended(self) -> float:
+        return self.suspended_s
+
+
+def test_a_computer_that_was_suspended_while_the_fin_was_active_stops_it():
+    made = Made(clock=Sleeper())
+    with made.session as session:
+        made.moving()
+        made.hours.suspended_s += 0.04
+        session.tick()
+        # Short sleeps add up.
+        made.hours.suspended_s += 0.02
+        with pytest.raises(SafetyStop, match=r"suspended for 0\.1 s.*systemd-inhibit") as raised:
+            session.tick()
+        made.check_stopped(raised.value, "suspended")
+
+
+def test_a_suspend_is_the_reason_in_place_of_the_faults_that_follow_from_it():
+    made = Made(clock=Sleeper())
+    with made.session as session:
+        made.moving()
+        made.hours.suspended_s += 60.0
+        made.machine.altered = lambda sample: sample._replace(complaints=("drive fault 0x8130, heartbeat lost",))
+        with pytest.raises(SafetyStop, match="suspended for 60"):
+            session.tick()
+
+
+def test_a_computer_may_sleep_while_nothing_can_move():
+    made = Made(clock=Sleeper())
+    with made.session as session:
+        session.tick()
+        made.hours.suspended_s += 3600.0
+        made.moving()
+        session.deactivate()
+        made.hours.suspended_s += 3600.0
+        made.moving()
+    assert made.session.trip is None
 
 
 def test_an_observer_that_raises_stops_the_fin():

@@ -19,6 +19,33 @@ def after(clock, began=1000.0):
 
 
 @pytest.mark.parametrize("clock", [REAL, SimulatedClock()], ids=["real", "simulated"])
+def test_both_clocks_count_no_suspend_while_the_computer_is_awake(clock):
+    before = clock.suspended()
+    clock.sleep(0.01)
+    assert clock.suspended() - before == pytest.approx(0.0, abs=0.006)
+
+
+def test_a_platform_that_does_not_count_suspends_has_none(monkeypatch):
+    monkeypatch.delattr(time, "CLOCK_BOOTTIME")
+    assert REAL.suspended() == 0.0
+
+
+def test_the_time_asleep_is_what_one_clock_counts_more_than_the_other(monkeypatch):
+    # The second reading of the first pair comes late: the thread lost the processor.
+    readings = iter([10.0, 52.0, 10.1, 20.0, 62.0, 20.001])
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: next(readings))
+    assert REAL.suspended() == pytest.approx(42.0)
+
+
+def test_a_simulated_suspend_passes_no_time():
+    clock = SimulatedClock()
+    before = clock()
+    clock.suspend(3.0)
+    assert clock.suspended() == 3.0
+    assert clock() == before
+
+
+@pytest.mark.parametrize("clock", [REAL, SimulatedClock()], ids=["real", "simulated"])
 def test_both_clocks_make_what_is_waited_for(clock):
     assert isinstance(clock, Clock)
     event, news, lock, told = clock.event(), clock.condition(), clock.lock(), []

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -19,15 +20,37 @@ def test_the_first_reason_counts():
     assert request.trip == ("emergency_stop", "by a key")
 
 
+@contextmanager
+def handled_by(number, handler):
+    """Whoever runs the tests may have changed the handlers: nohup ignores SIGHUP."""
+    before = signal.signal(number, handler)
+    try:
+        yield handler
+    finally:
+        signal.signal(number, before)
+
+
 @pytest.mark.parametrize("name", STOP_SIGNALS)
 def test_a_signal_raises_the_flag_and_no_exception(name):
     request = StopRequest()
-    before = signal.getsignal(getattr(signal, name))
-    with stopped_by_signals(request):
-        os.kill(os.getpid(), getattr(signal, name))
-        wait_until(lambda: request.trip is not None)
+    number = getattr(signal, name)
+    with handled_by(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL) as before:
+        with stopped_by_signals(request):
+            os.kill(os.getpid(), number)
+            wait_until(lambda: request.trip is not None)
+        assert signal.getsignal(number) is before
     assert request.trip.reason == ("stopped by Ctrl-C" if name == "SIGINT" else f"stopped by {name}")
-    assert signal.getsignal(getattr(signal, name)) is before
+
+
+@pytest.mark.parametrize("name", STOP_SIGNALS)
+def test_of_ignored_signals_the_hangup_alone_stays_ignored(name):
+    request = StopRequest()
+    number = getattr(signal, name)
+    with handled_by(number, signal.SIG_IGN):
+        with stopped_by_signals(request):
+            signal.raise_signal(number)
+        assert signal.getsignal(number) is signal.SIG_IGN
+    assert (request.trip is None) == (name == "SIGHUP")
 
 
 def test_an_impatient_second_ctrl_c_does_not_disturb_the_stop_and_a_later_one_ends_the_program(monkeypatch):

@@ -1,6 +1,8 @@
 """Logs and judgements from a fin that moves by itself, here an emulated one."""
 
+import dataclasses
 import json
+import re
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from softfin.data.collect import CollectConfig, collect
 from softfin.data.recordings import open_logs
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.rig.epos2.protocol import State
+from softfin.rig.record import ForceZero, RigRecord, save_record
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock
@@ -52,7 +55,7 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
         assert not out.exists()
         bags = bags_of(out)
         assert sorted(path.name for path in bags.iterdir()) == [
-            "collect.json", "test-000.mcap", "train-0000.mcap", "train-0000.parquet"
+            "collect.json", "test-000.mcap", "train-0000.mcap", "train-0000.parquet", "train-0000.sensor.json"
         ]  # fmt: skip
         assert events_of(bags / "test-000.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
         first = (bags / "train-0000.parquet").read_bytes()
@@ -119,8 +122,6 @@ def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_pa
 
 
 def _of_fin(fin):
-    import dataclasses
-
     from softfin.control.store import load_controller
 
     def load(folder):
@@ -162,3 +163,101 @@ def rmse(through, own, lag):
 def alike(through, own, lag):
     """Correlation."""
     return float(np.corrcoef(shifted(through, own, lag))[0, 1])
+
+
+def two_logs(robot, out, **options):
+    config = CONFIG.model_copy(update={"logs": 2, "test_logs": 0})
+    return collect_live(robot, out, config, yes, **options)
+
+
+def pull(fin, x, y):
+    """Add a force (x, y) [N] to what the sensor reads."""
+    read = fin.now
+
+    def pulled():
+        motion = read()
+        force_x, force_y, *others = motion.wrench
+        return motion._replace(wrench=(force_x + x, force_y + y, *others))
+
+    fin.now = pulled
+
+
+def stopped_in_the_second_log(robot, out):
+    request = StopRequest()
+
+    def stop(stage, done, note):
+        if "train-0001" in note:
+            request.ask("emergency_stop", "stopped by a key")
+
+    with pytest.raises(SafetyStop, match="stopped by a key"):
+        two_logs(robot, out, stop=request, progress=stop)
+
+
+@pytest.mark.parametrize(
+    ("setting", "was", "value"), [("frame", "y,-x", "x,y"), ("cutoff_hz", 30.0, 20.0), ("serial", None, "FT1")]
+)
+def test_a_collection_goes_on_only_with_the_same_sensor_setup(setting, was, value, tmp_path):
+    with emulated() as (_, robot):
+        stopped_in_the_second_log(robot, tmp_path / "data")
+        sensor = robot.configuration["sensor"] | {setting: value}
+        changed = dataclasses.replace(robot, configuration=robot.configuration | {"sensor": sensor})
+        expected = f"rig.sensor.{setting} was {was!r} and is {value!r}"
+        with pytest.raises(ArtifactError, match=re.escape(expected)):
+            two_logs(changed, tmp_path / "data", resume=True)
+
+
+def test_a_collection_goes_on_with_the_sensor_at_another_address(tmp_path):
+    with emulated() as (_, robot):
+        stopped_in_the_second_log(robot, tmp_path / "data")
+        sensor = robot.configuration["sensor"] | {"address": "10.0.0.7", "http_port": 8080, "rdt_port": 50000}
+        moved = dataclasses.replace(robot, configuration=robot.configuration | {"sensor": sensor})
+        assert len(two_logs(moved, tmp_path / "data", resume=True).train) == 2
+
+
+def test_a_collection_of_an_older_version_is_finished_only_if_all_its_logs_are_there(tmp_path):
+    out = tmp_path / "data"
+    with emulated() as (_, robot):
+        stopped_in_the_second_log(robot, out)
+        state = bags_of(out) / "collect.json"
+        claim = json.loads(state.read_text())
+        del claim["rig"]["sensor"]
+        with_sensor = state.read_text()
+        state.write_text(json.dumps(claim))
+        with pytest.raises(ArtifactError, match=r"begun by an older softfin.*finish it with that version"):
+            two_logs(robot, out, resume=True)
+        state.write_text(with_sensor)
+        data = two_logs(robot, out, resume=True)
+        state.write_text(json.dumps(claim))
+        assert two_logs(robot, out, resume=True).data_hash == data.data_hash
+
+
+def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_interruption(tmp_path):
+    out, file = tmp_path / "data", tmp_path / "rig.yaml"
+    zero = ForceZero(date="2026-11-25T03:00:00", sensor_serial="FT1", ft_sequence=7, wall_s=1.0)
+    save_record(file, RigRecord(force_zero=zero))
+    warnings = []
+    with emulated() as (behind, robot):
+        robot.machine.config._file = file
+        pull(behind.fin, 0.4, 0.0)
+        stopped_in_the_second_log(robot, out)
+        pull(behind.fin, 0.0, 0.3)
+        two_logs(robot, out, resume=True, warn=warnings.append)
+        serial = robot.machine.sensor.settings.calsn
+    described = json.loads((out / "dataset.json").read_text())
+    first, second = described["sensor_by_log"]["train-0000"], described["sensor_by_log"]["train-0001"]
+    for state in (first, second):
+        assert state["sensor_serial"] == serial is not None
+        assert state["force_zero"] == zero.model_dump(mode="json")
+    assert first["force_at_rest_n"] == pytest.approx([0.4, 0.0], abs=0.05)
+    assert second["force_at_rest_n"] == pytest.approx([0.4, 0.3], abs=0.05)
+    (warning,) = warnings
+    assert warning.startswith("train-0001: the force at rest is 0.3")
+    assert described["sensor_warnings"] == warnings
+
+
+def test_a_force_at_rest_that_hardly_changes_gets_no_warning(tmp_path):
+    warnings = []
+    with emulated() as (_, robot):
+        two_logs(robot, tmp_path / "data", warn=warnings.append)
+    assert warnings == []
+    assert json.loads((tmp_path / "data" / "dataset.json").read_text())["sensor_warnings"] == []

@@ -51,6 +51,7 @@ class CollectArguments(Armed, Configured):
             raise ConfigurationError(f"{wrong[0]}: {self.plant} is {way}")
 
     def __call__(self) -> None:
+        from softfin.cli.driving import KeyboardStop, say
         from softfin.data.collect import CollectConfig
         from softfin.rig.robot_setup import find_robot
         from softfin.stages.collect import collect
@@ -61,7 +62,10 @@ class CollectArguments(Armed, Configured):
         config = self.configured(kind() if self.extend is None else kind(test_logs=0))
         if is_live(self.plant):
             robot = find_robot(self.plant)
-            data = self.stage(collect_live, robot, self.out, config, self.confirm, resume=self.resume)
+            keys = KeyboardStop(self.confirm)
+            data = self.stage(
+                collect_live, robot, self.out, config, keys.confirm, resume=self.resume, stop=keys.stop, warn=say
+            )
         else:
             chosen = {"surrogate": self.surrogate, "extend": self.extend}
             data = self.stage(collect, self.plant, self.out, config, **chosen)

@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -77,8 +78,7 @@ class Driving(Armed, Common):
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
                 say(f"{self.controller}: holds no range of its surrogate's data, so leaving that range is not noticed")
-            if on_terminal():
-                listen_to_keyboard(stop, line, typed(stop, sys.stdin))
+            listen_on_terminal(stop, line)
             bag.unlink(missing_ok=True)
             session.stop_on_signals()
             with session.recording(bag):
@@ -94,11 +94,40 @@ class Driving(Armed, Common):
         self.tell(result, f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s {errors} N")
 
 
+def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
+    """Have Enter on the terminal, or the end of its input, ask for a stop; `line` gets what else is typed."""
+    if on_terminal() and not _in_background():
+        listen_to_keyboard(stop, line, typed(stop, sys.stdin))
+
+
+def _in_background() -> bool:
+    """Whether it is a background job (&), which the terminal suspends for reading, in the middle of a motion."""
+    try:
+        return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
+    except OSError:
+        # A terminal that does not control this session knows no jobs.
+        return False
+
+
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
     """Lines of the terminal; where they end or are not text, nobody can stop the fin by a key any more, so it stops."""
     with contextlib.suppress(OSError, ValueError):
         yield from terminal
     stop.ask("emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin")
+
+
+class KeyboardStop:
+    """Enter stops a stage whose fin moves by itself, from the moment that a person has confirmed the motion."""
+
+    def __init__(self, confirm: Callable[[RobotSetup], None]) -> None:
+        self.stop = StopRequest()
+        """The stop that Enter asks for."""
+        self._confirm = confirm
+
+    def confirm(self, robot: RobotSetup) -> None:
+        """Ask whether the fin may move, then listen; raises ConfigurationError if it may not."""
+        self._confirm(robot)
+        listen_on_terminal(self.stop, lambda _: say("the commands are fixed; Enter alone stops the fin"))
 
 
 def say(text: str) -> None:

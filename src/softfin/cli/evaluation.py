@@ -67,6 +67,7 @@ class EvaluateArguments(Armed, Configured):
             raise ConfigurationError(f"--arm: {self.plant} is not a real fin; leave it out, or give --plant rig")
 
     def __call__(self) -> None:
+        from softfin.cli.driving import KeyboardStop
         from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
@@ -85,7 +86,8 @@ class EvaluateArguments(Armed, Configured):
             config = config.merged({"trim": {}}, "options")
         if is_live(self.plant):
             robot = find_robot(self.plant)
-            summary = self.stage(evaluate_live, self.controller, robot, self.out, config, self.confirm)
+            keys = KeyboardStop(self.confirm)
+            summary = self.stage(evaluate_live, self.controller, robot, self.out, config, keys.confirm, stop=keys.stop)
         else:
             summary = evaluate(
                 self.controller, self.plant, self.out, config, randomize=self.randomize, overwrite=self.overwrite

@@ -8,6 +8,9 @@ import threading
 import time
 from collections.abc import Callable
 
+PAIR_S = 0.005
+"""Longest time between two readings that count as readings of one moment [s]: a tenth of what counts as a suspend."""
+
 
 class Clock:
     """The computer's own time, and everything that waits for it, by `threading`."""
@@ -19,6 +22,17 @@ class Clock:
     def wall(self) -> float:
         """Return the time of day that belongs to it [s since 1970]."""
         return time.time()
+
+    def suspended(self) -> float:
+        """Return how long the computer has slept since its start [s]; 0 if the platform does not count it."""
+        if not hasattr(time, "CLOCK_BOOTTIME"):
+            return 0.0
+        # This thread may lose the processor between two readings, which would look like a short sleep.
+        while True:
+            before = time.clock_gettime(time.CLOCK_MONOTONIC)
+            boot = time.clock_gettime(time.CLOCK_BOOTTIME)
+            if time.clock_gettime(time.CLOCK_MONOTONIC) - before < PAIR_S:
+                return boot - before
 
     def sleep(self, seconds: float) -> None:
         """Wait for so long."""

@@ -1,6 +1,8 @@
 """Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value`` change them."""
 
 import difflib
+import math
+import reprlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +12,10 @@ import pydantic
 import yaml
 
 from softfin.core.errors import ConfigurationError, one_line
+
+MAX_YAML_VALUES = 100_000
+"""Largest number of values in a YAML file with its aliases written out. A few hundred bytes of nested aliases can stand
+for billions of values, which validation and messages would walk one by one; a real file has hundreds."""
 
 # Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
 Config = TypeVar("Config", bound="Configuration")
@@ -71,10 +77,36 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 def parse_yaml(text: str) -> Any:
     """A YAML value; raises ValueError in one line for anything else."""
+    loader = yaml.SafeLoader(text)
     try:
-        return yaml.safe_load(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        if _expanded_size(node, {}) > MAX_YAML_VALUES:
+            raise ValueError(f"more than {MAX_YAML_VALUES:,} values with its aliases written out; use fewer aliases")
+        return loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(one_line(error)) from None
+    finally:
+        loader.dispose()
+
+
+def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
+    """Return the number of values of a node with its aliases written out; infinite if it contains itself.
+
+    Each node is visited once. `sizes` holds the results so far.
+    """
+    if node in sizes:
+        return sizes[node]
+    # Until its parts are counted: a part that leads back here has no end.
+    sizes[node] = math.inf
+    parts: list[yaml.Node] = []
+    if isinstance(node, yaml.SequenceNode):
+        parts = node.value
+    elif isinstance(node, yaml.MappingNode):
+        parts = [part for pair in node.value for part in pair]
+    sizes[node] = 1.0 + sum(_expanded_size(part, sizes) for part in parts)
+    return sizes[node]
 
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,7 +142,7 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
         # Of a whole model: its validator names what is wrong, and its input is everything.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
-    return f"{name or 'value'} = {repr(first['input'])[:200]}: {first['msg']}"
+    return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {first['msg']}"
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:

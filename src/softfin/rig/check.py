@@ -37,8 +37,9 @@ def check_rig(
     yield check_disk(folder)
     all_well = True
     for what, results in (
-        ("force sensor", _check_sensor(rig)),
+        # The drive first, as in Rig.open: another program may be using both.
         ("drive", _check_drive(rig)),
+        ("force sensor", _check_sensor(rig)),
         ("100 Hz loop", _check_loop(rig, seconds)),
     ):
         if not all_well and what == "100 Hz loop":

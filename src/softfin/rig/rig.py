@@ -43,8 +43,9 @@ class Rig:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of the sensor."""
-        return self.sensor.notes()
+        """Notes of the sensor, and of a device that cannot be locked."""
+        lock_notes = (self.drive.device_lock.note, self.sensor.device_lock.note)
+        return (*self.sensor.notes(), *(note for note in lock_notes if note is not None))
 
     def check_ready(self) -> None:
         """Raise RigError unless the drive, once opened, is proved to stop by itself when softfin dies."""
@@ -57,11 +58,12 @@ class Rig:
 
     def open(self) -> None:
         """Connect to both and configure the drive, without power to the motor."""
-        self.sensor.open()
+        # The drive first: where another program has it, nothing must take the sensor's stream away from that program.
+        self.drive.open()
         try:
-            self.drive.open()
+            self.sensor.open()
         except BaseException:
-            self.sensor.close()
+            self.drive.close()
             raise
 
     def read(self) -> Sample:

@@ -36,6 +36,10 @@ FRESH_TICKS = 100
 STILL_RAD = 0.03
 """Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
 
+SUSPENDED_S = 0.05
+"""Sleep of the computer beyond which an active session is stopped [s]. The monotonic clock stands still meanwhile, so
+no tick is late afterwards and no reading looks old, though the fin went on without anybody watching it."""
+
 HOMING_S = 10.0
 """Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin has twice the time that it needs."""
 
@@ -59,6 +63,8 @@ class Session:
         self._until_closed = ExitStack()
         self._watchdog: Watchdog | None = None
         self._never_confirmed: str | None = None
+        self._suspended_s = 0.0
+        """Sleep of the computer up to the last tick before activation [s]."""
 
     def __enter__(self) -> "Session":
         self.machine.open()
@@ -125,8 +131,18 @@ class Session:
         trip = self.stop_request.trip or self.trip
         if trip is None and self.recorder is not None and self.recorder.failure is not None:
             trip = Trip("recording", self.recorder.failure)
-        if trip is None and self.state == "active":
+        slept_s = self.pace.clock.suspended() - self._suspended_s
+        if self.state != "active":
+            self._suspended_s += slept_s
+        elif trip is None:
             trip = self.guard.check(sample, now, late)
+            if slept_s > SUSPENDED_S:
+                # In place of the fault that the drive reports by then, which follows from it.
+                trip = Trip(
+                    "suspended",
+                    f"the computer was suspended for {slept_s:.1f} s while the fin was active; "
+                    "start softfin by: systemd-inhibit --what=sleep:handle-lid-switch softfin ..",
+                )
         if trip is not None:
             self.abort(trip)
         if self.recorder is not None:

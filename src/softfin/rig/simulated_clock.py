@@ -39,6 +39,7 @@ class SimulatedClock(Clock):
 
     def __init__(self) -> None:
         self._now, self._wall = BEGIN_S, time.time()
+        self._suspended_s = 0.0
         self.shared: dict[Any, Any] = {}
         """Buses, sockets and pages of this time, by their address."""
         self._guard = threading.RLock()
@@ -55,6 +56,14 @@ class SimulatedClock(Clock):
     def wall(self) -> float:
         """Return the time of day at which the clock was made, plus what has passed since [s]."""
         return self._wall + self._now - BEGIN_S
+
+    def suspended(self) -> float:
+        """Return how long the computer was suspended by `suspend` [s]."""
+        return self._suspended_s
+
+    def suspend(self, seconds: float) -> None:
+        """Suspend the computer for so long: the time does not move, as that of the real clock does not."""
+        self._suspended_s += seconds
 
     def sleep(self, seconds: float) -> None:
         """Let the others run until so much time has passed."""

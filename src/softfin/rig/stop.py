@@ -50,12 +50,18 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
     numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
+    # Under nohup the end of the terminal is ignored on purpose: a night's collection must survive a dropped ssh.
+    numbers = [number for number in numbers if not _is_ignored_hangup(number)]
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _is_ignored_hangup(number: signal.Signals) -> bool:
+    return number.name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN
 
 
 def listen_to_keyboard(

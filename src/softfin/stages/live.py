@@ -27,10 +27,12 @@ from softfin.data.importing.clocks import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.rig.loop import run_controller
-from softfin.rig.machine import Sample, Target
+from softfin.rig.machine import Machine, Sample, Target
+from softfin.rig.record import load_record
+from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
-from softfin.rig.session import Session
+from softfin.rig.session import Force, Session
 from softfin.rig.stop import StopRequest
 from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
@@ -53,29 +55,43 @@ GAP_S = 0.05
 
 STATE = "collect.json"
 
+DRIFT_N = 0.2
+"""Change of the force at rest from the first log of a collection beyond which a log gets a warning [N]; the force at
+rest is subtracted from each log, but a sensor that drifts while it rests also drifts while it is recorded."""
+
+SENSOR_ADDRESS = ("address", "http_port", "rdt_port")
+"""Settings of the sensor that may change from one day to the next; the others decide what the numbers of a log mean."""
+
+Warn = Callable[[str], None]
+"""Function that shows a person a warning of one line."""
+
 
 def collect_live(
     robot: RobotSetup, out: Path, config: CollectConfig, confirm: Confirm, *,
     resume: bool = False, overwrite: bool = False, stop: StopRequest | None = None, progress: Progress = silent,
+    warn: Warn = lambda line: None,
 ) -> Dataset:  # fmt: skip
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
     With `resume` finished logs are taken over. Raises SafetyStop where the fin had to be stopped; what was recorded
-    until then is kept.
+    until then is kept. `warn` gets a line for each log whose force at rest has changed.
     """
     artifacts.check_vacant(out, overwrite or resume)
-    bags, rig = bags_of(out), robot.configuration
-    metadata: dict[str, Any] = {"configuration": config.model_dump(mode="json"), "fin": robot.fin, "rig": rig}
-    # Where the devices are reached may change from one day to the next.
-    claim = metadata | {"rig": {name: part for name, part in rig.items() if name not in ("bus", "sensor")}}
-    _check_claim(bags, claim, resume)
+    bags = bags_of(out)
+    metadata: dict[str, Any] = {
+        "configuration": config.model_dump(mode="json"),
+        "fin": robot.fin,
+        "rig": robot.configuration,
+    }
+    claim = metadata | {"rig": _drop_addresses(robot.configuration)}
+    counts = {"train": config.logs, "test": config.test_logs}
+    names = [f"{part}-{i:0{DATASET_PARTS[part]}d}" for part, count in counts.items() for i in range(count)]
+    missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
+    _check_claim(bags, claim, resume, is_complete=not missing)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
         # The recordings beside it are those of this collection, and it is written when they are complete.
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
-    counts = {"train": config.logs, "test": config.test_logs}
-    names = [f"{part}-{i:0{DATASET_PARTS[part]}d}" for part, count in counts.items() for i in range(count)]
-    missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     if missing:
         with Session(robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop) as session:
             confirm(robot)
@@ -91,15 +107,23 @@ def collect_live(
                     progress("collect", min((index + row / config.rows) / len(missing), 1.0), note)
 
                 with session.recording(bags / f"{name}.mcap"):
-                    log = _record(session, robot, config, name, report)
+                    log, rest_force = _record(session, robot, config, name, report)
+                sensor_state = _sensor_state(robot.machine) | {"force_at_rest_n": [round(x, 4) for x in rest_force]}
+                # Before the log itself: a log that is there is finished, so it must not lack its state.
+                artifacts.write_file(_sensor_file(bags, name), artifacts.dump_json(sensor_state))
                 write_log(bags / f"{name}.parquet", log)
+                if line := _drift_warning(_sensor_states(bags, names), name):
+                    warn(line)
             metadata["counters"] = robot.machine.counters() | {"skipped_ticks": session.pace.skipped}
             metadata["clock"] = session.pace.to_dict()
+    sensor_states = _sensor_states(bags, names)
     description = {
         "plant": robot.machine.name,
         "plant_identity": robot.machine.name,
         "commands": {"excitation": "random"},
         "bags": bags.name,
+        "sensor_by_log": sensor_states,
+        "sensor_warnings": [line for name in names if (line := _drift_warning(sensor_states, name))],
         "provenance": artifacts.provenance(seed=config.seed),
         **metadata,
     }
@@ -213,7 +237,54 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
     return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
 
 
-def _check_claim(bags: Path, claim: dict[str, Any], resume: bool) -> None:
+def _drop_addresses(configuration: dict[str, Any]) -> dict[str, Any]:
+    """Return the configuration without the settings of how its devices are reached."""
+    kept = {name: part for name, part in configuration.items() if name != "bus"}
+    if "sensor" in kept:
+        kept["sensor"] = {name: value for name, value in kept["sensor"].items() if name not in SENSOR_ADDRESS}
+    return kept
+
+
+def _sensor_state(machine: Machine) -> dict[str, Any]:
+    """Return the serial number of the sensor's calibration and its last zero; None for what a machine does not have."""
+    # Only a rig has a sensor of its own; one behind ROS 2 belongs to another program.
+    if not isinstance(machine, Rig):
+        return {"sensor_serial": None, "force_zero": None}
+    settings = machine.sensor.settings
+    force_zero = load_record(machine.config.file).force_zero
+    return {
+        "sensor_serial": None if settings is None else settings.calsn,
+        "force_zero": None if force_zero is None else force_zero.model_dump(mode="json"),
+    }
+
+
+def _sensor_file(bags: Path, name: str) -> Path:
+    """Return the file of the sensor's state at one log."""
+    return bags / f"{name}.sensor.json"
+
+
+def _sensor_states(bags: Path, names: Sequence[str]) -> dict[str, Any]:
+    """Return the sensor's state at each log that is recorded; older collections have none."""
+    files = {name: _sensor_file(bags, name) for name in names}
+    return {name: artifacts.read_json(file) for name, file in files.items() if file.exists()}
+
+
+def _drift_warning(sensor_states: dict[str, Any], name: str) -> str | None:
+    """Return a warning if the force at rest before a log differs from that before the first log."""
+    if name not in sensor_states:
+        return None
+    first_name = next(iter(sensor_states))
+    first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
+    drift = float(np.linalg.norm(now_n - first_n))
+    if drift <= DRIFT_N:
+        return None
+    return (
+        f"{name}: the force at rest is {drift:.2f} N from that of {first_name}: at most {DRIFT_N:g} N; let the "
+        "sensor and the water reach one temperature, and look for what touches the fin"
+    )
+
+
+def _check_claim(bags: Path, claim: dict[str, Any], resume: bool, is_complete: bool) -> None:
     """Raise ArtifactError where the folder holds other recordings, or finished ones without `resume`."""
     state = bags / STATE
     if not state.exists():
@@ -224,14 +295,26 @@ def _check_claim(bags: Path, claim: dict[str, Any], resume: bool) -> None:
             raise ArtifactError(
                 f"{bags}: holds finished logs; go on with --resume, give another --out, or move it away"
             )
+        before = artifacts.read_json(state)
         now = json.loads(artifacts.dump_json(claim))
-        check_same(bags, artifacts.read_json(state), now, "give the same options and rig, or another --out")
+        if "sensor" in now["rig"] and "sensor" not in before.get("rig", {}):
+            # Older versions left the sensor out, so nobody can see whether its axes are still the same.
+            if not is_complete:
+                raise ArtifactError(
+                    f"{bags}: begun by an older softfin, which did not keep how the sensor was set up; finish it with "
+                    "that version, or give another --out"
+                )
+            del now["rig"]["sensor"]
+        check_same(bags, before, now, "give the same options and rig, or another --out")
 
 
 def _record(
     session: Session, robot: RobotSetup, config: CollectConfig, name: str, report: Callable[[int, Sample], None]
-) -> Log:
-    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right then."""
+) -> tuple[Log, Force]:
+    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right then.
+
+    Return it with the force at rest before it [N], which its force does not contain.
+    """
     part, number = name.split("-")
     _, key = jax.random.split(key_of(config.seed, f"collect/{part}/{int(number)}"))
     # What a plant would get: one command a tick, and one more to begin with.
@@ -252,4 +335,4 @@ def _record(
                 report(tick, sample)
     session.deactivate()
     log = log_from_samples(samples[1:], issued, len(commands) - 1, longest_gap(robot))
-    return log._replace(reading=log.reading._replace(force=log.reading.force - np.array(zero, np.float32)))
+    return log._replace(reading=log.reading._replace(force=log.reading.force - np.array(zero, np.float32))), zero

@@ -15,6 +15,7 @@ from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.pages import SensorSettings, fetch_page, read_settings
 from softfin.rig.axia80.rdt import RdtCommand, decode_status
 from softfin.rig.axia80.stream import ForceReading, ForceStream
+from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Wrench, rotated
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import fetch_simulated_page
@@ -39,6 +40,8 @@ class Axia80:
         self._clock = clock
         self._name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
+        self.device_lock = DeviceLock(self._name, config.address, config.rdt_port)
+        """Taken by `open`: the sensor streams to whoever asked last, so a second program would silence the first."""
 
     @property
     def stream(self) -> ForceStream:
@@ -54,6 +57,14 @@ class Axia80:
         closed then.
         """
         self.close()
+        self.device_lock.acquire(self._clock)
+        try:
+            self._open()
+        except BaseException:
+            self.close()
+            raise
+
+    def _open(self) -> None:
         config, clock = self.config, self._clock
         fetch = partial(fetch_simulated_page, clock) if isinstance(clock, SimulatedClock) else fetch_page
         self.settings = settings = read_settings(config.address, config.http_port, fetch)
@@ -62,14 +73,10 @@ class Axia80:
             if value not in (None, found):
                 raise RigError(f"{self._name}: {name} must be {value!r}, got {found!r}; check address or {name}")
         self._stream = ForceStream(config, settings.scale, clock)
-        try:
-            self._await_stream(self._stream)
-            if config.bias_on_open:
-                self.bias()
-            self.read()
-        except BaseException:
-            self.close()
-            raise
+        self._await_stream(self._stream)
+        if config.bias_on_open:
+            self.bias()
+        self.read()
 
     def read(self) -> ForceReading:
         """Take what has arrived, without waiting, and return the newest force.
@@ -148,6 +155,7 @@ class Axia80:
         if self._stream is not None and not self._stream.client.closed:
             self._stream.client.send(RdtCommand.STOP)
             self._stream.client.close()
+        self.device_lock.release()
 
     def _await_stream(self, stream: ForceStream) -> None:
         """Wait until it sends, at the rate that it is set to."""

@@ -5,6 +5,7 @@ python-can's virtual bus within one process, over socketcand on loopback from an
 """
 
 import contextlib
+import hashlib
 import json
 import uuid
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from softfin.core.clock import Clock
+from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.bus import HOST, SocketcandServer
@@ -21,6 +22,7 @@ from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
 from softfin.rig.epos2.config import BusConfig, Epos2Config
+from softfin.rig.lock import DeviceLock
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
@@ -116,7 +118,11 @@ class _KeptRig(EmulatedRig):
             tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
         except ConfigurationError as error:
             raise RigError(str(error)) from None
+        # Two commands at once would begin with the same state, and the last one to end would undo the other's.
+        lock = DeviceLock(f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16])
+        lock.acquire(REAL)
         super().__init__(tank, config.emulation.seed, channel=config.bus.channel)
+        self.callback(lock.release)
         self._state, self._emulation = state_file(file), config.emulation.model_dump(mode="json")
         self._parts = {"fin": self.fin, "drive": self.drive, "sensor": self.sensor}
         try:

@@ -29,6 +29,7 @@ class Epos2(Exchange):
 
     def connect(self) -> None:
         """Connect to the node, whatever its state, changing nothing; raises RigError or DeviceError."""
+        self.device_lock.acquire(self.clock)
         self.reset()
         try:
             self.connection.open()
@@ -37,6 +38,7 @@ class Epos2(Exchange):
             self.serial = procedures.read_optional(self.connection, protocol.SERIAL_NUMBER)
         except BaseException:
             self.connection.close()
+            self.device_lock.release()
             raise
 
     def open(self) -> None:
@@ -71,6 +73,7 @@ class Epos2(Exchange):
         self.stop()
         self.owned = False
         self.connection.close()
+        self.device_lock.release()
 
     def reset_fault(self) -> str | None:
         """Acknowledge the drive's fault and return its name; None when there was none. Raises DeviceError.

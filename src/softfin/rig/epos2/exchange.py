@@ -14,6 +14,7 @@ from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
 from softfin.rig.epos2.connection import CanConnection, download
 from softfin.rig.epos2.protocol import Bit, State
+from softfin.rig.lock import DeviceLock
 
 PATIENCE_TICKS = 6
 """Ticks in which the drive must acknowledge a target; its statuswords come once a tick."""
@@ -187,6 +188,11 @@ class Exchange:
     ) -> None:
         self.config, self.units, self.clock, self.on_fault = config, Units.of(config), clock, on_fault
         self.connection = CanConnection(bus, config.node, self._take, self._report, clock)
+        # Where a bus is reached by a network, its channel alone does not tell two computers apart.
+        server = [bus.options[name] for name in ("host", "port") if name in bus.options]
+        name = f"drive {config.node} on {self.connection.name}"
+        self.device_lock = DeviceLock(name, bus.interface, *server, bus.channel, config.node)
+        """Taken by `connect`, so that no second program uses the drive."""
         self.lock = clock.condition()
         """Guards all below; notified of every frame."""
         self.stopping = clock.lock()

@@ -1,0 +1,166 @@
+"""One program at a time uses a device; within this process, and between processes."""
+
+import os
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from softfin.core.clock import REAL
+from softfin.core.errors import RigError
+from softfin.rig import lock as locks
+from softfin.rig.config import load_rig
+from softfin.rig.emulation.rig import EmulatedRig, kept_rig, rigs, write_simulated
+from softfin.rig.lock import DeviceLock
+from softfin.rig.rig import Rig, zero_force
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.tank import Tank
+from tests.patience import HANG_S
+from tests.rig.rigs import config_of, patient
+from tests.rig.simple_fin import SimpleFin
+
+ROOT = Path(__file__).parents[2]
+
+HOLDER = """
+import sys
+from pathlib import Path
+from softfin.core.clock import REAL
+from softfin.rig import lock
+lock.LOCK_FOLDER = Path(sys.argv[1])
+lock.DeviceLock("drive", "can0", 1).acquire(REAL)
+print("locked", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path)
+    return tmp_path
+
+
+@contextmanager
+def another_program(folder):
+    """A process that has locked drive 1 of can0."""
+    environment = os.environ | {"PYTHONPATH": f"{ROOT / 'src'}:{ROOT}"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        env=environment,
+    )  # fmt: skip
+    try:
+        assert process.stdout.readline() == "locked\n"
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=HANG_S)
+
+
+def test_a_device_of_another_program_is_refused_with_its_number_until_that_program_is_killed(folder):
+    lock = DeviceLock("drive 1", "can0", 1)
+    with another_program(folder) as other:
+        expected = rf"^drive 1: in use by another program of this computer \(process {other.pid}\); end it first$"
+        with pytest.raises(RigError, match=expected):
+            lock.acquire(REAL)
+        other.kill()
+        other.wait(HANG_S)
+        lock.acquire(REAL)
+        with pytest.raises(RigError, match=str(os.getpid())):
+            DeviceLock("drive 1", "can0", 1).acquire(REAL)
+        lock.release()
+
+
+def test_a_lock_works_within_a_process_and_other_devices_are_free(folder):
+    first, second = DeviceLock("drive 1", "can0", 1), DeviceLock("drive 1", "can0", 1)
+    first.acquire(REAL)
+    first.acquire(REAL)
+    DeviceLock("drive 2", "can0", 2).acquire(REAL)
+    with pytest.raises(RigError, match="in use"):
+        second.acquire(REAL)
+    first.release()
+    first.release()
+    second.acquire(REAL)
+    second.release()
+
+
+def test_no_name_of_a_device_leads_out_of_the_folder(folder):
+    lock = DeviceLock("drive", "slcan", "/dev/../../tmp/tty@0", 1)
+    lock.acquire(REAL)
+    (file,) = folder.iterdir()
+    assert file.name == "softfin-slcan_dev_.._.._tmp_tty_0_1"
+    lock.release()
+
+
+def test_a_device_that_cannot_be_locked_is_used_with_a_note(folder):
+    # A folder in place of the file, which no user can open for writing.
+    (folder / "softfin-can0_1").mkdir()
+    lock = DeviceLock("drive 1", "can0", 1)
+    lock.acquire(REAL)
+    assert lock.note.startswith("drive 1: cannot be locked (")
+    assert lock.note.endswith("see that no other program uses it")
+    lock.release()
+
+
+def test_a_link_in_place_of_the_lock_is_not_followed(folder):
+    precious = folder / "precious"
+    precious.write_text("kept")
+    (folder / "softfin-can0_1").symlink_to(precious)
+    lock = DeviceLock("drive 1", "can0", 1)
+    lock.acquire(REAL)
+    assert lock.note is not None
+    assert precious.read_text() == "kept"
+
+
+def test_without_a_folder_for_locks_the_folder_for_temporary_files_serves(tmp_path, monkeypatch):
+    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path / "missing")
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    lock = DeviceLock("drive 1", "can0", 1)
+    lock.acquire(REAL)
+    assert lock.note is None
+    assert [file.name for file in tmp_path.iterdir()] == ["softfin-can0_1"]
+    lock.release()
+
+
+def test_a_device_in_simulated_time_is_not_locked(folder):
+    DeviceLock("drive 1", "can0", 1).acquire(SimulatedClock())
+    assert list(folder.iterdir()) == []
+
+
+def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(folder, monkeypatch):
+    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+        first = Rig(config_of(behind))
+        first.open()
+        second = Rig(config_of(behind))
+        with monkeypatch.context() as patches:
+            patches.setattr("softfin.rig.axia80.sensor.read_settings", lambda *_: pytest.fail("asked the sensor"))
+            with pytest.raises(RigError, match=r"drive 1 on CAN bus virtual .*: in use"):
+                second.open()
+            with pytest.raises(RigError, match=r"force sensor 127.0.0.1: in use"):
+                zero_force(second.config)
+        first.close()
+        second.open()
+        second.close()
+
+
+def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
+    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+        other_serial = Rig(config_of(behind, sensor=behind.values()["sensor"] | {"serial": "another"}))
+        with pytest.raises(RigError, match="serial must be"):
+            other_serial.open()
+        rig = Rig(config_of(behind))
+        rig.open()
+        rig.close()
+
+
+def test_two_programs_cannot_use_one_emulated_rig_at_once(folder):
+    file = folder / "rig.yaml"
+    write_simulated(file, Tank(), {}, seed=0)
+    first = kept_rig(load_rig(file))
+    # Another process has no rigs yet.
+    del rigs[file.resolve()]
+    with pytest.raises(RigError, match=r"rig.yaml: emulated rig: in use by another program"):
+        kept_rig(load_rig(file))
+    first.close()
+    kept_rig(load_rig(file)).close()
+    del rigs[file.resolve()]
