@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.axia80.rdt import RdtRecord
-from softfin.rig.axia80.stream import ForceStream, StreamClock
+from softfin.rig.axia80.stream import Arrival, ForceStream, StreamClock
 from softfin.rig.simulated_clock import SimulatedClock
 
 CONFIG = Axia80Config(address="127.0.0.1", frame="x,y")
@@ -20,7 +20,8 @@ def received(numbers):
     stream = ForceStream(CONFIG, [1.0] * 6, SimulatedClock())
     stream.collected = []
     sent = [RdtRecord(number, 0, 0, (k, 0, 0, 0, 0, 0)) for k, number in enumerate(numbers)]
-    stream.client.drain = lambda: (sent, 0.0)
+    arrivals = [Arrival(record, stream.taken) for record in sent]
+    stream.client.drain = lambda: arrivals
     stream.take()
     return stream
 

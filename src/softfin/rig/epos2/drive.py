@@ -3,6 +3,8 @@
 One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a real drive.
 """
 
+from collections.abc import Callable
+
 from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
 from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.epos2.exchange import DriveStatus, Exchange
@@ -139,8 +141,11 @@ class Epos2(Exchange):
         counted = self.status.counters + self.connection.counters
         return {"targets repeated": self.handshake.repeated} | dict(counted)
 
-    def enable(self) -> None:
-        """Give power to the motor, which holds where it is; on RigError or DeviceError it is stopped again."""
+    def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Give power to the motor, which holds where it is; on RigError or DeviceError it is stopped again.
+
+        The drive may take up to a second; `meanwhile` is called every few milliseconds.
+        """
         angle, low, high = self._new_reading().angle, self.config.angle_min_rad, self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
@@ -154,7 +159,7 @@ class Epos2(Exchange):
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
-        self._power_up(then_arm=True)
+        self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def home_here(self) -> None:
         """Make the present position the drive's zero (homing method 35); the motor is powered for it, nothing moves."""
@@ -163,7 +168,7 @@ class Epos2(Exchange):
         try:
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
-            self._power_up(then_arm=False)
+            self._power_up(then_arm=False, meanwhile=lambda: None)
             procedures.home(self)
         finally:
             self.stop()
@@ -195,7 +200,7 @@ class Epos2(Exchange):
             raise DeviceError("drive does not answer; look at its supply and the bus's cable")
         return self.status
 
-    def _power_up(self, then_arm: bool) -> None:
+    def _power_up(self, then_arm: bool, meanwhile: Callable[[], object]) -> None:
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
             raise DeviceError("drive is still being stopped; wait, then enable it again")
         try:
@@ -208,7 +213,7 @@ class Epos2(Exchange):
             self.send_heartbeat()
             silence = round(1000 * self.config.heartbeat_s)
             procedures.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host_node << 16 | silence)
-            procedures.reach_enabled(self, then_arm)
+            procedures.reach_enabled(self, then_arm, meanwhile)
         except BaseException:
             self.stop()
             raise

@@ -130,12 +130,16 @@ def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Obj
     set_cob_id(cob_id)
 
 
-def reach_enabled(exchange: Exchange, then_arm: bool) -> None:
-    """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError."""
+def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], object]) -> None:
+    """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError.
+
+    Calls `meanwhile` at each step.
+    """
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
         exchange.send_heartbeat()
         exchange.sync_and_read(STATE_STEP_S)
+        meanwhile()
         with exchange.lock:
             if exchange.stopped:
                 raise DeviceError("drive was stopped while it was being enabled; enable it again")
