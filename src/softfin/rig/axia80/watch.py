@@ -13,11 +13,14 @@ Axia80 is thousands of counts, so that two equal records in a row are rare alrea
 REORDERED_SAMPLES = 4096
 """Samples by which the sensor's count may go back without a restart: half a second."""
 
-MAX_SAMPLE_RATE_HZ = 10_000
-"""Above the fastest rate of its converter, which is 7912 Hz."""
+MEASURED_S = 0.3
+"""Shortest duration over which the rate of the sensor's count is measured [s]."""
 
-GRACE_S = 10.0
-"""Error of the time between two records that their counts may show [s]."""
+RATE_ERROR = 0.02
+"""Relative error of that rate."""
+
+HELD_UP_S = 1.0
+"""Time by which records may be held up on their way [s]: their counts then do not fit the time between them."""
 
 
 class StreamWatch:
@@ -28,7 +31,10 @@ class StreamWatch:
         """Whether the sensor restarted since the stream was opened."""
         self._stuck_records = round(STUCK_S * rate_hz)
         self._equal_counts = self._equal_samples = self._busy = 0
-        self._first: tuple[int, float] | None = None
+        self._began = 0.0
+        """When the first record arrived [s]."""
+        self._samples = 0
+        """Samples that the sensor has counted since then."""
         self._newest: tuple[RdtRecord, float] | None = None
 
     @property
@@ -39,12 +45,8 @@ class StreamWatch:
     @property
     def ft_rate_hz(self) -> float:
         """Measured rate of the sensor's count [Hz]; 0 before it is known."""
-        if self._first is None or self._newest is None:
-            return 0.0
-        first, began = self._first
-        record, time = self._newest
-        duration = time - began
-        return wrapped_step(first, record.ft_sequence) / duration if duration > 0 else 0.0
+        duration = 0.0 if self._newest is None else self._newest[1] - self._began
+        return self._samples / duration if duration >= MEASURED_S else 0.0
 
     @property
     def is_busy(self) -> bool:
@@ -54,19 +56,30 @@ class StreamWatch:
     def take(self, record: RdtRecord, time: float) -> None:
         """Take a record that arrived at a time [s] and is newer than those before."""
         self._busy = self._busy + 1 if record.status >> BUSY_BIT & 1 else 0
-        if self._newest is None or self._first is None:
-            self._first = record.ft_sequence, time
+        if self._newest is None:
+            self._began = time
             self._newest = record, time
             return
         before, before_time = self._newest
-        self._newest = record, time
         samples = wrapped_step(before.ft_sequence, record.ft_sequence)
-        # After three days the count is so high that a restart at 0 looks like a step ahead, which is too long then.
-        max_samples = MAX_SAMPLE_RATE_HZ * (time - before_time + GRACE_S)
-        if not -REORDERED_SAMPLES <= samples <= max_samples:
+        if samples < -REORDERED_SAMPLES or not self._fits(samples, time - before_time):
             self.has_restarted = True
+        self._newest = record, time
+        self._samples += samples
         self._equal_samples = self._equal_samples + 1 if samples == 0 else 0
         self._equal_counts = self._equal_counts + 1 if record.counts == before.counts else 0
+
+    def _fits(self, samples: int, elapsed_s: float) -> bool:
+        """Whether the count went on by as many samples as the time since the record before brings.
+
+        A restart in a pause may be long past, so that the count is higher than before it. And after three days a count
+        is so high that one from 0 looks like a step ahead.
+        """
+        rate_hz = self.ft_rate_hz
+        if rate_hz <= 0:
+            return True
+        error_s = HELD_UP_S + RATE_ERROR * elapsed_s
+        return abs(samples / rate_hz - elapsed_s) <= error_s
 
     def accept_restart(self) -> None:
         """The sensor's zero was set since: an earlier restart no longer matters."""
