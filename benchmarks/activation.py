@@ -17,7 +17,7 @@ from typing import Any
 
 from benchmarks.measure import entry
 from benchmarks.rig import emulators
-from softfin.core.errors import DeviceError, SafetyStop
+from softfin.core.errors import SoftfinError
 from softfin.rig.config import RigConfig
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
@@ -83,7 +83,7 @@ def _activate(config: RigConfig, room_bytes: int, count: int) -> list[dict[str, 
                     session.activate()
                     session.hold(Target(0.1 * (-1) ** attempts, 1.0), 5)
                     session.deactivate()
-        except (SafetyStop, DeviceError) as error:
+        except SoftfinError as error:
             reasons.append(str(error))
         ages_s += rig.ages_s
     name = f"activation, buffer of {room_bytes // 1024} KiB"
