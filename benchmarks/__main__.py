@@ -19,6 +19,7 @@ NAMES = (
     "controller_step",
     "recording",
     "rig",
+    "activation",
     "robot",
     "explore",
 )

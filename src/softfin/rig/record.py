@@ -1,4 +1,4 @@
-"""What was found out about one rig, kept as JSON beside its file: rig.yaml has rig.record.json.
+"""The record of a rig, kept as JSON beside its file: rig.yaml has rig.record.json.
 
 The file says how a rig is set up; its record says what was measured on it: whether the drive stops by itself when
 softfin dies, and where the sensor's zero was set. A rig that is built in Python without a file has no record.
@@ -64,7 +64,9 @@ def load_record(rig: Path | None) -> RigRecord:
     try:
         return RigRecord.build(json.loads(file.read_bytes()), str(file))
     except (OSError, ValueError, RecursionError, ConfigurationError) as error:
-        raise RigError(f"{file}: not the record of a rig ({error}); remove it, then prove and zero the rig again") from None
+        raise RigError(
+            f"{file}: not the record of a rig ({error}); remove it, then prove and zero the rig again"
+        ) from None
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:

@@ -247,12 +247,15 @@ def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Obj
 
 
 def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], object]) -> None:
-    """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError."""
+    """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError.
+
+    Calls `meanwhile` at each step.
+    """
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
-        meanwhile()
         exchange.send_heartbeat()
         exchange.sync_and_read(STATE_STEP_S)
+        meanwhile()
         with exchange.lock:
             if exchange.stopped:
                 raise DeviceError("drive was stopped while it was being enabled; enable it again")
