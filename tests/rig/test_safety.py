@@ -8,7 +8,7 @@ from softfin.control.controller import TrainingRange
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.machine import Sample, Target
-from softfin.rig.safety import Guard, SafetyConfig, check_target
+from softfin.rig.safety import OVERSHOOT_RAD, Guard, SafetyConfig, check_target
 
 LIMITS = Limits(*map(float, PAPER_LIMITS))
 CURRENTS = {"current_peak_a": 4.0, "current_sustained_a": 2.0}
@@ -65,6 +65,15 @@ def test_what_is_beyond_a_limit_trips_at_once_with_figures_and_the_way_out(chang
         assert figure in trip.reason
 
 
+@pytest.mark.parametrize("end_rad", [LIMITS.angle_min, LIMITS.angle_max])
+def test_a_fin_may_overshoot_either_end_of_its_range_by_the_margin_and_no_further(end_rad):
+    outwards = math.copysign(1, end_rad)
+    inside = end_rad + outwards * (OVERSHOOT_RAD - 0.01)
+    outside = end_rad + outwards * (OVERSHOOT_RAD + 0.01)
+    assert guard().check(sample(angle=inside), 50.0) is None
+    assert guard().check(sample(angle=outside), 50.0).cause == "angle"
+
+
 NUMBERS = ("time", "angle", "velocity", "current", "following_error", "force_time")
 
 
@@ -90,7 +99,12 @@ def test_a_tick_that_comes_too_late_trips():
     ("changes", "cause"),
     [
         ({"wrench": (12.0, 12.0, 0.0, 0.0, 0.0, 0.0)}, "force_sustained"),
+        ({"wrench": (-20.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "force_sustained"),
+        ({"wrench": (0.0, 20.0, 0.0, 0.0, 0.0, 0.0)}, "force_sustained"),
+        ({"wrench": (0.0, 0.0, 20.0, 0.0, 0.0, 0.0)}, "force_sustained"),
         ({"wrench": (0.0, 0.0, 0.0, 3.1, 0.0, 0.0)}, "torque_sustained"),
+        ({"wrench": (0.0, 0.0, 0.0, 0.0, -3.1, 0.0)}, "torque_sustained"),
+        ({"wrench": (0.0, 0.0, 0.0, 0.0, 0.0, 3.1)}, "torque_sustained"),
         ({"current": 2.1}, "current_sustained"),
     ],
 )
