@@ -107,9 +107,9 @@ class Outcome(NamedTuple):
     """The end of one run of tests."""
 
     status: str
-    """survived, killed, timeout or killed by wider tests."""
+    """survived, killed or timeout."""
     by: str
-    """The first test that failed."""
+    """The first test that failed, or the time limit."""
     seconds: float
 
 
@@ -405,7 +405,11 @@ class Run:
             return self._journal.outcome(name_of(mutation), lambda: self._workshop.run([mutation], tests, limit_s))
 
         outcomes = dict(zip(mutations, self._pool.map(run_own, mutations), strict=True))
-        survivors = [mutation for mutation, outcome in outcomes.items() if outcome.status == "survived"]
+        survivors = [
+            mutation
+            for mutation, outcome in outcomes.items()
+            if outcome.status == "survived" and self._project.reason(mutation) is None
+        ]
         if survivors and self._project.wider:
             limit_s = 3 * self.baseline(self._project.wider) + SPARE_S
             for found in self._pool.map(lambda group: self._run_wider(group, limit_s), apart(survivors)):

@@ -114,6 +114,14 @@ def test_a_load_below_the_peak_trips_once_it_has_lasted(changes, cause):
     assert after == pytest.approx(0.5, abs=0.02)
 
 
+def test_force_and_torque_are_judged_apart():
+    """Each just within its own limits, whatever the other one is."""
+    loaded = {"wrench": (14.9, 0.0, 0.0, 2.9, 0.0, 0.0)}
+    assert first(guard(), 2, lambda now: sample(now, **loaded))[1] is None
+    weak = guard(force_peak_n=2.0, force_sustained_n=1.0)
+    assert weak.check(sample(wrench=(0.5, 0.0, 0.0, 4.9, 4.9, 4.9)), 50.0) is None
+
+
 def test_a_load_that_comes_and_goes_does_not_trip():
     def beating(now):
         return sample(now, wrench=(20.0 if int(now * 10) % 2 else 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
