@@ -51,8 +51,8 @@ OPERATORS: dict[type[ast.AST], str] = {
     ast.IsNot: "is not", ast.In: "in", ast.NotIn: "not in", ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/",
     ast.FloorDiv: "//", ast.Pow: "**", ast.LShift: "<<", ast.RShift: ">>", ast.BitAnd: "&", ast.BitOr: "|",
 }  # fmt: skip
-REMOVED = (ast.Raise, ast.Return, ast.Break, ast.Continue)
-"""Statements that are removed, besides calls and assignments to attributes."""
+UNORDERED = {*FUNCTIONS, "isinstance", "getattr", "setattr", "hasattr"}
+"""Functions whose arguments are not swapped: it would change nothing, or fail wherever it is reached."""
 
 SPARE_S = 60.0
 """Time that a mutant's tests have beyond three times that of the unchanged code [s]."""
@@ -125,7 +125,8 @@ def find_mutations(module: str, source: str) -> tuple[Mutation, ...]:
         return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
 
     found: dict[tuple[int, int, str], Mutation] = {}
-    for kind, start, end, replacement in _changes(ast.parse(source), text, span):
+    changes = (change for node in _code(ast.parse(source)) for change in _changes(node, text, span))
+    for kind, start, end, replacement in changes:
         mutant = text[:start] + replacement.encode() + text[end:]
         with contextlib.suppress(SyntaxError):
             compile(mutant, module, "exec")
@@ -141,76 +142,100 @@ def find_mutations(module: str, source: str) -> tuple[Mutation, ...]:
 Change = tuple[str, int, int, str]
 """Kind, start and end of the stretch [bytes], replacement."""
 
+Span = Callable[[Any], tuple[int, int]]
+"""Start and end of a node in the source [bytes]."""
 
-def _changes(tree: ast.Module, text: bytes, span: Callable[[Any], tuple[int, int]]) -> Iterator[Change]:
-    for node in _code(tree):
-        match node:
-            case ast.Compare(left=left, ops=operators, comparators=others):
-                for one, operator, other in zip([left, *others], operators, others, strict=False):
-                    sign = OPERATORS[type(operator)]
-                    for new in COMPARISONS[sign]:
-                        yield from _between("comparison", text, span(one)[1], span(other)[0], sign, new)
-            case ast.BinOp(left=left, op=operator, right=right) if not _is_text(left) and not _is_text(right):
-                sign = OPERATORS.get(type(operator), "")
-                if sign in ARITHMETIC:
-                    new = ARITHMETIC[sign]
-                    yield from _between("arithmetic", text, span(left)[1], span(right)[0], sign, new)
-            case ast.AugAssign(target=target, op=operator, value=value):
-                sign = OPERATORS.get(type(operator), "")
-                if sign in ARITHMETIC:
-                    new = ARITHMETIC[sign]
-                    yield from _between("arithmetic", text, span(target)[1], span(value)[0], sign + "=", new + "=")
-            case ast.BoolOp(op=operator, values=values):
-                sign, new = ("and", "or") if isinstance(operator, ast.And) else ("or", "and")
-                yield from _between("boolean", text, span(values[0])[1], span(values[1])[0], sign, new)
-            case ast.UnaryOp(op=ast.Not(), operand=operand):
-                yield ("boolean", span(node)[0], span(operand)[0], "")
-            case ast.UnaryOp(op=ast.USub()):
-                yield ("constant", span(node)[0], span(node)[0] + 1, "")
-            case ast.Constant(value=bool(value)):
-                yield ("constant", *span(node), str(not value))
-            case ast.Constant(value=int(value) | float(value)):
-                start, end = span(node)
-                number = text[start:end].decode()
-                yield ("constant", start, end, f"({number} + 1)")
-                if value:
-                    yield ("constant", start, end, f"({number} * 2)")
-                    yield ("constant", start, end, f"(-{number})")
-            case ast.Slice(lower=lower, upper=upper):
-                for bound in (lower, upper):
-                    if bound is not None:
-                        start, end = span(bound)
-                        number = text[start:end].decode()
-                        yield ("slice", start, end, f"{number} + 1")
-                        yield ("slice", start, end, f"{number} - 1")
-            case ast.Call(func=function, args=arguments):
-                yield from _changed_call(text, span, function, arguments)
-            case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
-                start, end = span(test)
-                yield ("boolean", start, end, f"(not ({text[start:end].decode()}))")
-            case ast.Expr(value=ast.Call()):
-                yield ("statement", *span(node), "pass")
-            case ast.Assign(targets=[ast.Attribute(), *_]):
-                yield ("statement", *span(node), "pass")
-        if isinstance(node, REMOVED) or (isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Attribute)):
+
+def _changes(node: ast.AST, text: bytes, span: Span) -> Iterator[Change]:
+    yield from _operator_changes(node, text, span)
+    yield from _condition_changes(node, text, span)
+    yield from _value_changes(node, text, span)
+    yield from _statement_changes(node, span)
+    if isinstance(node, ast.Call):
+        yield from _call_changes(node, text, span)
+
+
+def _operator_changes(node: ast.AST, text: bytes, span: Span) -> Iterator[Change]:
+    match node:
+        case ast.Compare(left=left, ops=operators, comparators=others):
+            for one, operator, other in zip([left, *others], operators, others, strict=False):
+                sign = OPERATORS[type(operator)]
+                for new in COMPARISONS[sign]:
+                    yield from _between("comparison", text, span(one)[1], span(other)[0], sign, new)
+        case ast.BinOp(left=left, op=operator, right=right) if not _is_text(left) and not _is_text(right):
+            sign = OPERATORS.get(type(operator), "")
+            if sign in ARITHMETIC:
+                yield from _between("arithmetic", text, span(left)[1], span(right)[0], sign, ARITHMETIC[sign])
+        case ast.AugAssign(target=target, op=operator, value=value):
+            sign = OPERATORS.get(type(operator), "")
+            if sign in ARITHMETIC:
+                new = ARITHMETIC[sign] + "="
+                yield from _between("arithmetic", text, span(target)[1], span(value)[0], sign + "=", new)
+
+
+def _condition_changes(node: ast.AST, text: bytes, span: Span) -> Iterator[Change]:
+    match node:
+        case ast.BoolOp(op=operator, values=values):
+            sign, new = ("and", "or") if isinstance(operator, ast.And) else ("or", "and")
+            yield from _between("boolean", text, span(values[0])[1], span(values[1])[0], sign, new)
+        case ast.UnaryOp(op=ast.Not(), operand=operand):
+            yield ("boolean", span(node)[0], span(operand)[0], "")
+        case ast.If(test=test) | ast.While(test=test) | ast.IfExp(test=test):
+            start, end = span(test)
+            yield ("boolean", start, end, f"(not ({text[start:end].decode()}))")
+
+
+def _value_changes(node: ast.AST, text: bytes, span: Span) -> Iterator[Change]:
+    match node:
+        case ast.UnaryOp(op=ast.USub()):
+            yield ("constant", span(node)[0], span(node)[0] + 1, "")
+        case ast.Constant(value=bool(value)):
+            yield ("constant", *span(node), str(not value))
+        case ast.Constant(value=int(value) | float(value)):
+            start, end = span(node)
+            number = text[start:end].decode()
+            yield ("constant", start, end, f"({number} + 1)")
+            if value:
+                yield ("constant", start, end, f"({number} * 2)")
+                yield ("constant", start, end, f"(-{number})")
+        case ast.Slice(lower=lower, upper=upper):
+            for bound in (lower, upper):
+                if bound is not None:
+                    start, end = span(bound)
+                    number = text[start:end].decode()
+                    yield ("slice", start, end, f"{number} + 1")
+                    yield ("slice", start, end, f"{number} - 1")
+
+
+def _statement_changes(node: ast.AST, span: Span) -> Iterator[Change]:
+    match node:
+        case (
+            ast.Raise()
+            | ast.Return()
+            | ast.Break()
+            | ast.Continue()
+            | ast.Expr(value=ast.Call())
+            | ast.Assign(targets=[ast.Attribute(), *_])
+            | ast.AugAssign(target=ast.Attribute())
+        ):
             yield ("statement", *span(node), "pass")
 
 
-def _changed_call(
-    text: bytes, span: Callable[[Any], tuple[int, int]], function: ast.expr, arguments: list[ast.expr]
-) -> Iterator[Change]:
-    name = ast.unparse(function).rpartition(".")[2]
+def _call_changes(node: ast.Call, text: bytes, span: Span) -> Iterator[Change]:
+    name = ast.unparse(node.func).rpartition(".")[2]
     if name in FUNCTIONS:
-        end = span(function)[1]
+        end = span(node.func)[1]
         yield ("function", end - len(name), end, FUNCTIONS[name])
-    # Swapped, the arguments of these would not fit, or the order of the second pair says nothing.
-    if len(arguments) >= 2 and name not in {*FUNCTIONS, "isinstance", "getattr", "setattr", "TypeVar", "cast"}:
-        first, second = arguments[:2]
-        if not isinstance(first, ast.Starred) and not isinstance(second, ast.Starred):
-            (start, middle), (middle_2, end) = span(first), span(second)
-            one, between, other = text[start:middle], text[middle:middle_2], text[middle_2:end]
-            if one != other:
-                yield ("arguments", start, end, (other + between + one).decode())
+    if len(node.args) < 2 or name in UNORDERED:
+        return
+    first, second = node.args[:2]
+    if isinstance(first, ast.Starred) or isinstance(second, ast.Starred):
+        return
+    start, first_end = span(first)
+    second_start, end = span(second)
+    one, between, other = text[start:first_end], text[first_end:second_start], text[second_start:end]
+    if one != other:
+        yield ("arguments", start, end, (other + between + one).decode())
 
 
 def _between(kind: str, text: bytes, start: int, end: int, sign: str, new: str) -> Iterator[Change]:
