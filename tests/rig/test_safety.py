@@ -149,6 +149,13 @@ def test_a_velocity_that_changes_faster_than_any_drive_trips():
     assert first(guard(), 1, lambda now: sample(now, velocity=min(4.0, 100 * (now - 50))))[1] is None
 
 
+@pytest.mark.parametrize(("velocity", "cause"), [(5.9, None), (6.1, "acceleration")])
+def test_the_first_change_of_velocity_is_judged_over_thirty_milliseconds(velocity, cause):
+    """A jump of 5.9 rad/s is 197 rad/s2 over 30 ms, and 295 over the 20 ms of the first three readings."""
+    trip = first(guard(), 0.05, lambda now: sample(now, velocity=0.0 if now < 50.005 else velocity))[1]
+    assert (trip and trip.cause) == cause
+
+
 def test_the_same_reading_twice_is_no_acceleration():
     watched = guard(stale_s=1.0, force_stale_s=1.0)
     for tick in range(10):
