@@ -14,7 +14,7 @@ OUT ?= runs/demo
 PRESET ?= demo
 PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-quick test-long test-ray wheel test-wheel lint structure docs bench results results-quick figures clean
+.PHONY: setup demo day test test-quick test-long test-ray mutants wheel test-wheel lint structure docs bench results results-quick figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -44,6 +44,9 @@ test-long: setup ## all tests, with more cases of each kind and twenty minutes o
 
 test-ray: setup ## the tests that need Ray, in a network of their own; installs the extra: 76 MB to fetch, 201 MB
 	$(RUN) --extra ray pytest -n auto --dist load -rs tests/learning/test_engine.py
+
+mutants: setup ## change the rig's code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1
+	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES))
 
 wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/
 	$(UV) build --quiet --out-dir dist

@@ -11,7 +11,9 @@ from jaxtyping import Array, Float
 
 from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.grid import GridState, GridStep, SwitchingConfig
+from softfin.control.policy import PolicyNetwork
 from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.reachable import Cell
 from softfin.learning.policy import Policy, PolicyConfig, named
@@ -126,6 +128,23 @@ def test_in_the_first_cycle_the_new_policy_remembers_all_as_if_it_had_been_in_ch
         assert (int(switched.active_cell), int(stayed.active_cell)) == (1, 0)
         np.testing.assert_allclose(switched.cell, stayed.cell, atol=1e-4)
         np.testing.assert_allclose(switched.actions, stayed.actions, atol=1e-3)
+
+
+def test_a_switch_at_the_second_action_replays_the_first_one() -> None:
+    reference = np.array([1 + HAIR, 0], np.float32)
+    controller = grid(FADELESS)
+    commands, states = play(controller, [1 - HAIR, 1 + HAIR])
+    assert cells_of(states) == [0, 1]
+    step = controller.step
+    assert isinstance(step, GridStep)
+    network = PolicyNetwork(*[part[1] for part in step.networks])
+    at_rest = step.observation.observe(NUMPY, np.append(np.float32(0), reference), step.init().actions, 0)
+    moved = step.observation.observe(NUMPY, np.append(commands[0, 0], reference), np.asarray(states[0].actions), 1)
+    memory = network.empty()
+    for observation in (at_rest, moved):
+        memory = network.remember(NUMPY, memory, observation)
+    np.testing.assert_allclose(states[1].cell, memory.cell, atol=1e-5)
+    np.testing.assert_allclose(states[1].hidden, memory.hidden, atol=1e-5)
 
 
 def test_the_policy_in_charge_stays_a_little_beyond_its_cell() -> None:

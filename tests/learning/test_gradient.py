@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from softfin.core.action_clock import ticks_of
 from softfin.core.choices import AlgorithmPreset, PolicyLayout
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command
 from softfin.gaits.force_map import MapConfig
+from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
@@ -26,7 +28,7 @@ from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train_jobs
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import RunDirectory
-from softfin.task.references import stack_references
+from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 from tests.learning.mapped import GAITS, SURVEY, WITHIN, mapped
 from tests.learning.probes import Delayed, Direct
@@ -144,6 +146,36 @@ def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
     got = judged(lane.policy, lane.env_state, 1e-6, (2.0, 0.5), (0.3, 0.05))
     assert float(got.reward) < -0.1
     np.testing.assert_allclose(-float(got.loss), float(got.reward), rtol=1e-5)
+
+
+def test_a_new_policy_acts_as_the_gait_for_each_reference_that_its_table_holds() -> None:
+    """Gaits that differ from node to node, so that a gait for another reference is another action."""
+    table = GaitTable.over(Cell(low=(-2, -2), high=(2, 2)), 1.0)
+    actions = np.random.default_rng(0).uniform(-0.8, 0.8, table.actions.shape).astype(np.float32)
+    table = table._replace(actions=actions)
+    learner = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.num_updates, table)
+    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))], mapped().reachable)
+    policy = learner.init(jax.random.key(0), jax.tree.map(lambda x: x[0], references)).policy
+    for reference in table.references().reshape(-1, 2):
+        at = tuple(reference.tolist())
+        start = TASK.reset(jax.random.key(0), References.of(Cell(low=at, high=at)))
+        _, action = policy.act(policy.init(), TASK.observe(start))
+        np.testing.assert_allclose(action, table.gait(reference)[0], atol=0.05)
+
+
+def test_the_errors_shown_are_means_over_the_actions_of_all_fins() -> None:
+    lane = start()
+    _, (_, metrics) = jax.jit(LEARNER.loss)(lane.policy, lane.env_state)
+    act = jax.jit(jax.vmap(lane.policy.act))
+    step = jax.jit(jax.vmap(TASK.step, in_axes=(0, 0, None)))
+    states, memories = lane.env_state.states, lane.env_state.memories
+    errors = []
+    for ticks in ticks_of(QUICK.gradient.num_steps):
+        memories, action = act(memories, jax.vmap(TASK.observe)(states))
+        states, outcome = step(states, action, ticks)
+        errors.append(np.abs(outcome.force_error))
+    expected = np.mean(errors, axis=(0, 1))
+    np.testing.assert_allclose([metrics["error_x_n"], metrics["error_y_n"]], expected, rtol=1e-4)
 
 
 def test_a_policy_that_begins_as_gaits_must_observe_the_phase() -> None:

@@ -196,6 +196,15 @@ def test_the_kept_policy_lies_between_where_it_was_and_where_learning_is(learnt:
     assert 0.05 < np.linalg.norm(kept - start) / np.linalg.norm(newest - start) < 0.5
 
 
+def test_without_averaging_the_newest_policy_is_kept() -> None:
+    ppo = learner(Direct(), updates=2, averaging=0.0, num_epochs=1)
+    start = ppo.init(jax.random.key(0), box((1, 1.5), (2, 2.5)))
+    after = jax.jit(ppo.update)(start)[0]
+    kept, newest = after.policy, after.networks.policy
+    assert not np.array_equal(kept.net.output.kernel, start.policy.net.output.kernel)
+    jax.tree.map(np.testing.assert_array_equal, kept, newest)
+
+
 def test_learning_rate_and_entropy_fall_linearly_over_the_run() -> None:
     config = PPOConfig(
         num_epochs=3,

@@ -8,7 +8,7 @@ from softfin.control.controller import TrainingRange
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.rig.machine import Sample, Target
-from softfin.rig.safety import Guard, SafetyConfig, check_target
+from softfin.rig.safety import OVERSHOOT_RAD, Guard, SafetyConfig, check_target
 
 LIMITS = Limits(*map(float, PAPER_LIMITS))
 CURRENTS = {"current_peak_a": 4.0, "current_sustained_a": 2.0}
@@ -65,6 +65,15 @@ def test_what_is_beyond_a_limit_trips_at_once_with_figures_and_the_way_out(chang
         assert figure in trip.reason
 
 
+@pytest.mark.parametrize("end_rad", [LIMITS.angle_min, LIMITS.angle_max])
+def test_a_fin_may_overshoot_either_end_of_its_range_by_the_margin_and_no_further(end_rad):
+    outwards = math.copysign(1, end_rad)
+    inside = end_rad + outwards * (OVERSHOOT_RAD - 0.01)
+    outside = end_rad + outwards * (OVERSHOOT_RAD + 0.01)
+    assert guard().check(sample(angle=inside), 50.0) is None
+    assert guard().check(sample(angle=outside), 50.0).cause == "angle"
+
+
 NUMBERS = ("time", "angle", "velocity", "current", "following_error", "force_time")
 
 
@@ -90,7 +99,12 @@ def test_a_tick_that_comes_too_late_trips():
     ("changes", "cause"),
     [
         ({"wrench": (12.0, 12.0, 0.0, 0.0, 0.0, 0.0)}, "force_sustained"),
+        ({"wrench": (-20.0, 0.0, 0.0, 0.0, 0.0, 0.0)}, "force_sustained"),
+        ({"wrench": (0.0, 20.0, 0.0, 0.0, 0.0, 0.0)}, "force_sustained"),
+        ({"wrench": (0.0, 0.0, 20.0, 0.0, 0.0, 0.0)}, "force_sustained"),
         ({"wrench": (0.0, 0.0, 0.0, 3.1, 0.0, 0.0)}, "torque_sustained"),
+        ({"wrench": (0.0, 0.0, 0.0, 0.0, -3.1, 0.0)}, "torque_sustained"),
+        ({"wrench": (0.0, 0.0, 0.0, 0.0, 0.0, 3.1)}, "torque_sustained"),
         ({"current": 2.1}, "current_sustained"),
     ],
 )
@@ -98,6 +112,14 @@ def test_a_load_below_the_peak_trips_once_it_has_lasted(changes, cause):
     after, trip = first(guard(), 2, lambda now: sample(now, **changes))
     assert trip.cause == cause
     assert after == pytest.approx(0.5, abs=0.02)
+
+
+def test_force_and_torque_are_judged_apart():
+    """Each just within its own limits, whatever the other one is."""
+    loaded = {"wrench": (14.9, 0.0, 0.0, 2.9, 0.0, 0.0)}
+    assert first(guard(), 2, lambda now: sample(now, **loaded))[1] is None
+    weak = guard(force_peak_n=2.0, force_sustained_n=1.0)
+    assert weak.check(sample(wrench=(0.5, 0.0, 0.0, 4.9, 4.9, 4.9)), 50.0) is None
 
 
 def test_a_load_that_comes_and_goes_does_not_trip():
@@ -125,6 +147,13 @@ def test_a_velocity_that_changes_faster_than_any_drive_trips():
     assert trip.cause == "acceleration"
     assert after == pytest.approx(0.5, abs=0.03)
     assert first(guard(), 1, lambda now: sample(now, velocity=min(4.0, 100 * (now - 50))))[1] is None
+
+
+@pytest.mark.parametrize(("velocity", "cause"), [(5.9, None), (6.1, "acceleration")])
+def test_the_first_change_of_velocity_is_judged_over_thirty_milliseconds(velocity, cause):
+    """A jump of 5.9 rad/s is 197 rad/s2 over 30 ms, and 295 over the 20 ms of the first three readings."""
+    trip = first(guard(), 0.05, lambda now: sample(now, velocity=0.0 if now < 50.005 else velocity))[1]
+    assert (trip and trip.cause) == cause
 
 
 def test_the_same_reading_twice_is_no_acceleration():

@@ -1,5 +1,6 @@
 import math
 import threading
+from itertools import count
 
 import pytest
 from hypothesis import given, settings
@@ -9,7 +10,7 @@ from softfin.core.errors import CommandError, DeviceError, SafetyStop
 from softfin.rig.machine import Target
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, SafetyConfig
-from softfin.rig.session import Session
+from softfin.rig.session import Session, mean_force
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.patience import wait_until
@@ -373,23 +374,18 @@ def test_a_fin_goes_to_rest_slowly_and_one_that_is_held_does_not_come_to_rest():
 def test_at_rest_the_zero_of_the_force_is_measured():
     """Once the water has come to rest: in the second half of the wait."""
     made = Made()
-    offset = 9.0
-
-    def altered(sample):
-        return sample._replace(wrench=(offset, -0.2, 0.0, 0.0, 0.0, 0.0))
-
+    readings = count(1)
     with made.session as session:
         session.activate()
-        made.machine.altered = altered
-        ticks = 0
+        made.machine.altered = lambda sample: sample._replace(wrench=(0.1 * next(readings), -0.2, 0.0, 0.0, 0.0, 0.0))
+        # The first reading shows that the shaft is at rest; of the 20 that follow, the last ten count.
+        assert session.rest(0.2) == pytest.approx((0.1 * (12 + 21) / 2, -0.2))
 
-        def settle(sample, target):
-            nonlocal ticks, offset
-            ticks += 1
-            offset = 9.0 if ticks < 60 else 0.3
 
-        session.observers = (settle,)
-        assert session.rest(2.0) == pytest.approx((0.3, -0.2))
+def test_the_mean_force_of_one_sample_is_its_own_and_of_none_zero():
+    sample = FreeFin(Hours()).read()._replace(wrench=(2.0, -3.0, 9.0, 9.0, 9.0, 9.0))
+    assert mean_force([sample]) == (2.0, -3.0)
+    assert mean_force([]) == (0.0, 0.0)
 
 
 def test_each_reading_is_recorded_once():

@@ -5,10 +5,12 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import contextmanager
 
 import pytest
 
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import STOP_SIGNALS, StopRequest, Watchdog, listen_to_keyboard, stopped_by_signals
 from tests.patience import HANG_S, wait_until
 
@@ -103,6 +105,40 @@ def test_a_terminal_that_is_gone_asks_for_nothing():
 
 def test_a_line_that_cannot_be_used_does_not_end_the_listening():
     assert listened("two\n\n", float)[0].trip is not None
+
+
+def silences_seen(clock: SimulatedClock, use: Callable[[Watchdog], None]) -> list[tuple[float, float]]:
+    """When a watchdog with a patience of 0.2 s called, and the silences it gave [s]."""
+    calls = []
+    began = clock()
+    dog = Watchdog(0.2, lambda silence: calls.append((clock() - began, silence)), clock)
+    use(dog)
+    clock.sleep(2.0)
+    return calls
+
+
+def test_a_watchdog_calls_once_and_no_later_than_a_quarter_beyond_its_patience():
+    clock = SimulatedClock()
+    ((at, silence),) = silences_seen(clock, lambda dog: None)
+    assert at == silence
+    assert 0.2 <= silence <= 0.25 + 1e-6
+
+
+def test_a_watchdog_counts_from_the_last_sign_of_life():
+    clock = SimulatedClock()
+
+    def feed(dog):
+        for _ in range(10):
+            clock.sleep(0.1)
+            dog.feed(clock())
+
+    ((at, silence),) = silences_seen(clock, feed)
+    assert at == pytest.approx(1.0 + silence)
+    assert 0.2 <= silence <= 0.25 + 1e-6
+
+
+def test_a_watchdog_that_was_ended_does_not_call():
+    assert silences_seen(SimulatedClock(), Watchdog.end) == []
 
 
 SILENCE_S = 0.15

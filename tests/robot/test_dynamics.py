@@ -53,6 +53,20 @@ def test_a_body_left_alone_ends_with_the_current():
     np.testing.assert_allclose(matrix(states.attitude[-1]) @ states.twist[-1, :3], (0.1, -0.2, 0.05), atol=1e-6)
 
 
+def test_in_a_current_a_body_that_turns_moves_as_in_still_water_and_is_carried_along():
+    config = BodyConfig(**SPHERE, drag_linear=(4.0,) * 6, drag_quadratic=(30.0,) * 6, added_mass=(3, 20, 40, 0, 0, 0))
+    current = np.array([0.2, -0.1, 0.05])
+    attitude = from_euler(0.4, 0.2, 1.0)
+    twist = np.array([0.3, 0.1, -0.2, 0.4, -0.5, 0.9])
+    carried_twist = twist + np.concatenate([current @ matrix(attitude), np.zeros(3)])
+    wrench = (1.0, 0.5, -0.3, 0.2, 0.3, 1.0)
+    _, still = run(config, moving(twist, attitude), 2, wrench)
+    _, carried = run(config, moving(carried_twist, attitude), 2, wrench, current)
+    times = 0.01 * np.arange(len(still.position))
+    np.testing.assert_allclose(carried.position, still.position + times[:, None] * current, atol=1e-6)
+    np.testing.assert_allclose(carried.attitude, still.attitude, atol=1e-6)
+
+
 @pytest.mark.parametrize("axis", [0, 1])
 def test_roll_and_pitch_swing_with_the_period_of_a_pendulum(axis):
     config = BodyConfig(**SPHERE, added_mass=(0, 0, 0, 0.1, 0.2, 0), centre_of_gravity_m=(0, 0, -0.02),

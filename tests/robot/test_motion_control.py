@@ -32,6 +32,26 @@ def controller_without_a_fin(robot):
     return controller
 
 
+@pytest.mark.parametrize("name", ["ucat", "sister"])
+def test_an_error_dies_away_at_the_bandwidth_without_overshoot(request, name):
+    """As a critically damped oscillator does, e(t) = e(0) (1 + w t) exp(-w t), where forces act at once."""
+    robot = request.getfixturevalue(name)
+    control = robot.control.model_copy(update={"lag_s": 0.0, "damping": 1.0})
+    controller = MotionController(robot.model_copy(update={"control": control}))
+    bandwidth_rad_s = np.array(control.bandwidth_rad_s)
+    step_s = 0.001
+    disturbance = np.array([0.1, -0.2, 0.3, 0.1, -0.1, 0.2])
+    start = np.array([0.2, -0.1, 0.1, 0.1, -0.1, 0.3])
+    error, rate = start, np.zeros(6)
+    for number in range(1, 3001):
+        estimate = np.stack([error, rate, disturbance], axis=1)
+        acceleration = controller.corrected(estimate, np.zeros((2, 6))) + disturbance
+        rate = rate + step_s * acceleration
+        error = error + step_s * rate
+        turned = bandwidth_rad_s * step_s * number
+        np.testing.assert_allclose(error, start * (1 + turned) * np.exp(-turned), atol=1e-3)
+
+
 @pytest.mark.parametrize("roll_nm", [-0.3, 0.0, 0.3])
 @pytest.mark.parametrize("name", ["ucat", "sister"])
 def test_a_roll_that_the_weight_holds_is_no_current(request, name, roll_nm):

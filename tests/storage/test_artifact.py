@@ -107,6 +107,29 @@ def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch
     assert synced == [(f"{beside}/file", False), (beside, False), (".", True)]
 
 
+def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
+    def note(descriptor):
+        place = Path(f"/proc/self/fd/{descriptor}").readlink()
+        synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "file").exists()))
+        fsync(descriptor)
+
+    synced, fsync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", note)
+    artifacts.write_file(tmp_path / "file", "x")
+    assert synced == [(f".file.{os.getpid()}.partial", False), (".", True)]
+
+
+def test_files_that_were_written_are_closed(tmp_path):
+    before = files_in(Path("/proc/self/fd"))
+    for number in range(20):
+        artifacts.write_file(tmp_path / "file", str(number))
+    assert files_in(Path("/proc/self/fd")) == before
+
+
+def test_an_empty_folder_is_a_vacant_place(tmp_path):
+    artifacts.check_vacant(tmp_path)
+
+
 @pytest.mark.parametrize("there", [{}, {"surrogate.json": "{}"}])
 def test_a_folder_is_replaced_only_where_that_was_asked(tmp_path, there):
     (tmp_path / "thing").mkdir()

@@ -88,6 +88,23 @@ def test_the_reward_is_that_of_the_samples_since_the_reset() -> None:
         )
 
 
+@pytest.mark.parametrize("target", ["now", "window"])
+def test_the_target_is_the_reference_now_or_its_mean_over_the_window(target: str) -> None:
+    config = TaskConfig(reference_actions=1, reward=RewardConfig(target=target))
+    task = ForceTracking(AnalyticFin(), config)
+    step = jax.jit(task.step)
+    state = task.reset(jax.random.key(0), BOX)
+    forces, references = np.zeros((0, 2)), np.zeros((0, 2))
+    for number, action in enumerate(swings(8)):
+        ticks = ACTION_TICKS[number % 3]
+        references = np.concatenate([references, np.tile(state.reference, (ticks, 1))])
+        state, outcome = step(state, jnp.array(action), ticks)
+        forces = np.concatenate([forces, outcome.forces[:ticks]])
+        wanted = references[-1] if target == "now" else references[-200:].mean(axis=0)
+        np.testing.assert_allclose(outcome.force_error, forces[-200:].mean(axis=0) - wanted, atol=1e-4)
+    assert np.ptp(references, axis=0).min() > 0.5
+
+
 def test_the_paper_sum_form_is_the_default_and_the_mean_form_has_a_name() -> None:
     by_name = {
         name: played(ForceTracking(AnalyticFin(), TaskConfig(reward=RewardConfig(sobolev=name))), swings(6))[1][-1]
