@@ -64,7 +64,9 @@ def load_record(rig: Path | None) -> RigRecord:
     try:
         return RigRecord.build(json.loads(file.read_bytes()), str(file))
     except (OSError, ValueError, RecursionError, ConfigurationError) as error:
-        raise RigError(f"{file}: not the record of a rig ({error}); remove it, then prove and zero the rig again") from None
+        raise RigError(
+            f"{file}: not the record of a rig ({error}); remove it, then prove and zero the rig again"
+        ) from None
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:
