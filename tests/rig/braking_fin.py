@@ -1,4 +1,4 @@
-"""A fin behind emulated devices that needs no JAX and brakes as a mass does, so that its way to rest can be measured."""
+"""A fin behind emulated devices that needs no JAX and brakes like a mass, so that its way to rest can be measured."""
 
 import math
 import threading

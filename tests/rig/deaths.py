@@ -7,6 +7,7 @@ and watches the fins, in simulated or in real time; the hosts are threads here, 
 
 import contextlib
 import random
+import sys
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -51,6 +52,9 @@ SLOWEST_STROKE_RAD_S = 1.0
 RECORDS_HZ = 200.0
 """Records of each sensor; few, because the deaths are the drives' business and four sensors take much of a computer."""
 
+PATIENT_SYNC_S = 0.1
+"""In real time a bus of four fins is served by Python: a drive may take tenths of a second to acknowledge a target."""
+
 DRIVE = {"encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 60.0,
          "following_error_rad": 0.5, "zero_needed": False}  # fmt: skip
 
@@ -62,15 +66,17 @@ class Station:
         self, bus: BusConfig, host_bus: dict[str, Any], drive: dict[str, Any], traits: DriveTraits, clock: Clock
     ) -> None:
         config = Epos2Config.build(drive, "drive")
+        self.name = f"fin {config.node}"
         self.fin = BrakingFin(config.quick_stop_rad_s2, clock)
         self.drive = EmulatedDrive(bus, config, self.fin, clock, traits)
         self.sensor = EmulatedAxia80(self.fin, rate_hz=RECORDS_HZ, clock=clock)
-        limits = SAFETY if isinstance(clock, SimulatedClock) else SAFETY | WIDE
+        is_simulated = isinstance(clock, SimulatedClock)
+        limits = SAFETY if is_simulated else SAFETY | WIDE
         ports = {"rdt_port": self.sensor.rdt_port, "http_port": self.sensor.http_port}
         self.values: dict[str, Any] = {
-            "fin": f"fin {config.node}",
+            "fin": self.name,
             "bus": host_bus,
-            "drive": drive,
+            "drive": drive if is_simulated else drive | {"sync_s": PATIENT_SYNC_S},
             "sensor": {"address": HOST, "frame": "x,y", "rate_hz": RECORDS_HZ, **ports},
             "safety": limits,
         }
@@ -93,8 +99,8 @@ class Outcome(NamedTuple):
     """Time until the last of the fins that were to stand stood without power, for good; infinite if one did not."""
     way_rad: float
     """Longest way of these fins."""
-    swam_on: bool
-    """Whether all other drives stayed enabled, and their fins moved."""
+    disturbed: tuple[str, ...]
+    """The other fins that did not swim on, each with what happened to it."""
     look_s: float
     """Longest time between two looks: how late the threads of this process run."""
 
@@ -103,7 +109,7 @@ class Outcome(NamedTuple):
         return Outcome(
             rest_s=self.rest_s if later.rest_s == 0.0 else float("inf"),
             way_rad=self.way_rad + later.way_rad,
-            swam_on=self.swam_on and later.swam_on,
+            disturbed=self.disturbed + later.disturbed,
             look_s=max(self.look_s, later.look_s),
         )
 
@@ -152,8 +158,8 @@ class Fleet(contextlib.ExitStack):
         others = [station for station in self.stations if station not in affected]
         began = look = self.clock()
         look_s = 0.0
+        disturbed: dict[Station, str] = {}
         rest_since = began if all(station.is_at_rest for station in affected) else None
-        stayed_enabled = True
         is_over = False
         while not is_over:
             self.clock.sleep(WATCH_STEP_S)
@@ -167,13 +173,19 @@ class Fleet(contextlib.ExitStack):
                 rest_since = None
             elif rest_since is None:
                 rest_since = now
-            stayed_enabled &= all(station.drive.state is State.OPERATION_ENABLED for station in others)
+            for station in others:
+                state = station.drive.state
+                if state is not State.OPERATION_ENABLED:
+                    disturbed.setdefault(station, f"{station.name}: {state.words} after {now - began:.3f} s")
             is_over = now - began >= seconds
         way_by_station = dict(zip(self.stations, ways, strict=True))
+        for station in others:
+            if way_by_station[station] == 0.0:
+                disturbed.setdefault(station, f"{station.name}: did not move")
         return Outcome(
             rest_s=float("inf") if rest_since is None else rest_since - began,
             way_rad=max(way_by_station[station] for station in affected),
-            swam_on=stayed_enabled and all(way_by_station[station] > 0.0 for station in others),
+            disturbed=tuple(disturbed.values()),
             look_s=look_s,
         )
 
@@ -196,8 +208,10 @@ def swim(session: Session, seed: int) -> None:
 def swim_by_values(values: dict[str, Any], seed: int, clock: Clock = REAL) -> None:
     """Be the host of a fin until its session ends."""
     rig = Rig(RigConfig.build(values, values["fin"]), clock)
-    with contextlib.suppress(SoftfinError):
+    try:
         swim(Session(rig, Guard(rig.config.safety, rig.limits)), seed)
+    except SoftfinError as error:
+        sys.stderr.write(f"{rig.config.fin}: {error}\n")
 
 
 class HostClock(SimulatedClock):
@@ -265,7 +279,7 @@ class Trial(NamedTuple):
         """Describe what went wrong; None if nothing did."""
         if outcome.rest_s > limit_s:
             return f"{self}: at rest after {outcome.rest_s:.4f} s, at most {limit_s:.4f} s ({outcome})"
-        if not outcome.swam_on:
+        if outcome.disturbed:
             return f"{self}: another fin stopped ({outcome})"
         return None
 
