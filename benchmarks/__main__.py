@@ -20,6 +20,7 @@ NAMES = (
     "recording",
     "rig",
     "rig_deaths",
+    "activation",
     "robot",
     "explore",
 )

@@ -67,7 +67,7 @@ def _controller(folder: Path) -> LoadedController:
 
 def _loop(folder: Path, controller: LoadedController) -> list[dict[str, Any]]:
     """100 Hz with recording and a controller; the emulated devices are another process, over sockets."""
-    with _emulators(folder / "rig.yaml") as config:
+    with emulators(folder / "rig.yaml") as config:
         rig = Rig(config)
         with Session(rig, Guard(config.safety, rig.limits)) as session, session.recording(folder / "loop.mcap"):
             session.activate()
@@ -93,7 +93,7 @@ def _loop(folder: Path, controller: LoadedController) -> list[dict[str, Any]]:
 
 
 @contextlib.contextmanager
-def _emulators(file: Path) -> Iterator[RigConfig]:
+def emulators(file: Path) -> Iterator[RigConfig]:
     """`softfin rig emulate --real-time` until the end; a rig that waits longer for it than a person should."""
     process = subprocess.Popen(
         [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--real-time", "--rig", str(file)],

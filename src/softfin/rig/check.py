@@ -11,6 +11,7 @@ from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.force_zero import check_force_zero
 from softfin.rig.pace import Pace
 from softfin.rig.prove import check_proof
 from softfin.rig.rig import Rig
@@ -65,7 +66,19 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     advice = "" if is_zero else "; with the fin at rest in the water, run: softfin rig zero --force"
     text = f"({force}) N, noise ({noise}) N a record{advice}"
     yield CheckResult("force at rest", "well" if is_zero else "note", text)
+    yield _check_force_zero(rig)
     yield from (CheckResult("sensor status", "wrong", line) for line in sensor.complaints())
+
+
+def _check_force_zero(rig: Rig) -> CheckResult:
+    try:
+        zero = check_force_zero(rig.sensor, rig.config)
+    except RigError as error:
+        return CheckResult("force zero", "wrong", str(error))
+    if zero is None:
+        text = "never set by softfin; with the fin at rest in the water, run: softfin rig zero --force"
+        return CheckResult("force zero", "note", text)
+    return CheckResult("force zero", "well", f"set on {zero.date}, kept since")
 
 
 def _check_drive(rig: Rig) -> Iterator[CheckResult]:

@@ -1,5 +1,6 @@
 """Configuration of a real fin, read from YAML: which drive on which bus, which sensor, and the safety limits."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +8,9 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
-from softfin.core.quantities import TICK_S
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.epos2.config import BusConfig, Epos2Config
-from softfin.rig.filter import design
+from softfin.rig.filter import BRIDGED_S, design
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import RIG_FILE, check_readable
@@ -68,10 +68,14 @@ class RigConfig(RealFinConfig):
             if value > most:
                 raise ValueError(f"drive.{own} = {value:g} is above safety.{limit} = {most:g}")
         delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
-        if delay + 2 * TICK_S > self.safety.force_stale_s:
+        # After a gap that is too long to be bridged, the filter takes twice its delay to fill, and the newest force is
+        # by its delay older than the gap. Less would stop the fin over a dozen lost records.
+        needed = 3 * delay + 2 * BRIDGED_S
+        if self.safety.force_stale_s < needed:
+            least = math.ceil(100 * needed) / 100
             raise ValueError(
-                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force's filter alone takes {delay:.3f} s; "
-                f"give {delay + 5 * TICK_S:.2f} or more, or a higher sensor.cutoff_hz"
+                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force's filter alone takes {delay:.3f} s, "
+                f"and three times that after lost records; use {least:.2f} or more, or a higher sensor.cutoff_hz"
             )
         return self
 

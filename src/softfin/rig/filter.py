@@ -45,9 +45,13 @@ class AntiAlias:
         """Forget all; what comes next has nothing to do with what came before."""
         self._held = 0
 
+    def bridges(self, missing: int) -> bool:
+        """Whether a gap of so many records is bridged; else the filter fills anew."""
+        return missing <= self._longest
+
     def put(self, values: Float[np.ndarray, " channels"], missing: int = 0) -> None:
         """Take a record, before which so many are missing: too many, and the filter is empty."""
-        if missing > self._longest:
+        if not self.bridges(missing):
             self._held = 0
         if not self._held:
             self.newest += missing

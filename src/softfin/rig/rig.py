@@ -4,10 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import DeviceError
+from softfin.rig import force_zero
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2.drive import Epos2
+from softfin.rig.force_zero import check_force_zero
 from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof
 
@@ -16,9 +17,6 @@ ANSWER_S = 0.006
 
 BEAT_TICKS = 4
 """Ticks between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
-
-MOVING_N = 0.3
-"""Standard deviation of the force beyond which the water, or somebody, still moves the fin [N]."""
 
 
 class Rig:
@@ -56,9 +54,13 @@ class Rig:
         return self.drive.stop_unconfirmed
 
     def open(self) -> None:
-        """Connect to both and configure the drive, without power to the motor."""
+        """Connect to both and configure the drive, without power to the motor.
+
+        Raises RigError if the sensor has lost the zero that softfin set.
+        """
         self.sensor.open()
         try:
+            check_force_zero(self.sensor, self.config)
             self.drive.open()
         except BaseException:
             self.sensor.close()
@@ -82,7 +84,8 @@ class Rig:
 
     def enable(self) -> None:
         """Power the motor, which holds where it is."""
-        self.drive.enable()
+        # The first tick with power must judge a fresh force, so the sensor's socket must not fill meanwhile.
+        self.drive.enable(meanwhile=self.sensor.keep_up)
 
     def command(self, target: Target) -> None:
         """Send a new set-point, which takes effect at once."""
@@ -105,20 +108,13 @@ class Rig:
 
 
 def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> dict[str, Any]:
-    """Set the sensor's zero to the force at rest; raises DeviceError where the fin is not at rest."""
+    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest, or it is not set."""
     rig = Rig(config, clock)
     try:
         rig.sensor.open()
-        before, deviation = rig.sensor.measured(seconds)
-        worst = max(deviation[:3])
-        if worst > MOVING_N:
-            raise DeviceError(f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest")
-        rig.sensor.bias()
-        after, noise = rig.sensor.measured(seconds)
+        return force_zero.zero_force(rig.sensor, config, seconds)
     finally:
         rig.close()
-    results = {"force_before_n": before, "force_after_n": after, "noise_n": noise}
-    return {name: [round(value, 4) for value in values[:3]] for name, values in results.items()}
 
 
 def zero_angle(

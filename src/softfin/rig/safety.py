@@ -44,7 +44,7 @@ class SafetyConfig(Configuration):
     """Time over which sustained values are averaged [s]."""
     stale_s: float = Field(default=0.05, ge=0.02, le=1)
     """Greatest age of the angle that is acted on [s]."""
-    force_stale_s: float = Field(default=0.1, ge=0.02, le=1)
+    force_stale_s: float = Field(default=0.15, ge=0.02, le=1)
     """Greatest age of the force that is acted on, of which its filter is a part [s]."""
     following_rad: PositiveFloat = 0.2
     """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A fin that is blocked

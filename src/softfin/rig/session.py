@@ -30,8 +30,13 @@ State = Literal["unconfigured", "inactive", "active", "stopped"]
 Observer = Callable[[Sample, Target | None], None]
 """Called at each tick with the sample and the command under which it came about; must return at once."""
 
-FRESH_TICKS = 100
-"""Ticks before activation within which all checks must pass once; on a busy computer one alone may take a second."""
+FRESH_TICKS = 200
+"""Ticks before activation within which all checks must pass; on a busy computer one alone may take a second."""
+
+GOOD_TICKS = 10
+"""Ticks in a row at which all checks must pass before the motor is powered. One is too few: after a pause, the first
+records are old ones from the socket, a filter that lost its records takes 7 ticks to fill, and a fault that comes and
+goes would be met with the motor on."""
 
 STILL_RAD = 0.03
 """Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
@@ -153,12 +158,7 @@ class Session:
         gc.freeze()
         self.pace.start()
         self.guard.restart()
-        # Devices that were not read need a moment to be fresh.
-        left = FRESH_TICKS
-        while (trip := self.guard.check(sample := self.tick(), self.pace.clock())) is not None:
-            left -= 1
-            if not left:
-                self.abort(trip)
+        sample = self._await_good_ticks()
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
@@ -247,6 +247,20 @@ class Session:
             raise SafetyStop(f"stopped, motor disabled: {trip.reason}")
         self._record_event(f"but {unconfirmed}")
         raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
+
+    def _await_good_ticks(self) -> Sample:
+        """Tick until all checks pass for a while: devices that were not read need a moment to be fresh."""
+        good_ticks = 0
+        latest_trip: Trip | None = None
+        for _ in range(FRESH_TICKS):
+            sample = self.tick()
+            trip = self.guard.check(sample, self.pace.clock())
+            latest_trip = trip or latest_trip
+            good_ticks = good_ticks + 1 if trip is None else 0
+            if good_ticks == GOOD_TICKS:
+                return sample
+        assert latest_trip is not None
+        self.abort(latest_trip)
 
     def _unwatch(self) -> None:
         if self._watchdog is not None:

@@ -14,8 +14,14 @@ from softfin.rig.simulated_clock import SimulatedClock
 SIMULATED = "simulated"
 """Interface of a bus in a rig's file."""
 
-CAPACITY = 5461
-"""Datagrams that a socket keeps: those of one record for which Linux has room in 4 MiB."""
+RMEM_MAX_BYTES = 212_992
+"""Largest receive buffer that a program may ask for: Linux's default of `net.core.rmem_max`. Linux doubles it."""
+
+TRUESIZE_BYTES = 768
+"""Memory that Linux counts for a datagram of one record, most of which is its own bookkeeping."""
+
+DATE = "date"
+"""Key in a clock's `shared` of how far the date is ahead of the clock [s]; 0 if it is missing. A test may set it."""
 
 _free_ports = itertools.count(50_000)
 
@@ -79,7 +85,11 @@ def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str)
 
 
 class SimulatedSocket:
-    """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`."""
+    """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`.
+
+    As in Linux, the buffer is counted in bytes, a full one drops what is new, and each datagram is stamped with the
+    date, which may be set, at which it arrived.
+    """
 
     def __init__(self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0) -> None:
         self._clock = clock
@@ -88,6 +98,16 @@ class SimulatedSocket:
         clock.shared[self.address] = self
         self._peer: tuple[str, int] | None = None
         self._received: deque[tuple[bytes, float, tuple[str, int]]] = deque()
+
+    @property
+    def has_room(self) -> bool:
+        """Whether its buffer takes another datagram."""
+        return len(self._received) * TRUESIZE_BYTES <= 2 * RMEM_MAX_BYTES
+
+    def date(self) -> float:
+        """Return the date [s]."""
+        ahead: float = self._clock.shared.get(DATE, 0.0)
+        return self._clock() + ahead
 
     def fileno(self) -> int:
         """-1 once it is closed."""
@@ -107,14 +127,12 @@ class SimulatedSocket:
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         receiver: SimulatedSocket | None = self._clock.shared.get(address)
-        if receiver is not None and receiver._peer in (None, self.address) and len(receiver._received) < CAPACITY:
-            # In whole nanoseconds, as a kernel's stamp.
-            arrived = int(self._clock()) + round(self._clock() % 1 * 1e9) * 1e-9
-            receiver._received.append((bytes(data), arrived, self.address))
+        if receiver is not None and receiver._peer in (None, self.address) and receiver.has_room:
+            receiver._received.append((bytes(data), self.date(), self.address))
         return len(data)
 
     def receive(self) -> tuple[bytes, float, tuple[str, int]]:
-        """A datagram, the time of its arrival [s] and its sender; raises BlockingIOError where none comes in time."""
+        """A datagram, the date of its arrival [s] and its sender; raises BlockingIOError where none comes in time."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         if not (self._clock.wait_for(lambda: self._received, self.timeout) if self.timeout else self._received):

@@ -1,3 +1,4 @@
+import math
 import os
 import random
 
@@ -6,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from softfin.rig.axia80.config import Axia80Config
-from softfin.rig.axia80.rdt import RdtRecord
-from softfin.rig.axia80.stream import ForceStream, StreamClock
+from softfin.rig.axia80.rdt import RdtRecord, encode_record
+from softfin.rig.axia80.stream import Arrival, ForceStream, StreamClock
 from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import DATE, SimulatedSocket
 
 CONFIG = Axia80Config(address="127.0.0.1", frame="x,y")
 
@@ -20,7 +22,8 @@ def received(numbers):
     stream = ForceStream(CONFIG, [1.0] * 6, SimulatedClock())
     stream.collected = []
     sent = [RdtRecord(number, 0, 0, (k, 0, 0, 0, 0, 0)) for k, number in enumerate(numbers)]
-    stream.client.drain = lambda: (sent, 0.0)
+    arrivals = [Arrival(record, stream.taken) for record in sent]
+    stream.client.drain = lambda: arrivals
     stream.take()
     return stream
 
@@ -104,3 +107,73 @@ def test_before_its_rate_is_measured_a_stream_has_the_one_expected():
     clock.stamp(5, 200.0)
     assert clock.time_of(5) == 200.0
     assert clock.rate_hz == 976.0
+
+
+def arrivals(numbers, began=100.0):
+    return [Arrival(RdtRecord(n, 8 * n, 0, (k, 0, 0, 0, 0, 0)), began + k / 1000) for k, n in enumerate(numbers)]
+
+
+@pytest.mark.parametrize("jump", [1_000, 10**6, 10**9, -(10**9)])
+def test_a_jump_of_the_numbers_does_not_spoil_the_rate(jump):
+    clock = SimulatedClock()
+    stream = ForceStream(CONFIG, [1.0] * 6, clock)
+    numbers = [n if n < 1000 else (n + jump) % 2**32 for n in range(2000)]
+    sent = arrivals(numbers, clock())
+    for start in range(0, 2000, 10):
+        stream.client.drain = lambda start=start: sent[start : start + 10]
+        clock.sleep(0.01)
+        stream.take()
+    assert stream.times.rate_hz == pytest.approx(1000, rel=0.02)
+    assert stream.lost == (jump if 0 < jump < 2**24 else 0)
+    assert stream.reading().force_time == pytest.approx(clock() - stream.delay_s, abs=0.01)
+
+
+def test_records_of_an_earlier_stream_do_not_stop_the_one_that_was_requested_anew():
+    stream = received(range(5000, 5100))
+    stream.request()
+    late = [Arrival(RdtRecord(n, 0, 0, (0,) * 6), stream.taken) for n in (5100, 1, 2, 3)]
+    stream.client.drain = lambda: late
+    stream.take()
+    assert stream.late == 0
+    assert stream._sequence == 3
+
+
+def test_what_came_before_a_new_request_is_not_joined_to_what_comes_after():
+    stream = received(range(1, 101))
+    assert stream.filter.full
+    stream.request()
+    assert not stream.filter.full
+
+
+def test_any_datagrams_make_no_error_and_no_force_that_is_not_finite():
+    clock = SimulatedClock()
+    draw = random.Random(7)
+    sensor = SimulatedSocket(clock, "127.0.0.1", 49152)
+    stream = ForceStream(CONFIG, [1e-6] * 6, clock)
+    stream.request()
+    client = stream.client._socket.address
+    number = 0
+    readings = 0
+    for _ in range(CASES):
+        kind = draw.random()
+        number = draw.randrange(2**32) if kind < 0.002 else number + 1
+        record = RdtRecord(
+            number % 2**32,
+            draw.randrange(2**32),
+            draw.randrange(2**32),
+            tuple(draw.randrange(-(2**31), 2**31) for _ in range(6)),
+        )
+        datagram = encode_record(record) if kind < 0.95 else draw.randbytes(draw.randrange(100))
+        sensor.sendto(datagram, client)
+        if draw.random() < 0.1:
+            clock.sleep(draw.choice((0.0, 0.001, 0.01, 0.5)))
+            clock.shared[DATE] = draw.choice((0.0, 0.0, 0.0, 1e9, -1e9))
+            stream.take()
+            stream.watch.lines()
+            reading = stream.reading()
+            if reading is not None:
+                readings += 1
+                assert all(map(math.isfinite, (*reading.wrench, *reading.peak, reading.force_time)))
+                assert reading.force_time <= clock()
+    assert readings > CASES / 100
+    assert stream.client.refused > CASES / 100

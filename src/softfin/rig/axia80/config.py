@@ -30,5 +30,3 @@ class Axia80Config(Configuration):
     """Product name that the sensor must report; None accepts any."""
     serial: str | None = None
     """Serial number of its calibration that the sensor must report; None accepts any."""
-    bias_on_open: bool = False
-    """Set the sensor's zero when it is opened: only with the fin at rest in still water."""

@@ -18,6 +18,9 @@ OVER_RANGE = 0xC0000000
 
 SUMMARY_BIT, BUSY_BIT = 31, 3
 
+BUSY = 0x80000008
+"""Status of a sensor that is busy with its settings, as the manual prints it."""
+
 
 class RdtCommand(enum.IntEnum):
     """Commands of the Axia that softfin uses; it answers neither STOP nor BIAS."""
@@ -66,6 +69,11 @@ def decode_record(datagram: bytes) -> RdtRecord | None:
         return None
     rdt, ft, status, *counts = RECORD.unpack(datagram)
     return RdtRecord(rdt, ft, status, tuple(counts))
+
+
+def wrapped_step(before: int, after: int) -> int:
+    """Return the short way from one number of 32 bits to another; negative if it goes back."""
+    return (after - before + 2**31) % 2**32 - 2**31
 
 
 class StatusBit(NamedTuple):

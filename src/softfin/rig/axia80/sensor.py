@@ -25,6 +25,13 @@ FIRST_RECORD_S = 2.0
 SILENT_S = 1.5
 """Time without a new record after which its stream has ended; the loop judges the age of the force long before."""
 
+RETRY_S = 0.1
+"""Time without a new record after which the stream is requested again [s]. A sensor that restarted does not send by
+itself; once it does, its count tells that its zero is lost."""
+
+BUSY_S = 10.0
+"""Longest wait for a sensor that is still busy when it is opened, as after its power-up [s]."""
+
 MEASURED_S = 0.5
 """Stretch of the stream that shows its rate and fills the filter."""
 
@@ -36,9 +43,14 @@ class Axia80:
         self.config = config
         self.settings: SensorSettings | None = None
         """Settings on the sensor's pages; None until it was open."""
-        self._clock = clock
+        self.clock = clock
         self._name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
+
+    @property
+    def serial(self) -> str | None:
+        """Serial number of its calibration; None if it reports none, or was never open."""
+        return None if self.settings is None else self.settings.calsn
 
     @property
     def stream(self) -> ForceStream:
@@ -54,7 +66,7 @@ class Axia80:
         closed then.
         """
         self.close()
-        config, clock = self.config, self._clock
+        config, clock = self.config, self.clock
         fetch = partial(fetch_simulated_page, clock) if isinstance(clock, SimulatedClock) else fetch_page
         self.settings = settings = read_settings(config.address, config.http_port, fetch)
         wanted = {"product": (config.product, settings.prodname), "serial": (config.serial, settings.calsn)}
@@ -64,8 +76,6 @@ class Axia80:
         self._stream = ForceStream(config, settings.scale, clock)
         try:
             self._await_stream(self._stream)
-            if config.bias_on_open:
-                self.bias()
             self.read()
         except BaseException:
             self.close()
@@ -78,10 +88,16 @@ class Axia80:
         """
         stream = self.stream
         stream.take()
+        if self.clock() - max(stream.taken, stream.requested) >= RETRY_S:
+            stream.request()
         reading = stream.reading()
         if reading is None:
             raise DeviceError(f"{self._name}: sent {stream.records} records, too few for a force; check the network")
         return reading
+
+    def keep_up(self) -> None:
+        """Take what has arrived, so that none of it grows old in the socket while something else is waited for."""
+        self.stream.take()
 
     def bias(self) -> None:
         """Set the sensor's zero to the present load; it does not answer, so use `measured` to see whether it did.
@@ -96,6 +112,7 @@ class Axia80:
         stream.filter.clear()
         if not self._wait(lambda: stream.filter.full, FIRST_RECORD_S):
             raise DeviceError(f"{self._name}: its stream stopped while its zero was set; check its power and cable")
+        stream.watch.accept_restart()
 
     def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
         """Mean and standard deviation of all records over a while, unfiltered, in softfin's axes; waits for it."""
@@ -117,7 +134,8 @@ class Axia80:
         if stream is None:
             return ()
         lines = [str(bit) for bit in decode_status(stream.status) if bit.is_error]
-        silent = self._clock() - stream.taken
+        lines += stream.watch.lines()
+        silent = self.clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
                 f"nothing new for {silent:.1f} s; check its power and cable, and that no other program reads it; if it "
@@ -140,6 +158,7 @@ class Axia80:
             "sensor_records": stream.records,
             "sensor_lost": stream.lost,
             "sensor_late": stream.late,
+            "sensor_discarded": stream.discarded,
             "sensor_refused_datagrams": stream.client.refused,
         }
 
@@ -175,11 +194,17 @@ class Axia80:
                 "set the RDT rate on the sensor's communication page, or rate_hz to what it sends"
             )
 
+        if not self._wait(lambda: not stream.watch.is_busy, BUSY_S):
+            raise DeviceError(
+                f"{self._name}: busy for more than {BUSY_S:g} s; change nothing on its web pages, or switch it off and "
+                "on, then run: softfin rig zero --force"
+            )
+
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
-        stream, end = self.stream, self._clock() + seconds
+        stream, end = self.stream, self.clock() + seconds
         while not done():
-            if self._clock() >= end:
+            if self.clock() >= end:
                 return False
-            self._clock.sleep(0.002)
+            self.clock.sleep(0.002)
             stream.take()
         return True

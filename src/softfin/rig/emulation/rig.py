@@ -21,6 +21,7 @@ from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
 from softfin.rig.epos2.config import BusConfig, Epos2Config
+from softfin.rig.record import record_file
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
@@ -147,6 +148,8 @@ def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -
 
 def write_rig(path: Path, values: dict[str, Any], comment: str) -> None:
     """Write a rig's file, with a comment above."""
+    # A new rig starts without what was found out about the one that was there.
+    record_file(path).unlink(missing_ok=True)
     text = f"# {comment}; a real one is described in docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 

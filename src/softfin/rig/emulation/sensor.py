@@ -7,6 +7,7 @@ import contextlib
 import itertools
 import socket
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,7 +18,7 @@ import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.rig.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
-from softfin.rig.axia80.rdt import OVER_RANGE, RdtCommand, RdtRecord, decode_request, encode_record
+from softfin.rig.axia80.rdt import BUSY, OVER_RANGE, RdtCommand, RdtRecord, decode_request, encode_record
 from softfin.rig.emulation.bus import HOST
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.machine import rotated, rotation
@@ -28,6 +29,13 @@ RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 """Measuring range of the M20 [N, N m], from memory; loads beyond it are flagged and clipped."""
 
 ADC_RATE_HZ = 7812.0
+
+BUSY_S = 0.3
+"""Time after power-up for which the sensor is busy [s]; that it is busy then is from memory, its time is assumed."""
+
+NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
+"""Noise [counts], by the count of samples. A real sensor has noise, from memory thousands of counts; this one has as
+little as shows that it is alive, so that tests can compare forces."""
 
 WAKE_S = 0.002
 """Longest time that a record waits to be sent; the sensor sends what is due since then."""
@@ -55,14 +63,25 @@ class EmulatedAxia80:
         """Status of every record; a test may set its bits."""
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
         """Datagrams that arrive for one that is sent; a test may have it lost, doubled or late."""
+        self.busy_s = BUSY_S
+        """Time after power-up for which it is busy [s]; like the following ones, a test may set it."""
+        self.are_values_frozen = False
+        """Whether all six channels stand still, while the records go on."""
+        self.drift_n_s = 0.0
+        """Drift of its zero since power-up, of each axis of the force [N/s]."""
+        self.filter_delay_s = 0.0
+        """Delay of its own low-pass filter [s], which its records do not show."""
         self._fin, self._clock = fin, clock
         # The inverse of the client's: from softfin's axes into the sensor's.
         self._rotation = rotation(frame).T
         self._scale = np.repeat([counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3)
-        self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 1)
+        self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 2)
         self._bias = np.zeros(6)
-        self._adc = 0
+        self._powered_at = clock()
+        self._counts = (0, 0, 0, 0, 0, 0)
         self._silent_until = 0.0
+        self._history: deque[tuple[float, np.ndarray]] = deque()
+        """Loads and their times, of which the first is the newest that has passed its own filter."""
         self._lock = threading.Lock()
         self._closing = clock.event()
         self._stream: _Stream | None = None
@@ -89,21 +108,25 @@ class EmulatedAxia80:
 
     def remembered(self) -> dict[str, Any]:
         """State that would be lost with its supply, for JSON: its zero in its own axes [N, N m], count of samples."""
-        return {"bias": self._bias.tolist(), "samples": self._adc}
+        with self._lock:
+            return {"bias": self._bias.tolist(), "samples": self._samples(self._clock())}
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Continue as if its supply had never been off."""
         with self._lock:
-            self._bias, self._adc = np.array(remembered["bias"], float), int(remembered["samples"])
+            self._bias = np.array(remembered["bias"], float)
+            self._powered_at = self._clock() - int(remembered["samples"]) / ADC_RATE_HZ
 
     def silence(self, seconds: float = float("inf")) -> None:
         """Neither receive nor send for so long [s]; 0 ends it."""
         self._silent_until = self._clock() + seconds
 
     def reboot(self, seconds: float = 0.5) -> None:
-        """Switch off and on: silent for so long [s], then without client, bias and its sequence."""
+        """Switch off and on: silent for so long [s], then without client, bias and its count of samples."""
         with self._lock:
-            self._stream, self._bias, self._adc = None, np.zeros(6), 0
+            self._stream = None
+            self._bias = np.zeros(6)
+            self._powered_at = self._clock() + seconds
             self.silence(seconds)
 
     def close(self) -> None:
@@ -122,10 +145,12 @@ class EmulatedAxia80:
                     if request is not None and self._clock() >= self._silent_until:
                         command, wanted = request
                         if command is RdtCommand.BIAS:
-                            self._bias = self._felt()
+                            self._bias = self._felt(self._clock())
+                        elif command is RdtCommand.STOP:
+                            # Whoever sends it: there is one stream, that of the last client.
+                            self._stream = None
                         else:
-                            stopped = command is RdtCommand.STOP
-                            self._stream = None if stopped else _Stream(sender, self._clock(), wanted)
+                            self._stream = _Stream(sender, self._clock(), wanted)
             with self._lock:
                 now, stream = self._clock(), self._stream
                 datagrams = [] if stream is None else self._measure(stream, now)
@@ -141,19 +166,36 @@ class EmulatedAxia80:
             due = min(due, stream.wanted - stream.sent)
         if due <= 0:
             return []
-        exact = (self._felt() - self._bias) * self._scale
-        status = self.status | (OVER_RANGE if (np.abs(exact) > self._limits).any() else 0)
-        fx, fy, fz, tx, ty, tz = np.rint(np.clip(exact, -self._limits, self._limits)).astype(int).tolist()
+        exact = (self._felt(now) - self._bias) * self._scale
+        clipped = np.rint(np.clip(exact, -self._limits, self._limits)).astype(int)
+        status = self.status
+        if (np.abs(exact) > self._limits).any():
+            status |= OVER_RANGE
+        if now - self._powered_at < self.busy_s:
+            status |= BUSY
         datagrams = []
         for _ in range(due):
-            self._adc += round(ADC_RATE_HZ / self.rate_hz) or 1
+            samples = self._samples(stream.began + stream.sent / self.rate_hz)
             stream.sent += 1
-            record = RdtRecord(stream.sent % 2**32, self._adc % 2**32, status, (fx, fy, fz, tx, ty, tz))
+            if not self.are_values_frozen:
+                fx, fy, fz, tx, ty, tz = (clipped + NOISE[samples % len(NOISE)]).tolist()
+                self._counts = fx, fy, fz, tx, ty, tz
+            record = RdtRecord(stream.sent % 2**32, samples % 2**32, status, self._counts)
             datagrams.append(encode_record(record))
         return datagrams
 
-    def _felt(self) -> np.ndarray:
-        return np.array(rotated(self._fin.now().wrench, self._rotation))
+    def _samples(self, time: float) -> int:
+        """Count of its converter's samples since power-up, which starts at 0."""
+        return max(0, int((time - self._powered_at) * ADC_RATE_HZ))
+
+    def _felt(self, now: float) -> np.ndarray:
+        """Load in its own axes behind its filter, with the drift of its zero."""
+        self._history.append((now, np.array(rotated(self._fin.now().wrench, self._rotation))))
+        while len(self._history) > 1 and self._history[1][0] <= now - self.filter_delay_s:
+            self._history.popleft()
+        drift = self.drift_n_s * (now - self._powered_at)
+        load: np.ndarray = self._history[0][1] + np.repeat([drift, 0.0], 3)
+        return load
 
 
 @dataclass

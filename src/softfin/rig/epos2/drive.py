@@ -178,7 +178,7 @@ class Epos2(Exchange):
         try:
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
-            self._power_up(then_arm=False)
+            self._power_up(then_arm=False, meanwhile=lambda: None)
             procedures.home(self)
         finally:
             self.stop()
