@@ -19,6 +19,7 @@ NAMES = (
     "controller_step",
     "recording",
     "rig",
+    "rig_deaths",
     "activation",
     "robot",
     "explore",

@@ -253,9 +253,9 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
     """
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
+        meanwhile()
         exchange.send_heartbeat()
         exchange.sync_and_read(STATE_STEP_S)
-        meanwhile()
         with exchange.lock:
             if exchange.stopped:
                 raise DeviceError("drive was stopped while it was being enabled; enable it again")
@@ -267,7 +267,8 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
             word = protocol.TO_ENABLED.get(status.state)
             if word is not None:
                 exchange.connection.send(*exchange.order(word))
-            exchange.lock.wait(STATE_STEP_S)
+            # Every frame on the bus wakes it: those of other fins must not use up the time that this drive may take.
+            exchange.lock.wait_for(lambda: exchange.stopped, STATE_STEP_S)
     raise DeviceError(f"drive stays {status.words} and does not enable; look at its supply and its enable input")
 
 
