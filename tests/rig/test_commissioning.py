@@ -33,6 +33,8 @@ from tests.rig.rigs import over_sockets, simulated, values_of
 LIMITS = {"force_peak_n": 2.5, "force_sustained_n": 2.0, "current_peak_a": 2.0, "current_sustained_a": 1.5}
 """Limits that suit the simple fin: 0.5 N and 0.4 A per rad/s."""
 
+RATE_HZ = 200.0
+
 HOUR_S = 10.0
 """Stands for the hour of the long motion."""
 
@@ -45,6 +47,9 @@ class Site:
         self.file = folder / "rig.yaml"
         self.operator = EmulatedOperator(behind)
         self.values = values_of(behind, **LIMITS)
+        # Fewer records than usual: simulated time passes sooner.
+        behind.sensor.rate_hz = RATE_HZ
+        self.values["sensor"]["rate_hz"] = RATE_HZ
         # The bus is that of this process.
         self.values["bus"] = {"interface": "virtual", "channel": behind.channel}
 

@@ -69,6 +69,9 @@ FOLLOWING_RAD = 0.05
 LEAST_MARGIN, MOST_MARGIN, ADVISED_MARGIN = 1.2, 2.5, 1.5
 """Limits of force, torque and current over the peaks that were measured in water."""
 
+SENSOR_NOISE = 1e-3
+"""Peaks below this are noise [N, N m, A]."""
+
 DRIFT_N = 0.1
 """Largest change of the force at rest within the hour [N]."""
 
@@ -305,8 +308,8 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
         ("torque_peak_nm", peaks.torque_nm, safety.torque_peak_nm, "N m"),
         ("current_peak_a", peaks.current_a, safety.current_peak_a, "A"),
     ):
-        if peak == 0 or limit is None:
-            # A rig that does not measure it, such as an emulated one without torque.
+        if peak < SENSOR_NOISE or limit is None:
+            # A rig that does not feel it, such as an emulated one without torque.
             continue
         required = (
             f"safety.{what} = {limit:g} must be {LEAST_MARGIN} to {MOST_MARGIN} times the peak; "
