@@ -39,7 +39,8 @@ SIMULATED_TRIALS = int(os.environ.get("SOFTFIN_DEATHS", "100"))
 REAL_TRIALS = int(os.environ.get("SOFTFIN_DEATHS_REAL", "100"))
 FIRST_SEED = int(os.environ.get("SOFTFIN_DEATHS_SEED", "0"))
 
-KILLED, STOPPED = "host killed (SIGKILL)", "host stopped (SIGSTOP)"
+KILLED = "host killed (SIGKILL)"
+STOPPED = "host stopped (SIGSTOP)"
 
 SIMULATED_KINDS = ((1, HOST_DIES), (1, CABLE_CUT), (4, HOST_DIES), (4, CABLE_CUT), (4, BUS_CUT))
 # The frames of four fins would take more than one core of a bus that is served by Python, and arrive seconds late.
@@ -85,7 +86,7 @@ def _measure(time: str, count: int, kind: str, trials: int, run_trial: RunTrial)
     rest_ms = [1e3 * outcome.rest_s for outcome in outcomes]
     fins = "1 fin" if count == 1 else f"{count} fins on one bus"
     return entry(
-        f"{kind}, {fins}, {time}: all well",
+        f"{kind}, {fins}, {time}: trials passed",
         100.0 * (trials - len(failed_seeds)) / trials,
         "%",
         100,
@@ -110,17 +111,17 @@ def _run_real_trial(trial: Trial, context: Any) -> tuple[Outcome, float]:
     numbers = trial.numbers
     with Fleet(trial.count, REAL_HEARTBEAT_S, REAL) as fleet, _hosts(fleet, numbers, context) as hosts:
         place = numbers.randrange(trial.count)
-        victim, host = fleet.stations[place], hosts[place]
+        victim = fleet.stations[place]
         fleet.await_swimming(victim)
         REAL.sleep(numbers.uniform(0.0, MOMENTS_S))
         if trial.kind == CABLE_CUT:
             cut([victim])
         else:
-            _signal(host, signal.SIGKILL if trial.kind == KILLED else signal.SIGSTOP)
+            _signal(hosts[place], signal.SIGKILL if trial.kind == KILLED else signal.SIGSTOP)
         limit_s = fleet.limit_s + REAL_MARGIN_S
         outcome = fleet.watch([victim], limit_s + AFTERWARDS_S)
         if trial.kind == STOPPED:
-            _signal(host, signal.SIGCONT)
+            _signal(hosts[place], signal.SIGCONT)
             outcome = outcome.then(fleet.watch([victim], AFTERWARDS_S))
         return outcome, limit_s
 

@@ -55,8 +55,14 @@ RECORDS_HZ = 200.0
 PATIENT_SYNC_S = 0.1
 """In real time Python serves the bus: a drive may take tenths of a second to acknowledge a target."""
 
-DRIVE = {"encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 60.0,
-         "following_error_rad": 0.5, "zero_needed": False}  # fmt: skip
+DRIVE = {
+    "encoder_lines": 500,
+    "gear_ratio": 111.0,
+    "acceleration_rad_s2": 80.0,
+    "quick_stop_rad_s2": 60.0,
+    "following_error_rad": 0.5,
+    "zero_needed": False,
+}
 
 
 class Station:
@@ -168,7 +174,8 @@ class Fleet(contextlib.ExitStack):
         while not is_over:
             self.clock.sleep(WATCH_STEP_S)
             now = self.clock()
-            look_s, look = max(look_s, now - look), now
+            look_s = max(look_s, now - look)
+            look = now
             for index, station in enumerate(self.stations):
                 angle = station.fin.now().angle
                 ways[index] += abs(angle - angles[index])
@@ -317,7 +324,8 @@ def simulated_hosts(fleet: Fleet, clock: SimulatedClock, numbers: random.Random)
 
 def run_simulated_trial(trial: Trial, heartbeat_s: float = 0.2, traits: DriveTraits = USUAL) -> tuple[Outcome, float]:
     """Return what was seen and the limit [s]; a host that goes on after its death must not move its fin again."""
-    clock, numbers = SimulatedClock(), trial.numbers
+    clock = SimulatedClock()
+    numbers = trial.numbers
     with Fleet(trial.count, heartbeat_s, clock, traits) as fleet, simulated_hosts(fleet, clock, numbers) as hosts:
         place = numbers.randrange(trial.count)
         victim = fleet.stations[place]
