@@ -6,9 +6,17 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from softfin.core.errors import DeviceError
-from softfin.rig.ros2.connection import Publisher
+from softfin.rig.ros2.connection import Publisher, Subscriber
 from softfin.rig.ros2.plant import define_types
 from softfin.storage.bag.messages import build_message
+
+HEARD_BY = {
+    "reliable": ("reliable", "best_effort"),
+    "best_effort": ("best_effort",),
+    "latched": ("reliable", "best_effort", "latched"),
+    "from before": ("latched",),
+}
+"""Readers that hear a publisher, by what it offers; "from before" is latched and was sent before they were there."""
 
 JOINT, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 
@@ -56,12 +64,16 @@ class MemoryTransport:
         self.clock = clock
         self.sent = defaultdict(list)
         self.waiting = defaultdict(list)
-        self.asked = {}
+        self.asked = defaultdict(list)
+        self.deadlines = {}
+        self.mismatched = defaultdict(int)
         self.readers = defaultdict(lambda: 1)
         self.closed = False
         self.failing = False
 
-    def publish(self, topic, kind):
+    def publish(self, topic, kind, deadline_s=None):
+        self.deadlines[topic] = deadline_s
+
         def send(data):
             if self.failing:
                 raise DeviceError(f"{topic}: not sent")
@@ -70,16 +82,19 @@ class MemoryTransport:
 
         return Publisher(send, lambda: self.readers[topic])
 
-    def subscribe(self, topic, kind, best_effort=False):
-        self.asked[topic] = (kind, best_effort)
+    def subscribe(self, topic, kind, quality="reliable"):
+        self.asked[topic].append((kind, quality))
+        taken = 0
 
         def take():
+            nonlocal taken
             if self.failing:
                 raise DeviceError("the transport has stopped")
-            taken, self.waiting[topic] = self.waiting[topic], []
-            return taken
+            news = self.waiting[topic][taken:]
+            taken = len(self.waiting[topic])
+            return [(data, at) for data, at, offered in news if quality in HEARD_BY[offered]]
 
-        return take
+        return Subscriber(take, lambda: self.mismatched[topic])
 
     def topics(self):
         return {"/somebody": "std_msgs/msg/Bool"}
@@ -87,6 +102,7 @@ class MemoryTransport:
     def close(self):
         self.closed = True
 
-    def put(self, topic, message, at=None):
+    def put(self, topic, message, at=None, offered="reliable"):
+        """Publish a message with an offered quality of service, each reader of which hears it."""
         data = message if isinstance(message, bytes) else self.messages.encode(message)
-        self.waiting[topic].append((data, self.clock() if at is None else at))
+        self.waiting[topic].append((data, self.clock() if at is None else at, offered))

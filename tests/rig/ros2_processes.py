@@ -40,6 +40,16 @@ LOOPBACK = (
 
 QUALITY = Qos(Policy.Reliability.Reliable(100_000_000), Policy.History.KeepLast(10), Policy.Durability.Volatile)
 
+RELIABLE = Policy.Reliability.Reliable(100_000_000)
+
+OFFERS = {
+    "reliable": QUALITY,
+    "best_effort": Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10), Policy.Durability.Volatile),
+    "latched": Qos(RELIABLE, Policy.History.KeepLast(1), Policy.Durability.TransientLocal),
+    "exclusive": Qos(RELIABLE, Policy.History.KeepLast(10), Policy.Durability.Volatile, Policy.Ownership.Exclusive),
+}
+"""What publishers of a stop offer; no node of ROS 2 offers the last one, which no reader of softfin hears."""
+
 
 @dataclass
 class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
@@ -192,6 +202,31 @@ def robot(folder: Path) -> dict[str, Any]:
     return seen | {"error": reason, "told": told}
 
 
+def stops(_: Path) -> dict[str, Any]:
+    """Emergency stops of which the child publishes each in its own way, and references that cannot be heard."""
+    from softfin.rig.ros2.config import NodeConfig, TransportConfig
+    from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
+    from softfin.rig.ros2.node import RosNode
+    from softfin.rig.ros2.plant import open_transport
+
+    transport = open_transport(TransportConfig(transport="dds"))
+    there: set[str] = set()
+    while "/stop/latched" not in there:
+        # Each look gives what is new.
+        there |= set(transport.topics())
+        time.sleep(0.005)
+    told: list[str] = []
+    emergency_stops = {name: EmergencyStop(transport, f"/stop/{name}", OnceReporter(told.append)) for name in OFFERS}
+    ros_node = RosNode(transport, NodeConfig(reference_topic="/stop/reference"), told.append)
+    heard: dict[str, str | None] = {}
+    while len(told) < 2 or sum(reason is not None for reason in heard.values()) < len(OFFERS) - 1:
+        ros_node.reference()
+        heard = {name: emergency_stop.reason() for name, emergency_stop in emergency_stops.items()}
+        time.sleep(0.005)
+    transport.close()
+    return {"heard": heard, "told": told}
+
+
 def _ticked(machine: Any) -> Any:
     time.sleep(0.01)
     return machine.read()
@@ -225,8 +260,8 @@ class Child:
     def topic(self, name: str, kind: Any) -> Any:
         return Topic(self.participant, f"rt{name}", kind, qos=QUALITY)
 
-    def writer(self, name: str, kind: Any) -> Any:
-        return DataWriter(self.participant, self.topic(name, kind), qos=QUALITY)
+    def writer(self, name: str, kind: Any, quality: Qos = QUALITY) -> Any:
+        return DataWriter(self.participant, self.topic(name, kind), qos=quality)
 
     def reader(self, name: str, kind: Any) -> Any:
         return DataReader(self.participant, self.topic(name, kind), qos=QUALITY)
@@ -281,6 +316,19 @@ def node_child(folder: Path) -> None:
         references.write(WrenchStamped(header("fin_mount"), Wrench(Vector3(1.5, -2.5, 0.0), Vector3(0.0, 0.0, 0.0))))
         time.sleep(0.2)
         stops.write(Bool(True))
+
+
+def stops_child(_: Path) -> None:
+    """Publishes stops: once and latched before anybody listens; else again and again."""
+    child = Child()
+    writers = {name: child.writer(f"/stop/{name}", Bool, quality) for name, quality in OFFERS.items()}
+    writers["latched"].write(Bool(True))
+    references = child.writer("/stop/reference", WrenchStamped, OFFERS["best_effort"])
+    while True:
+        for name in ("reliable", "best_effort", "exclusive"):
+            writers[name].write(Bool(True))
+        references.write(WrenchStamped(header(), Wrench(Vector3(1.0, 1.0, 0.0), Vector3(0.0, 0.0, 0.0))))
+        time.sleep(0.005)
 
 
 def robot_child(folder: Path) -> None:

@@ -123,8 +123,10 @@ def test_messages_without_stamps_count_from_when_they_come():
 
 def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     transport, messages = MemoryTransport(), Messages()
-    subscription = Subscription(transport, "/joint", JOINT, lambda message: joint_of(message, "fin"), best_effort=True)
-    assert transport.asked == {"/joint": (JOINT, True)}
+    subscription = Subscription(
+        transport, "/joint", JOINT, lambda message: joint_of(message, "fin"), quality="best_effort"
+    )
+    assert transport.asked == {"/joint": [(JOINT, "best_effort")]}
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
     transport.put("/joint", messages.joint(START + 1, "", "fin", np.nan, 2.0), 5.0)

@@ -133,6 +133,20 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     assert messages.encode(wrench) == seen["wrench"]
 
 
+def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_too(tmp_path):
+    told = within("stops", tmp_path)
+    assert told["heard"] == {
+        "reliable": "emergency stop on /stop/reliable",
+        "best_effort": "emergency stop on /stop/best_effort",
+        "latched": "emergency stop on /stop/latched",
+        "exclusive": None,
+    }
+    assert sorted(line.partition(";")[0] for line in told["told"]) == [
+        "/stop/exclusive: a publisher there cannot be heard, so it cannot stop the fin",
+        "/stop/reference: a publisher there is not heard",
+    ]
+
+
 def run(code):
     """In a process of its own: Cyclone DDS reads its environment once."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S)

@@ -24,9 +24,9 @@ class Node:
     def ask(self, x, y, frame="", topic="/fin/reference"):
         self.transport.put(topic, self.transport.messages.wrench(7, frame, (x, y, 0.0, 0.0, 0.0, 0.0)))
 
-    def stop(self, asked=True):
+    def stop(self, asked=True, offered="reliable"):
         messages = self.transport.messages
-        self.transport.put("/fin/stop", messages.make("std_msgs/msg/Bool", asked))
+        self.transport.put("/fin/stop", messages.make("std_msgs/msg/Bool", asked), offered=offered)
 
 
 def test_every_sample_goes_out_and_a_command_where_it_is_new():
@@ -112,6 +112,40 @@ def test_a_stop_that_cannot_be_read_stops_too():
     node = Node()
     node.transport.failing = True
     assert "cannot be heard" in node.node.stop_reason()
+
+
+@pytest.mark.parametrize("offered", ["reliable", "best_effort", "latched", "from before"])
+def test_a_stop_is_heard_from_every_kind_of_publisher(offered):
+    node = Node()
+    node.stop(False, offered)
+    assert node.node.stop_reason() is None
+    node.stop(True, offered)
+    assert node.node.stop_reason() == "emergency stop on /fin/stop"
+
+
+def test_a_stop_that_cannot_be_read_counts_once_however_many_readers_it_comes_to():
+    node = Node()
+    node.transport.put("/fin/stop", b"\x00\x01\x00\x00", offered="latched")
+    node.node.stop_reason()
+    assert node.node.counters()["stops_refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("topic", "told"),
+    [
+        ("/fin/stop", "/fin/stop: a publisher there cannot be heard, so it cannot stop the fin; give it ROS 2's"),
+        ("/fin/reference", "/fin/reference: a publisher there is not heard; it must be reliable, not best effort"),
+    ],
+)
+def test_a_publisher_that_is_not_heard_is_told_once(topic, told):
+    node = Node()
+    node.node.observe(StopRequest(), SAMPLE, None)
+    assert node.told == []
+    node.transport.mismatched[topic] = 1
+    node.node.observe(StopRequest(), SAMPLE, None)
+    node.node.observe(StopRequest(), SAMPLE, None)
+    assert len(node.told) == 1
+    assert node.told[0].startswith(told)
 
 
 def test_a_session_hears_of_the_stop_through_its_observer():

@@ -10,6 +10,7 @@ import pytest
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.ros2.config import NodeConfig, TransportConfig
 from softfin.rig.ros2.connection import BOOL, Transport
+from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.plant import open_transport
 from tests.patience import HANG_S, wait_until
@@ -28,8 +29,11 @@ class Rclpy:
         names = {"rclpy": self._top(), "rclpy.executors": types.SimpleNamespace(SingleThreadedExecutor=self.executor),
                  "rclpy.signals": types.SimpleNamespace(SignalHandlerOptions=types.SimpleNamespace(NO="no handlers")),
                  "rclpy.qos": types.SimpleNamespace(
-                     QoSProfile=lambda depth, reliability: (depth, reliability),
-                     ReliabilityPolicy=types.SimpleNamespace(RELIABLE="reliable", BEST_EFFORT="best effort")),
+                     QoSProfile=lambda **policies: policies,
+                     ReliabilityPolicy=types.SimpleNamespace(RELIABLE="reliable", BEST_EFFORT="best effort"),
+                     DurabilityPolicy=types.SimpleNamespace(TRANSIENT_LOCAL="transient local"),
+                     LivelinessPolicy=types.SimpleNamespace(MANUAL_BY_TOPIC="manual by topic")),
+                 "rclpy.duration": types.SimpleNamespace(Duration=lambda seconds: f"{seconds} s"),
                  "sensor_msgs.msg": types.SimpleNamespace(JointState="JointState"),
                  "geometry_msgs.msg": types.SimpleNamespace(WrenchStamped="WrenchStamped"),
                  "std_msgs.msg": types.SimpleNamespace(Bool="Bool")}  # fmt: skip
@@ -121,9 +125,9 @@ def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
     publisher.send(b"one")
     assert rclpy.published == [("/ours", b"one")]
     assert publisher.readers() == 3
-    take = transport.subscribe("/stop", BOOL, best_effort=True)
-    assert ("create_publisher", "JointState", "/ours", (10, "reliable")) in rclpy.calls
-    assert ("create_subscription", "Bool", "/stop", (10, "best effort")) in rclpy.calls
+    take = transport.subscribe("/stop", BOOL, "best_effort").take
+    assert ("create_publisher", "JointState", "/ours", {"depth": 10, "reliability": "reliable"}) in rclpy.calls
+    assert ("create_subscription", "Bool", "/stop", {"depth": 10, "reliability": "best effort"}) in rclpy.calls
     before = time.monotonic()
     for index in range(12):
         rclpy.subscriptions["/stop"](bytes([index]))
@@ -131,6 +135,23 @@ def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
     assert [data[0] for data, _ in taken] == list(range(2, 12)), "ten are kept, the newest"
     assert before <= taken[0][1] <= taken[-1][1] <= time.monotonic()
     assert take() == []
+
+
+def test_a_command_topic_offers_its_deadline_and_that_only_messages_keep_it_alive(rclpy, transport):
+    transport.publish("/command", JOINT, deadline_s=0.2)
+    offered = {"depth": 10, "reliability": "reliable", "deadline": "0.2 s", "liveliness": "manual by topic",
+               "liveliness_lease_duration": "0.2 s"}  # fmt: skip
+    assert ("create_publisher", "JointState", "/command", offered) in rclpy.calls
+
+
+def test_an_emergency_stop_has_a_reader_for_every_kind_of_publisher(rclpy, transport):
+    EmergencyStop(transport, "/stop", OnceReporter(print))
+    readers = [call[3] for call in rclpy.calls if call[0] == "create_subscription"]
+    assert readers == [
+        {"depth": 10, "reliability": "reliable"},
+        {"depth": 10, "reliability": "best effort"},
+        {"depth": 10, "reliability": "reliable", "durability": "transient local"},
+    ]
 
 
 def test_the_topics_are_those_that_somebody_else_publishes(transport):

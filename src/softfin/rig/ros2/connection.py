@@ -8,7 +8,7 @@ that drifts is followed.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from softfin.core.errors import one_line
 from softfin.rig.machine import Wrench
@@ -32,6 +32,24 @@ It never waits, and raises DeviceError where nothing can come.
 """
 
 
+Quality: TypeAlias = Literal["reliable", "best_effort", "latched"]
+"""Quality of service that a reader asks for; each hears other publishers.
+
+reliable: those that are reliable; what is lost is sent again. best_effort: all, but nothing is sent again. latched:
+those that keep messages for late readers (transient local), with the ones from before.
+"""
+
+
+@dataclass
+class Subscriber:
+    """A topic that we read."""
+
+    take: Take
+    """Takes what has come."""
+    mismatched: Callable[[], int]
+    """Number of publishers met so far that it does not hear, because they offer less than it asks for."""
+
+
 @dataclass
 class Publisher:
     """A topic that we write to."""
@@ -49,11 +67,15 @@ class Transport(Protocol):
     notes: tuple[str, ...]
     """Remarks for the user about how it was opened, each one line."""
 
-    def publish(self, topic: str, kind: str) -> Publisher:
-        """A topic to write to: reliable, keep last 10, volatile."""
+    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
+        """A topic to write to: reliable, keep last 10, volatile.
 
-    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
-        """A topic to read; best effort matches reliable publishers too, but nothing is sent again."""
+        With `deadline_s`, it offers that deadline, and liveliness by topic with that lease: then a reader may ask its
+        middleware to report when no message came for so long [s]. Readers that ask for neither match all the same.
+        """
+
+    def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
+        """A topic to read, keep last 10."""
 
     def topics(self) -> dict[str, str]:
         """Topics that other nodes publish, each with its type."""
@@ -89,12 +111,12 @@ class Subscription(Generic[Value]):
 
     def __init__(
         self, transport: Transport, topic: str, kind: str, read: Callable[[Any], Value],
-        stamped: bool = True, best_effort: bool = False,
+        stamped: bool = True, quality: Quality = "reliable",
     ) -> None:  # fmt: skip
         """Messages that are not `stamped` count from when they come, whatever is in their header."""
         self.topic, self.kind = topic, kind
         self._read, self._stamped = read, stamped
-        self._take = transport.subscribe(topic, kind, best_effort)
+        self._subscriber = transport.subscribe(topic, kind, quality)
         self._clock = StampClock()
         self.received = self.refused = self.not_newer = 0
         self.refusal: str | None = None
@@ -103,7 +125,7 @@ class Subscription(Generic[Value]):
     def take(self) -> list[tuple[float, Value]]:
         """The usable messages that have come since the last call, oldest first, each with its time of our clock [s]."""
         taken = []
-        for data, received in self._take():
+        for data, received in self._subscriber.take():
             self.received += 1
             try:
                 message = decode(data, self.kind)
@@ -119,6 +141,10 @@ class Subscription(Generic[Value]):
             else:
                 taken.append((time, value))
         return taken
+
+    def mismatched(self) -> int:
+        """Number of publishers met so far that cannot be heard, because they offer less than is asked for."""
+        return self._subscriber.mismatched()
 
 
 def decode(data: bytes, kind: str) -> Any:

@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.installation import how_to_add
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import DEPTH, Publisher, Take
+from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
 
 try:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
@@ -38,6 +38,12 @@ IDL: Any = types
 
 BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
 """Types that have other names there."""
+
+# A slow reader may hold up a writer for half a tick [ns].
+RELIABLE = Policy.Reliability.Reliable(5_000_000)
+
+# ROS 2 speaks the first version of CDR; cyclonedds would offer the second one too.
+REPRESENTATION = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
 
 
 class Carrier(IdlStruct):
@@ -116,10 +122,10 @@ class DdsTransport:
             ) from None
         self._own: set[str] = set()
 
-    def publish(self, topic: str, kind: str) -> Publisher:
+    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """A writer of its own."""
         there = self._topic(topic, kind)
-        writer: Any = DataWriter(self._participant, there, qos=_quality())
+        writer: Any = DataWriter(self._participant, there, qos=_offered(deadline_s))
         self._own.add(str(writer.get_guid()))
 
         def send(data: bytes) -> None:
@@ -130,9 +136,9 @@ class DdsTransport:
 
         return Publisher(send, lambda: int(writer.get_publication_matched_status().current_count))
 
-    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
+    def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
         """A reader of its own, which keeps the last messages."""
-        reader = DataReader(self._participant, self._topic(topic, kind), qos=_quality(best_effort))
+        reader: Any = DataReader(self._participant, self._topic(topic, kind), qos=_asked(quality))
 
         def take() -> list[tuple[bytes, float]]:
             try:
@@ -142,7 +148,7 @@ class DdsTransport:
             now = time.monotonic()
             return [(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
 
-        return take
+        return Subscriber(take, lambda: int(reader.get_requested_incompatible_qos_status().total_count))
 
     def topics(self) -> dict[str, str]:
         """Topics that other nodes publish, from DDS's own discovery."""
@@ -161,15 +167,27 @@ class DdsTransport:
     def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:
             raise DeviceError("the way to ROS 2 is closed; open it again")
-        return Topic(self._participant, f"rt{topic}", idl_type(kind, self._types, carries=True), qos=_quality())
+        return Topic(self._participant, f"rt{topic}", idl_type(kind, self._types, carries=True), qos=_asked("reliable"))
 
 
-def _quality(best_effort: bool = False) -> Any:
-    # A slow reader may hold up a writer for half a tick [ns].
-    reliability = Policy.Reliability.BestEffort if best_effort else Policy.Reliability.Reliable(5_000_000)
-    # ROS 2 speaks the first version of CDR; cyclonedds would offer the second one too.
-    representation = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
-    return Qos(reliability, Policy.History.KeepLast(DEPTH), Policy.Durability.Volatile, representation)
+def _asked(quality: Quality) -> Any:
+    """Quality of service of a reader."""
+    return Qos(
+        Policy.Reliability.BestEffort if quality == "best_effort" else RELIABLE,
+        Policy.History.KeepLast(DEPTH),
+        Policy.Durability.TransientLocal if quality == "latched" else Policy.Durability.Volatile,
+        REPRESENTATION,
+    )
+
+
+def _offered(deadline_s: float | None) -> Any:
+    """Quality of service of a writer."""
+    policies = [RELIABLE, Policy.History.KeepLast(DEPTH), Policy.Durability.Volatile, REPRESENTATION]
+    if deadline_s is not None:
+        deadline_ns = round(deadline_s * 1e9)
+        # By topic: only messages keep it alive. A softfin that hangs must not look alive because its middleware is.
+        policies += [Policy.Deadline(deadline_ns), Policy.Liveliness.ManualByTopic(deadline_ns)]
+    return Qos(*policies)
 
 
 @functools.cache

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from softfin.core.errors import DeviceError
-from softfin.rig.ros2.connection import BOOL, Subscription, Transport
+from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 
 Value = TypeVar("Value")
 
@@ -45,6 +45,9 @@ class NewestReference(Generic[Value]):
             self._once(str(error))
         if self.subscription.refusal is not None:
             self._once(self.subscription.refusal)
+        if self.subscription.mismatched():
+            self._once(f"{self.subscription.topic}: a publisher there is not heard; it must be reliable, not best "
+                       "effort")  # fmt: skip
         newest, timeout = self._newest, self._timeout
         if newest is not None and timeout is not None and self._clock() - newest[0] > timeout:
             self._newest = newest = None
@@ -53,21 +56,44 @@ class NewestReference(Generic[Value]):
         return None if newest is None else newest[1]
 
 
+QUALITIES: tuple[Quality, ...] = ("reliable", "best_effort", "latched")
+"""Readers of an emergency stop. A reliable one alone is deaf to a best-effort publisher, such as a radio bridge or a
+joystick's driver, and to a `true` that was latched before the node started; DDS reports neither to the publisher."""
+
+
 class EmergencyStop:
     """A topic of std_msgs/Bool on which true is a stop for good; a message that cannot be read is one, too."""
 
-    def __init__(self, transport: Transport, topic: str) -> None:
-        self.subscription = Subscription(transport, topic, BOOL, lambda message: message.data, stamped=False)
+    def __init__(self, transport: Transport, topic: str, once: OnceReporter) -> None:
+        """`once` gets remarks for the user."""
+        self._topic, self._once = topic, once
+        self._subscriptions = {
+            quality: Subscription(transport, topic, BOOL, lambda message: message.data, stamped=False, quality=quality)
+            for quality in QUALITIES
+        }
         self._reason: str | None = None
+
+    @property
+    def refused(self) -> int:
+        """Number of messages that could not be read; each comes to several readers and counts once."""
+        return max(subscription.refused for subscription in self._subscriptions.values())
 
     def reason(self) -> str | None:
         """Reason to stop for good; None where nobody has asked for it."""
         if self._reason is None:
             try:
-                if any(stop for _, stop in self.subscription.take()):
-                    self._reason = f"emergency stop on {self.subscription.topic}"
-                elif self.subscription.refusal is not None:
-                    self._reason = f"emergency stop: {self.subscription.refusal}"
+                self._reason = next(filter(None, map(self._heard, self._subscriptions.values())), None)
+                # The other readers do not match every publisher, and need not: this one asks for the least.
+                if self._subscriptions["best_effort"].mismatched():
+                    self._once(f"{self._topic}: a publisher there cannot be heard, so it cannot stop the fin; "
+                               "give it ROS 2's default quality of service")  # fmt: skip
             except DeviceError as error:
                 self._reason = f"emergency stop cannot be heard: {error}"
         return self._reason
+
+    def _heard(self, subscription: Subscription[bool]) -> str | None:
+        if any(stop for _, stop in subscription.take()):
+            return f"emergency stop on {self._topic}"
+        if subscription.refusal is not None:
+            return f"emergency stop: {subscription.refusal}"
+        return None

@@ -35,7 +35,7 @@ class RosNode:
         kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
         subscription = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
         self._references = NewestReference(subscription, topics.reference_timeout_s, clock, self._report_once)
-        self._stop = EmergencyStop(transport, topics.stop_topic)
+        self._stop = EmergencyStop(transport, topics.stop_topic, self._report_once)
         self._published: Target | None = None
         self._unsent = 0
 
@@ -78,7 +78,7 @@ class RosNode:
         return {
             "references": references.received - references.refused,
             "references_refused": references.refused,
-            "stops_refused": self._stop.subscription.refused,
+            "stops_refused": self._stop.refused,
             "unsent": self._unsent,
         }
 

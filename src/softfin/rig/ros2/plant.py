@@ -18,7 +18,7 @@ from softfin.core.errors import CommandError, DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, joint_of, wrench_of
+from softfin.rig.ros2.connection import BOOL, Publisher, Quality, Subscription, Transport, joint_of, wrench_of
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import JOINT_STATE, SECOND_NS, WRENCH_STAMPED, cdr, serialized, type_store
 
@@ -151,7 +151,8 @@ class Ros2Machine:
         transport = self._opener(config.connection, self._types)
 
         def subscribe(topic: str, kind: str, read: Callable[[Any], Any]) -> Subscription[Any]:
-            return Subscription(transport, topic, kind, read, best_effort=config.best_effort)
+            quality: Quality = "best_effort" if config.best_effort else "reliable"
+            return Subscription(transport, topic, kind, read, quality=quality)
 
         def encode(target: Target, setpoint: float) -> bytes:
             if flipper is not None:

@@ -12,7 +12,7 @@ from typing import Any
 
 from softfin.core.errors import DeviceError, RigError, one_line
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import DEPTH, Publisher, Take
+from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
 
 
 class RclpyTransport:
@@ -43,10 +43,10 @@ class RclpyTransport:
         self.failure: str | None = None
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
 
-    def publish(self, topic: str, kind: str) -> Publisher:
+    def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """A publisher of the node's."""
         self._own.append(topic)
-        publisher = self._node.create_publisher(_class(kind), topic, self._quality(False))
+        publisher = self._node.create_publisher(_class(kind), topic, _offered(deadline_s))
 
         def send(data: bytes) -> None:
             try:
@@ -58,7 +58,7 @@ class RclpyTransport:
 
         return Publisher(send, lambda: int(publisher.get_subscription_count()))
 
-    def subscribe(self, topic: str, kind: str, best_effort: bool = False) -> Take:
+    def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
         """A raw subscription: the bytes as they came."""
         waiting: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
 
@@ -69,9 +69,10 @@ class RclpyTransport:
 
         self._node.create_subscription(
             _class(kind), topic, lambda data: waiting.append((bytes(data), time.monotonic())),
-            self._quality(best_effort), raw=True,
+            _asked(quality), raw=True,
         )  # fmt: skip
-        return take
+        # rclpy itself warns of publishers that offer less than is asked for.
+        return Subscriber(take, lambda: 0)
 
     def topics(self) -> dict[str, str]:
         """Topics and types as `ros2 topic list -t` shows them, without ours."""
@@ -93,10 +94,34 @@ class RclpyTransport:
         except Exception as error:
             self.failure = one_line(error)
 
-    def _quality(self, best_effort: bool) -> Any:
-        qos = importlib.import_module("rclpy.qos")
-        policy = qos.ReliabilityPolicy.BEST_EFFORT if best_effort else qos.ReliabilityPolicy.RELIABLE
-        return qos.QoSProfile(depth=DEPTH, reliability=policy)
+
+def _asked(quality: Quality) -> Any:
+    """Quality of service of a subscription."""
+    qos = importlib.import_module("rclpy.qos")
+    if quality == "best_effort":
+        return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
+    if quality == "latched":
+        return qos.QoSProfile(
+            depth=DEPTH,
+            reliability=qos.ReliabilityPolicy.RELIABLE,
+            durability=qos.DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+    return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.RELIABLE)
+
+
+def _offered(deadline_s: float | None) -> Any:
+    """Quality of service of a publisher."""
+    qos = importlib.import_module("rclpy.qos")
+    if deadline_s is None:
+        return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.RELIABLE)
+    deadline = importlib.import_module("rclpy.duration").Duration(seconds=deadline_s)
+    return qos.QoSProfile(
+        depth=DEPTH,
+        reliability=qos.ReliabilityPolicy.RELIABLE,
+        deadline=deadline,
+        liveliness=qos.LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=deadline,
+    )
 
 
 def _class(kind: str) -> Any:

@@ -80,7 +80,7 @@ class RobotNode:
         self._saturated = transport.publish(config.saturated_topic, BOOL)
         wrenches = Subscription(transport, config.reference_topic, WRENCH_STAMPED, self._read, stamped=False)
         self._wrenches = NewestReference(wrenches, config.reference_timeout_s, clock, self._once)
-        self._stop = EmergencyStop(transport, config.stop_topic)
+        self._stop = EmergencyStop(transport, config.stop_topic, self._once)
         self._rest: Forces = np.zeros((len(self.fins), 2))
         self._forces, self._brace = self._rest, self._rest
 
