@@ -78,7 +78,7 @@ class StreamWatch:
 
         A restart in a pause may be long past, so that the count is higher than before it: samples are missing then.
         And after three days a count is so high that one from 0 looks like a step ahead of hours. Records that were held
-        up together look like more samples than the time brings; that is no restart.
+        up together look like more samples than the time brings, which is not a restart.
         """
         rate_hz = self.ft_rate_hz
         if rate_hz <= 0:
