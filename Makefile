@@ -48,8 +48,10 @@ test-ray: setup ## the tests that need Ray, in a network of their own; installs 
 mutants: setup ## change the rig's code in 200 places, one at a time, and list what no test notices; NUMBER=60 SEED=1
 	$(RUN) python tools/mutants.py $(NUMBER) $(if $(SEED),--seed $(SEED)) $(if $(MODULES),--modules $(MODULES))
 
-wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/
+wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/, and the versions that were tested, for robots
 	$(UV) build --quiet --out-dir dist
+	$(UV) export --frozen --quiet --no-dev --no-emit-project --no-hashes --no-annotate --no-header --extra ros2 \
+		--output-file dist/constraints.txt
 
 test-wheel: setup wheel ## the wheel in empty environments outside this folder; PYTHONS="python3.11 python3.13"
 	UV="$(UV)" SOFTFIN_WHEEL=dist SOFTFIN_PYTHONS="$(PYTHONS)" $(RUN) pytest -rs tests/test_wheel.py

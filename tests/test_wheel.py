@@ -69,8 +69,8 @@ class Environment:
         self.work.mkdir(parents=True)
         run([uv(), "venv", "--quiet", "--python", python, self.folder], self.work)
 
-    def pip_install(self, requirement: object) -> None:
-        run([uv(), "pip", "install", "--quiet", "--python", self.folder / "bin" / "python", requirement], self.work)
+    def pip_install(self, *words: object) -> None:
+        run([uv(), "pip", "install", "--quiet", "--python", self.folder / "bin" / "python", *words], self.work)
 
     def softfin(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
         return run([self.folder / "bin" / "softfin", *words], self.work, code)
@@ -78,10 +78,20 @@ class Environment:
 
 @pytest.fixture(scope="module", params=PYTHONS)
 def robot(request, tmp_path_factory):
-    """The robot's part alone."""
+    """The robot's part alone, with the versions that were tested."""
     environment = Environment(tmp_path_factory.mktemp("robot"), request.param)
-    environment.pip_install(wheel())
+    environment.pip_install("--constraints", wheel().with_name("constraints.txt"), wheel())
     return environment
+
+
+def test_the_robots_part_has_the_versions_that_were_tested(robot):
+    constraints = wheel().with_name("constraints.txt").read_text().splitlines()
+    tested = dict(line.split(" ")[0].split("==") for line in constraints if " ;" not in line)
+    listed = run([uv(), "pip", "list", "--python", robot.folder / "bin" / "python", "--format=json"], robot.work).stdout
+    installed = {package["name"]: package["version"] for package in json.loads(listed)}
+    shared = tested.keys() & installed.keys()
+    assert {"canopen", "python-can", "rosbags"} <= shared
+    assert {name: installed[name] for name in shared} == {name: tested[name] for name in shared}
 
 
 @pytest.fixture(scope="module")

@@ -163,20 +163,19 @@ class LiveFin:
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
         """Run every reference so many times, one after the other, each from rest."""
-        self._session.activate()
         runs: list[tuple[Command, Reading]] = []
         shape = (len(references), repetitions)
         for index, repetition in np.ndindex(shape):
             note = f"reference {index + 1} of {len(references)}, repetition {repetition + 1}"
             self._progress("evaluate", len(runs) / (len(references) * repetitions), note)
             runs.append(self._one(np.broadcast_to(references[index], (seconds * RATE_HZ, 2)), seconds))
-        self._session.deactivate()
         self._progress("evaluate", 1.0, "")
         command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
         return ExperimentRecording(references, command, reading)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session
+        session.activate()
         zero = session.rest(self._robot.settle_s)
         first = session.newest or session.tick()
 
@@ -187,6 +186,8 @@ class LiveFin:
         results = list(run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero))
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
+        # Without power: putting ten minutes of samples on a grid takes longer than a tick may be late.
+        session.deactivate()
         # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.
         issued = [(first.time - HALF_TICK_S, results[0].target)]
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
