@@ -157,6 +157,9 @@ class Ros2PlantConfig(Configuration):
     """std_msgs/Bool that the driver brakes and disables its motor on. None: a stop is a command to hold."""
     stop_release: bool = False
     """Send false on the stop topic when the fin is enabled: only where that takes back nobody else's stop."""
+    driver_delay_s: float = Field(default=0.15, ge=0, le=1)
+    """Time by which the fin may follow its commands late [s]: the driver's delay, and its ramps: two velocities divided
+    by the acceleration. Only what lags behind for longer is a following error."""
     best_effort: bool = True
     """Read joint and wrench as sensor data: it matches every publisher, and a lost reading is not sent again."""
     wait_s: PositiveFloat = Field(default=5.0, le=120)

@@ -82,7 +82,7 @@ class EmergencyStop:
         """Reason to stop for good; None where nobody has asked for it."""
         if self._reason is None:
             try:
-                self._reason = next(filter(None, map(self._heard, self._subscriptions.values())), None)
+                self._reason = next(filter(None, map(self._read_stop, self._subscriptions.values())), None)
                 # The other readers do not match every publisher, and need not: this one asks for the least.
                 if self._subscriptions["best_effort"].mismatched():
                     self._once(f"{self._topic}: a publisher there cannot be heard, so it cannot stop the fin; "
@@ -91,7 +91,7 @@ class EmergencyStop:
                 self._reason = f"emergency stop cannot be heard: {error}"
         return self._reason
 
-    def _heard(self, subscription: Subscription[bool]) -> str | None:
+    def _read_stop(self, subscription: Subscription[bool]) -> str | None:
         if any(stop for _, stop in subscription.take()):
             return f"emergency stop on {self._topic}"
         if subscription.refusal is not None:
