@@ -229,8 +229,8 @@ class Ros2Machine:
                 angle, delay_s = self._joint[1], self.config.driver_delay_s
                 following_error = topics.commands.following_error(angle, self.clock(), delay_s)
                 if not topics.commands.publisher.readers():
-                    complaints.append(f"nobody reads {self.config.command_topic} any more: commands go nowhere; start "
-                                      "the driver again")  # fmt: skip
+                    topic = self.config.command_topic
+                    complaints.append(f"nobody reads {topic} any more: commands go nowhere; start the driver again")
         return Sample(*self._joint, None, following_error, *self._force, tuple(complaints))
 
     def enable(self) -> None:
