@@ -1,9 +1,9 @@
 """Hosts that are killed or stopped and cables that are cut, at random moments: how soon each fin stands by itself.
 
-One fin, and four on one bus, in simulated time and with hosts that are processes of their own. The emulators are in
-this process, which also watches the fins. Options by environment: SOFTFIN_DEATHS trials of each kind in simulated time
-(100), SOFTFIN_DEATHS_REAL with processes (100), SOFTFIN_DEATHS_SEED of the first trial (0). What fails is printed with
-its seed; in simulated time the seed repeats it.
+In simulated time with one fin, and with four on one bus; in real time with hosts that are processes of their own, one
+fin, and two on one bus. The emulators are in this process, which also watches the fins. Options by environment:
+SOFTFIN_DEATHS trials of each kind in simulated time (100), SOFTFIN_DEATHS_REAL in real time (100), SOFTFIN_DEATHS_SEED
+of the first trial (0). What fails is printed with its seed; in simulated time the seed repeats it.
 """
 
 import contextlib
@@ -39,18 +39,21 @@ SIMULATED_TRIALS = int(os.environ.get("SOFTFIN_DEATHS", "100"))
 REAL_TRIALS = int(os.environ.get("SOFTFIN_DEATHS_REAL", "100"))
 FIRST_SEED = int(os.environ.get("SOFTFIN_DEATHS_SEED", "0"))
 
-KILLED, STOPPED = "host killed (SIGKILL)", "host stopped (SIGSTOP)"
+KILLED = "host killed (SIGKILL)"
+STOPPED = "host stopped (SIGSTOP)"
 
 SIMULATED_KINDS = ((1, HOST_DIES), (1, CABLE_CUT), (4, HOST_DIES), (4, CABLE_CUT), (4, BUS_CUT))
-REAL_KINDS = tuple((count, kind) for count in (1, 4) for kind in (KILLED, STOPPED, CABLE_CUT))
+# The frames of four fins would take more than one core of a bus that is served by Python, and arrive seconds late.
+REAL_KINDS = tuple((count, kind) for count in (1, 2) for kind in (KILLED, STOPPED, CABLE_CUT))
 
 SIMULATED_HEARTBEAT_S = 0.2
-REAL_HEARTBEAT_S = {1: 0.5, 4: 1.0}
-"""By number of fins; more than the default, because hosts that live may be late by as much on a busy computer."""
+REAL_HEARTBEAT_S = 0.5
+"""More than the default, because hosts that live may be late by as much on a busy computer."""
 
 REAL_MARGIN_S = SIMULATED_MARGIN_S + 0.1
-"""The threads of the emulators share a process with the watcher and a computer with four hosts: a step of 5 ms, and the
-frames that were on their way at the death, may be late by tens of milliseconds. `look_worst_ms` shows by how much."""
+"""The threads of the emulators share a process with the watcher and a computer with the hosts: a step of 5 ms may be
+late by tens of milliseconds. The row's look_worst_ms shows how late these threads are, its lag_worst_ms how late frames
+of a dead host came in, which the limit does not include."""
 
 RunTrial = Callable[[Trial], tuple[Outcome, float]]
 
@@ -59,11 +62,12 @@ def main() -> list[dict[str, Any]]:
     rows = []
     for count, kind in SIMULATED_KINDS:
         rows.append(_measure("simulated", count, kind, SIMULATED_TRIALS, _run_simulated_trial))
+
     context = multiprocessing.get_context("forkserver")
     # A host that is forked from a process with everything imported moves its fin after one second instead of ten.
     context.set_forkserver_preload(["tests.rig.deaths"])
     for count, kind in REAL_KINDS:
-        rows.append(_measure("processes", count, kind, REAL_TRIALS, lambda trial: _run_real_trial(trial, context)))
+        rows.append(_measure("real time", count, kind, REAL_TRIALS, lambda trial: _run_real_trial(trial, context)))
     return rows
 
 
@@ -82,7 +86,7 @@ def _measure(time: str, count: int, kind: str, trials: int, run_trial: RunTrial)
     rest_ms = [1e3 * outcome.rest_s for outcome in outcomes]
     fins = "1 fin" if count == 1 else f"{count} fins on one bus"
     return entry(
-        f"{kind}, {fins}, {time}: all well",
+        f"{kind}, {fins}, {time}: trials passed",
         100.0 * (trials - len(failed_seeds)) / trials,
         "%",
         100,
@@ -92,6 +96,7 @@ def _measure(time: str, count: int, kind: str, trials: int, run_trial: RunTrial)
         limit_ms=1e3 * limit_s,
         way_worst_rad=max(outcome.way_rad for outcome in outcomes),
         others_disturbed=sum(len(outcome.disturbed) for outcome in outcomes),
+        lag_worst_ms=1e3 * max(outcome.lag_s for outcome in outcomes),
         look_worst_ms=1e3 * max(outcome.look_s for outcome in outcomes),
         failed_seeds=failed_seeds,
     )
@@ -102,21 +107,21 @@ def _run_simulated_trial(trial: Trial) -> tuple[Outcome, float]:
 
 
 def _run_real_trial(trial: Trial, context: Any) -> tuple[Outcome, float]:
-    """Likewise with hosts that are processes, in real time."""
+    """Return what was seen and the limit [s], in real time with hosts that are processes."""
     numbers = trial.numbers
-    with Fleet(trial.count, REAL_HEARTBEAT_S[trial.count], REAL) as fleet, _hosts(fleet, numbers, context) as hosts:
+    with Fleet(trial.count, REAL_HEARTBEAT_S, REAL) as fleet, _hosts(fleet, numbers, context) as hosts:
         place = numbers.randrange(trial.count)
-        victim, host = fleet.stations[place], hosts[place]
+        victim = fleet.stations[place]
         fleet.await_swimming(victim)
         REAL.sleep(numbers.uniform(0.0, MOMENTS_S))
         if trial.kind == CABLE_CUT:
             cut([victim])
         else:
-            _signal(host, signal.SIGKILL if trial.kind == KILLED else signal.SIGSTOP)
+            _signal(hosts[place], signal.SIGKILL if trial.kind == KILLED else signal.SIGSTOP)
         limit_s = fleet.limit_s + REAL_MARGIN_S
         outcome = fleet.watch([victim], limit_s + AFTERWARDS_S)
         if trial.kind == STOPPED:
-            _signal(host, signal.SIGCONT)
+            _signal(hosts[place], signal.SIGCONT)
             outcome = outcome.then(fleet.watch([victim], AFTERWARDS_S))
         return outcome, limit_s
 

@@ -36,6 +36,7 @@ def test_a_fin_stands_in_time_after_a_death_at_a_random_moment_and_the_others_sw
         outcome, limit_s = run_simulated_trial(trial)
         assert trial.problem(outcome, limit_s) is None
         assert outcome.way_rad > 0.0
+        assert outcome.lag_s == 0.0
 
 
 def test_a_drive_that_goes_on_without_its_host_fails_the_trial() -> None:

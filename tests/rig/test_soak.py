@@ -10,9 +10,10 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,9 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
+from softfin.rig.emulation.drive import USUAL
 from softfin.rig.emulation.rig import EmulatedRig
+from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.protocol import State
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
@@ -32,6 +35,7 @@ from softfin.rig.session import Session
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.patience import HANG_S
 from tests.rig.bags import events_of
+from tests.rig.deaths import DRIVE, Station, cut, swim_by_values
 from tests.rig.epos2_bench import block, ignore_targets
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.machines import Wagging
@@ -67,6 +71,8 @@ class Scene:
         self.emulated, self.rig, self.session, self.bag = emulated, rig, session, bag
         self.clock = emulated.clock
         self.patches = pytest.MonkeyPatch()
+        self.beside: threading.Thread | None = None
+        """What goes on beside the session, which ends by itself."""
 
 
 @contextmanager
@@ -97,6 +103,32 @@ def network(**fault: Any) -> Inject:
     return lambda at: FaultyNetwork.between(at.emulated.sensor).disturb(**fault)
 
 
+def error_frame(classes: int, controller: int = 0) -> Inject:
+    """The host's adapter reports an error of the bus."""
+    return lambda at: at.emulated.drive.send_error_frame(classes, controller)
+
+
+def another_fin_is_cut_off(at: Scene) -> None:
+    """A second fin starts on the same bus, swims, and loses its cable."""
+    at.beside = at.clock.spawn(lambda: swim_and_be_cut_off(at), "another fin")
+
+
+def swim_and_be_cut_off(at: Scene) -> None:
+    bus = BusConfig(interface="virtual", channel=at.emulated.channel)
+    patience = PATIENT if at.clock is REAL else {}
+    with closing(Station(bus, bus.model_dump(), {**DRIVE, **patience, "node": 2}, USUAL, at.clock)) as station:
+        host = at.clock.spawn(lambda: swim_by_values(station.values, 0, at.clock), "its host")
+        end = at.clock() + limit_of(at, SESSION_ENDS_S)
+        while station.drive.state is not State.OPERATION_ENABLED:
+            assert at.clock() < end, "the other fin does not swim"
+            at.clock.sleep(0.01)
+        at.clock.sleep(0.3)
+        cut([station])
+        host.join(limit_of(at, SESSION_ENDS_S))
+        assert not host.is_alive(), "the host of the other fin hangs"
+        assert station.is_at_rest
+
+
 def bus_off(at: Scene) -> None:
     at.emulated.drive.go_silent()
     at.emulated.drive.fault(0x81FD)
@@ -118,17 +150,21 @@ def clock_jump(at: Scene) -> None:
 
 STOPS: dict[str, tuple[Inject, str]] = {
     "bus off": (bus_off, "no new angle|heartbeat|did not take a target"),
+    "adapter bus-off": (error_frame(0x040), "adapter is bus-off"),
+    "adapter error passive": (error_frame(0x004, 0x20), "adapter is error passive"),
     "bus takes no frames": (bus_lost, "takes no frames|angle"),
     "cable of the drive cut": (lambda at: at.emulated.drive.go_silent(), "no new angle|heartbeat|did not take"),
     "heartbeat lost": (lambda at: at.emulated.drive.drop_heartbeat(), "heartbeat is missing"),
     "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
+    "limit of the drive holds it back": (lambda at: setattr(at.emulated.drive, "at_limit", True), "its own limits"),
     "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
     "blocked fin": (lambda at: block(at.emulated.fin), "following|behind"),
     "over-range": (lambda at: setattr(at.emulated.sensor, "status", 0xC0000000), "force sensor 127.0.0.1"),
     "broken gage": (lambda at: setattr(at.emulated.sensor, "status", 0x88000000), "force sensor 127.0.0.1"),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
-    "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "nothing new|no new force"),
+    "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "nothing new|no new force|restarted"),
+    "sensor's values stand still": (lambda at: setattr(at.emulated.sensor, "are_values_frozen", True), "stand still"),
     "all packets lost": (network(drop=1.0), "nothing new|no new force"),
     "disk full": (disk_full, "No space left on device"),
 }
@@ -140,6 +176,8 @@ GOES_ON: dict[str, tuple[Inject, tuple[str, ...]]] = {
     "packets doubled": (network(duplicate=0.2), ("sensor_late",)),
     "packets reordered": (network(reorder=0.2), ("sensor_late",)),
     "wall clock jumps": (clock_jump, ()),
+    "bus loses arbitrations": (error_frame(0x002), ("drive_lost_arbitrations",)),
+    "another fin is cut off": (another_fin_is_cut_off, ()),
     "targets not taken": (lambda at: ignore_targets(at.emulated.drive, 1), ("drive_targets_repeated",)),
 }
 """Each is counted, and the fin goes on."""
@@ -211,9 +249,11 @@ def went_on(at: Scene, disturbances: list[tuple[Inject, tuple[str, ...]]], numbe
             session.observers = [at_a_moment(lambda inject=inject: inject(at), numbers)]
             before = session.machine.counters()
             list(run_controller(session, Wagging(), lambda _: (0.0, 0.0), actions=2))
+            while at.beside is not None and at.beside.is_alive():
+                list(run_controller(session, Wagging(), lambda _: (0.0, 0.0), actions=1))
             after = session.machine.counters()
             for name in counters:
-                assert after[name] > before[name], (name, after)
+                assert after[name] > before.get(name, 0), (name, after)
             quiet(at)
         session.deactivate()
     still(at)

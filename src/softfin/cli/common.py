@@ -180,6 +180,8 @@ class Armed(Configuration):
         name = robot.machine.name
         for note in robot.machine.notes:
             sys.stderr.write(f"note: {printable(note)}\n")
+        if robot.warning is not None:
+            sys.stderr.write(f"warning: {printable(robot.warning)}\n")
         if not self.arm:
             told = "answers, and " if motion is None else ""
             raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")

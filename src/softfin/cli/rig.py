@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
 from softfin.core.choices import LOOPBACK
+from softfin.core.clock import REAL
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
 from softfin.core.printable import printable
@@ -22,6 +23,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.storage.paths import RIG_FILE
 
 PROVING = "the motor is powered and holds where it stands; softfin then falls silent until the drive stops by itself"
+COMMISSIONING = "you will be told before each step what moves"
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
@@ -30,12 +32,15 @@ MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 class RigArguments(Armed, Common):
     """Check, stop or zero the real fin, or emulate both devices with the virtual tank behind them."""
 
-    action: Annotated[Literal["check", "stop", "zero", "emulate"], Option(positional=True)]
+    action: Annotated[Literal["check", "stop", "zero", "commission", "emulate"], Option(positional=True)]
     """check: a table of what is well and what is not, nothing moves; stop: stop the motor and take its voltage off,
-    whoever has powered it; zero: set angle and force to zero where they are; emulate: the file of a rig whose drive,
-    sensor and tank every command emulates, as fast as the computer allows."""
+    whoever has powered it; zero: set angle and force to zero where they are; commission: the steps to take before you
+    rely on a rig; emulate: the file of a rig whose drive, sensor and tank every command emulates, as fast as the
+    computer allows."""
     rig: File = RIG_FILE
-    """The rig's file: read by check, stop and zero, written by emulate."""
+    """The rig's file: written by emulate, read by the others."""
+    step: int | None = None
+    """With commission: the number of the step to run (default: the first that has not passed)."""
     reset_fault: bool = False
     """With check: acknowledge the fault that the drive is in, and print which it was."""
     prove: bool = False
@@ -52,7 +57,14 @@ class RigArguments(Armed, Common):
     """With emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
 
     def __call__(self) -> None:
-        {"check": self._check, "stop": self._stop, "zero": self._zero, "emulate": self._emulate}[self.action]()
+        actions = {
+            "check": self._check,
+            "stop": self._stop,
+            "zero": self._zero,
+            "commission": self._commission,
+            "emulate": self._emulate,
+        }
+        actions[self.action]()
 
     def _check(self) -> None:
         config = load_rig(self.rig)
@@ -100,10 +112,36 @@ class RigArguments(Armed, Common):
             result |= zero_force(config)
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
 
+    def _commission(self) -> None:
+        from softfin.rig.commissioning.commission import commission_step
+        from softfin.rig.commissioning.form import TITLES, form_file, load_form
+        from softfin.rig.commissioning.operator import TerminalOperator
+
+        config = load_rig(self.rig)
+        if config.emulation is not None:
+            raise ConfigurationError(
+                f"{self.rig}: an emulated rig has no shaft to turn and no cables to pull; the steps are for real "
+                "devices, see docs/commissioning.md"
+            )
+        if self.step not in (None, *TITLES):
+            raise ConfigurationError(f"--step {self.step}: no such step; give a number from 1 to {len(TITLES)}")
+        if self.yes:
+            raise ConfigurationError("--yes: a commissioning needs a person; leave it out")
+        self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
+        operator = TerminalOperator()
+        number = self.step or load_form(self.rig).next_step(config)
+        while number is not None:
+            step = commission_step(self.rig, config, number, operator, REAL)
+            if not step.passed:
+                failed = next(item.what for item in step.items if not item.passed)
+                raise DeviceError(f"step {number}: {failed}: not as required; correct it, then run this command again")
+            number = None if self.step else load_form(self.rig).next_step(config)
+        form = form_file(self.rig).with_suffix(".md")
+        self.tell({"form": str(form)}, f"{form}: the form, every step signed")
+
     def _emulate(self) -> None:
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
-        from softfin.core.clock import REAL
         from softfin.rig.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
         from softfin.tank import Tank, TankConfig
 

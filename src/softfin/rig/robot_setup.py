@@ -23,6 +23,8 @@ class RobotSetup:
     """Time for which the fin rests before each log or experiment [s]."""
     configuration: dict[str, Any] = field(default_factory=dict)
     """The whole configuration, for JSON."""
+    warning: str | None = None
+    """Warning about a machine that nobody has signed for."""
 
     def check_ready(self) -> None:
         """Raise RigError where an open machine must not move yet; only a machine that has such a check is checked."""
@@ -55,13 +57,16 @@ def find_robot(name: str) -> RobotSetup:
     kind, _, file = name.partition(":")
     path = Path(file) if file else None
     if kind == "rig":
+        from softfin.rig.commissioning.form import load_form
         from softfin.rig.config import load_rig
         from softfin.rig.rig import Rig
 
         rig = load_rig(path)
         # A real rig's configuration stays as it was before there were emulated ones.
         values = rig.model_dump(mode="json", exclude={"emulation"} if rig.emulation is None else None)
-        return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values)
+        # An emulated rig has nothing to sign for.
+        warning = None if rig.emulation is not None or rig.file is None else load_form(rig.file).warning(rig)
+        return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values, warning)
     if kind == "ros2":
         from softfin.rig.config import load_ros2
         from softfin.rig.ros2.plant import Ros2Machine

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from typing import NamedTuple
 
+import can
 import pytest
 
 from softfin.core.errors import RigError
+from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig
@@ -160,3 +162,28 @@ def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(ha
         assert first.fin.now().angle == pytest.approx(0.2, abs=1e-3)
         with pytest.raises(RigError, match="sends the SYNC that this drive answers; give each fin a bus of its own"):
             second.drive.open()
+
+
+def test_a_drive_may_take_as_long_to_enable_on_a_busy_bus_as_on_a_quiet_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    with shoal(1) as made:
+        host = made.hosts[0]
+        bus = open_bus(made.bus, made.clock)
+        next_state = drive_motor.next_state
+        powered_at = made.clock() + 1.0
+
+        def power_up_slowly(state: State, word: int, before: int) -> State:
+            is_early = state is State.SWITCHED_ON and made.clock() < powered_at
+            return state if is_early else next_state(state, word, before)
+
+        def send_frames_of_another_fin() -> None:
+            frame = can.Message(arbitration_id=protocol.TPDO[0] + 9, data=bytes(6), is_extended_id=False)
+            while not host.killed.is_set():
+                bus.send(frame)
+                made.clock.sleep(0.0002)
+
+        monkeypatch.setattr(drive_motor, "next_state", power_up_slowly)
+        made.clock.spawn(send_frames_of_another_fin, "another fin")
+        host.drive.open()
+        host.drive.home_here()
+        assert made.clock() >= powered_at
+        host.killed.set()

@@ -23,6 +23,10 @@ HELD_UP_S = 1.0
 """Time by which records may be held up on their way [s]: their counts then do not fit the time between them."""
 
 
+LARGEST_STEP_S = 3600.0
+"""Step ahead of the count that no record which was held up explains [s]."""
+
+
 class StreamWatch:
     """Watches records in their order."""
 
@@ -72,14 +76,15 @@ class StreamWatch:
     def _fits(self, samples: int, elapsed_s: float) -> bool:
         """Whether the count went on by as many samples as the time since the record before brings.
 
-        A restart in a pause may be long past, so that the count is higher than before it. And after three days a count
-        is so high that one from 0 looks like a step ahead.
+        A restart in a pause may be long past, so that the count is higher than before it: samples are missing then.
+        And after three days a count is so high that one from 0 looks like a step ahead of hours. Records that were held
+        up together look like more samples than the time brings, which is not a restart.
         """
         rate_hz = self.ft_rate_hz
         if rate_hz <= 0:
             return True
-        error_s = HELD_UP_S + RATE_ERROR * elapsed_s
-        return abs(samples / rate_hz - elapsed_s) <= error_s
+        missing_s = elapsed_s - samples / rate_hz
+        return -LARGEST_STEP_S <= missing_s <= HELD_UP_S + RATE_ERROR * elapsed_s
 
     def accept_restart(self) -> None:
         """The sensor's zero was set since: an earlier restart no longer matters."""

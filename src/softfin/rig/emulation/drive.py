@@ -164,6 +164,16 @@ class EmulatedDrive:
         """Cut the cable: nothing comes in and nothing goes out, the drive goes on by itself."""
         self._network.silent = True
 
+    def plug_in(self) -> None:
+        """Mend the cable."""
+        self._network.silent = False
+
+    def cut_supply(self) -> None:
+        """Switch the supply off: the fin coasts, and nobody answers until `plug_in`."""
+        with self._lock:
+            self.go_silent()
+            self._enter(State.SWITCH_ON_DISABLED)
+
     def reboot(self) -> None:
         """Start anew, as after a moment without supply: the zero is lost."""
         with self._lock:

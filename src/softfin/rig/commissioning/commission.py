@@ -1,0 +1,58 @@
+"""The procedure: find the next step of a rig, run it, have it signed, keep it; it resumes where it was left."""
+
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from softfin.core.clock import Clock
+from softfin.core.errors import ConfigurationError
+from softfin.rig.commissioning.form import (
+    TITLES,
+    Form,
+    SignedStep,
+    bag_folder,
+    config_values,
+    load_form,
+    save_form,
+)
+from softfin.rig.commissioning.operator import Operator
+from softfin.rig.commissioning.steps import StepContext, run_step
+from softfin.rig.config import RigConfig
+
+MOVING = frozenset({2, 3, 4, 5, 6, 7})
+"""Steps that power the motor."""
+
+
+def commission_step(
+    rig: Path, config: RigConfig, number: int, operator: Operator, clock: Clock, hour_s: float = 3600.0
+) -> SignedStep:
+    """Run one step of a rig's commissioning, have it signed, and add it to the form beside the rig's file.
+
+    Raises ConfigurationError if an earlier step is not passed.
+    """
+    form = load_form(rig)
+    missing = [earlier for earlier in TITLES if earlier < number and not form.is_passed(earlier, config)]
+    if missing:
+        raise ConfigurationError(
+            f"step {number}: step {missing[0]} ({TITLES[missing[0]]}) is not passed with this drive and sensor; "
+            "run the steps in order"
+        )
+    date = datetime.now().astimezone().isoformat(timespec="seconds")
+    folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
+    operator.tell(f"Step {number} of {len(TITLES)}: {TITLES[number]}")
+    items = run_step(number, StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s))
+    step = SignedStep(
+        number=number,
+        date=date,
+        signed_by=operator.text("Signed by"),
+        items=items,
+        bags=tuple(str(bag.relative_to(rig.parent)) for bag in sorted(folder.glob("*.mcap"))),
+        rig=config_values(config),
+    )
+    save_form(rig, Form(attempts=(*form.attempts, step)))
+    return step
+
+
+def _attempts(form: Form, number: int) -> int:
+    return sum(step.number == number for step in form.attempts)

@@ -1,0 +1,250 @@
+"""Motions of a commissioning: swings, stops that are provoked, and a host that dies while the fin moves."""
+
+import json
+import math
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from softfin.core.clock import REAL, Clock
+from softfin.core.errors import DeviceError, SafetyStop
+from softfin.core.quantities import RATE_HZ
+from softfin.rig.config import RigConfig
+from softfin.rig.epos2 import protocol
+from softfin.rig.epos2.config import Units
+from softfin.rig.epos2.connection import CanConnection
+from softfin.rig.epos2.procedures import fault_of
+from softfin.rig.machine import Sample, Target
+from softfin.rig.rig import Rig
+from softfin.rig.safety import Guard
+from softfin.rig.session import Session
+from softfin.rig.stop import StopRequest
+
+HALF_STROKE_TICKS = 60
+"""Ticks between two commands of a swing; a shorter way is over by then, and the fin waits."""
+
+WATCHDOG_S = 2.0
+"""Silence after which softfin's own watchdog stops the fin while a dead host is played: late enough for the drive."""
+
+WATCHED_S = 3.0
+"""Longest time for which a drive is watched after its host has died [s]."""
+
+
+@dataclass
+class Peaks:
+    """Largest sizes of what was read during a motion."""
+
+    following_rad: float = 0.0
+    current_a: float = 0.0
+    force_n: float = 0.0
+    torque_nm: float = 0.0
+
+    def take(self, sample: Sample) -> None:
+        """Take one sample into account."""
+        loads = sample.peak or sample.wrench
+        self.following_rad = max(self.following_rad, abs(sample.following_error or 0.0))
+        self.current_a = max(self.current_a, abs(sample.current or 0.0))
+        self.force_n = max(self.force_n, *map(abs, loads[:3]))
+        self.torque_nm = max(self.torque_nm, *map(abs, loads[3:]))
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """How a motion ended."""
+
+    cause: str
+    """Short name of the stop, such as ``following``; "none" if the motion ended by itself."""
+    reason: str
+    seconds: float
+    """Time from the last good reading to the end of the stop [s]."""
+    is_confirmed: bool
+    """Whether the drive confirmed that its motor is off."""
+    peaks: Peaks
+    skipped_ticks: int
+    """Ticks of the loop that were skipped."""
+
+
+def changed(config: RigConfig, drive: dict[str, Any] | None = None, safety: dict[str, Any] | None = None) -> RigConfig:
+    """Return a rig's configuration with other values of its drive or safety; raises ConfigurationError."""
+    values = config.model_dump()
+    values["drive"] |= drive or {}
+    values["safety"] |= safety or {}
+    return RigConfig.build(values, "commissioning")
+
+
+def narrowed(config: RigConfig, angle_rad: float, velocity_rad_s: float) -> RigConfig:
+    """Return a rig's configuration whose commands stay within +-angle and below a velocity."""
+    slowest = min(config.drive.slowest_rad_s, 0.5 * velocity_rad_s)
+    drive = {
+        "angle_min_rad": -angle_rad,
+        "angle_max_rad": angle_rad,
+        "slowest_rad_s": slowest,
+        "fastest_rad_s": velocity_rad_s,
+    }
+    return changed(config, drive)
+
+
+def swings(amplitude_rad: float, velocity_rad_s: float, strokes: int | None = None) -> Iterator[Target]:
+    """Yield the target of each stroke, from side to side; for ever unless a number of strokes is given."""
+    number = 0
+    while strokes is None or number < strokes:
+        side = 1 if number % 2 == 0 else -1
+        yield Target(side * amplitude_rad, velocity_rad_s)
+        number += 1
+
+
+def stroke_ticks(amplitude_rad: float, velocity_rad_s: float) -> int:
+    """Return the ticks that a stroke from side to side takes, and a little longer for the ramps."""
+    return max(HALF_STROKE_TICKS, math.ceil(RATE_HZ * (2 * amplitude_rad / velocity_rad_s + 0.2)))
+
+
+def move(
+    rig: Rig,
+    targets: Iterator[Target],
+    ticks: int,
+    request: StopRequest,
+    bag: Path,
+    observers: Sequence[Callable[[Sample, Target | None], None]] = (),
+) -> Stopped:
+    """Move the fin through targets, each for some ticks, until they end or something stops it."""
+    peaks = Peaks()
+    config = rig.config
+    session = Session(
+        rig,
+        Guard(config.safety, rig.limits),
+        stop=request,
+        observers=[*observers, lambda sample, _: peaks.take(sample)],
+    )
+    try:
+        with session, session.recording(bag):
+            session.stop_on_signals()
+            session.activate()
+            session.rest(0.0)
+            for target in targets:
+                session.command(target)
+                for _ in range(ticks):
+                    session.tick()
+            session.rest(0.0)
+            session.deactivate()
+    except SafetyStop as stop:
+        seconds = math.inf if session.newest is None else rig.clock() - session.newest.time
+        cause = session.trip.cause if session.trip else "none"
+        return Stopped(cause, str(stop), seconds, rig.stop_unconfirmed is None, peaks, session.pace.skipped)
+    return Stopped("none", "ended by itself", 0.0, rig.stop_unconfirmed is None, peaks, session.pace.skipped)
+
+
+@dataclass(frozen=True)
+class Death:
+    """Reaction of a drive to the death of its host."""
+
+    seconds: float
+    """Time from the death to the fin at rest without power [s]; infinite if that was not seen."""
+    way_rad: float
+    """Angle by which the fin turned after the death [rad]."""
+    fault: str | None
+    """The drive's fault then."""
+
+
+class DriveWatch:
+    """Asks a drive by SDO alone, beside or after the program that drives it: it sends no heartbeat and no SYNC."""
+
+    def __init__(self, config: RigConfig, clock: Clock) -> None:
+        self._units = Units.of(config.drive)
+        self._clock = clock
+        self._connection = CanConnection(
+            config.bus, config.drive.node, lambda cob_id, data: None, lambda problem: None, clock
+        )
+
+    def __enter__(self) -> "DriveWatch":
+        self._connection.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connection.close()
+
+    def angle(self) -> float:
+        """Return the angle of the shaft [rad]."""
+        return self._units.angle(self._connection.read(protocol.POSITION))
+
+    def is_powered(self) -> bool:
+        """Whether the motor carries current."""
+        state = protocol.decode(self._connection.read(protocol.STATUSWORD))
+        return state not in protocol.UNPOWERED
+
+    def is_referenced(self) -> bool:
+        """Whether the drive still knows its zero."""
+        return bool(self._connection.read(protocol.STATUSWORD) & protocol.Bit.REFERENCED)
+
+    def fault(self) -> str | None:
+        """Return the drive's fault in words; None if it is in none."""
+        return fault_of(self._connection)
+
+    def watch(self, died: float, angle: float) -> Death:
+        """Watch until the fin stands without power, `died` [s] being when its host died and `angle` where it was."""
+        stood_since = died
+        before = math.nan
+        now = died
+        while now - died < WATCHED_S:
+            with suppress(DeviceError):
+                here = self.angle()
+                now = self._clock()
+                if here != before:
+                    stood_since = now
+                before = here
+                if not self.is_powered() and now - stood_since > 0.1:
+                    return Death(stood_since - died, abs(here - angle), self.fault())
+            self._clock.sleep(0.002)
+            now = self._clock()
+        return Death(math.inf, abs(before - angle), self.fault())
+
+
+def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> Death:
+    """Play a dead host in simulated time: swing through the rig's range, and at a tick send nothing any more."""
+    drive = config.drive
+    # Softfin's own watchdog would stop the fin first.
+    rig = Rig(changed(config, safety={"watchdog_s": WATCHDOG_S}), clock)
+    session = Session(rig, Guard(rig.config.safety, rig.limits))
+    ticks = stroke_ticks(drive.angle_max_rad, drive.fastest_rad_s)
+    with DriveWatch(config, clock) as watch, session, session.recording(bag):
+        session.activate()
+        session.rest(0.0)
+        for number, target in enumerate(swings(drive.angle_max_rad, drive.fastest_rad_s)):
+            session.command(target)
+            for tick in range(ticks):
+                sample = session.tick()
+                if number * ticks + tick == moment:
+                    return watch.watch(clock(), sample.angle)
+    raise AssertionError("swings go on for ever")
+
+
+def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag: Path) -> Death:
+    """Have another process swing the fin, and kill or stop it by a signal some time after it began to move [s]."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "softfin.rig.commissioning.host", str(bag)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(json.dumps(config.model_dump(mode="json")))
+        process.stdin.close()
+        first_line = process.stdout.readline().strip()
+        if first_line != "moves":
+            reason = first_line or "see the lines above"
+            raise DeviceError(f"rig of {config.fin}: the fin did not begin to move ({reason})")
+        REAL.sleep(wait_s)
+        with DriveWatch(config, REAL) as watch:
+            angle = watch.angle()
+            process.send_signal(number)
+            return watch.watch(REAL(), angle)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()

@@ -1,0 +1,114 @@
+"""The person beside the rig, who does what a step asks for and answers; a test plays another one."""
+
+import queue
+import sys
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Protocol, runtime_checkable
+
+from softfin.core.errors import RunError
+from softfin.core.printable import printable
+from softfin.rig.stop import StopRequest
+
+
+@runtime_checkable
+class Operator(Protocol):
+    """A person, as the steps see one."""
+
+    def tell(self, text: str) -> None:
+        """Show a line."""
+
+    def wait(self, instruction: str) -> None:
+        """Show what to do, and return once it is done."""
+
+    def confirm(self, question: str) -> bool:
+        """Ask a question whose answer is yes or no."""
+
+    def number(self, question: str) -> float:
+        """Ask for a number."""
+
+    def text(self, question: str) -> str:
+        """Ask for a line that is not empty."""
+
+    def moving(self, instruction: str, request: StopRequest) -> AbstractContextManager[None]:
+        """Show what to do to the fin that moves within this context, where Enter alone asks for a stop."""
+
+
+class TerminalOperator:
+    """A person at the terminal.
+
+    One thread reads every line, so that Enter stops the fin at once while it moves, and a line that was typed for one
+    question cannot answer the next one.
+    """
+
+    def __init__(self, lines: Iterable[str] | None = None, write: Callable[[str], object] | None = None) -> None:
+        self._write = write or sys.stderr.write
+        self._answers: queue.Queue[str | None] = queue.Queue()
+        self._request: StopRequest | None = None
+        source = sys.stdin if lines is None else lines
+        threading.Thread(target=self._read, args=(source,), name="operator", daemon=True).start()
+
+    def tell(self, text: str) -> None:
+        """Show a line."""
+        self._write(f"{printable(text)}\n")
+
+    def wait(self, instruction: str) -> None:
+        """Show what to do, and return once Enter was pressed."""
+        self._ask(f"{instruction}; Enter when done: ")
+
+    def confirm(self, question: str) -> bool:
+        """Ask until the answer is yes or no."""
+        while True:
+            answer = self._ask(f"{question} [yes/no]: ").casefold()
+            if answer in ("yes", "y", "no", "n"):
+                return answer.startswith("y")
+
+    def number(self, question: str) -> float:
+        """Ask until the answer is a number."""
+        while True:
+            answer = self._ask(f"{question}: ")
+            try:
+                return float(answer)
+            except ValueError:
+                self.tell(f"{answer!r}: not a number; write it as 2.5")
+
+    def text(self, question: str) -> str:
+        """Ask until the answer is not empty."""
+        while True:
+            if answer := self._ask(f"{question}: "):
+                return answer
+
+    @contextmanager
+    def moving(self, instruction: str, request: StopRequest) -> Iterator[None]:
+        """Show what to do to the moving fin; Enter alone stops it."""
+        self.tell(f"{instruction} (Enter stops the fin)")
+        self._request = request
+        try:
+            yield
+        finally:
+            self._request = None
+
+    def _ask(self, prompt: str) -> str:
+        self._write(printable(prompt))
+        answer = self._answers.get()
+        if answer is None:
+            # What was read stays ended: the next question must not wait for ever.
+            self._answers.put(None)
+            raise RunError("commissioning: the terminal's input has ended; start it again, it resumes at this step")
+        return answer
+
+    def _read(self, lines: Iterable[str]) -> None:
+        try:
+            for line in lines:
+                request = self._request
+                if request is None:
+                    self._answers.put(line.strip())
+                elif not line.strip():
+                    request.ask("emergency_stop", "stopped by a key")
+        except (OSError, ValueError):
+            # Not text, or a terminal that is gone: treated as its end.
+            pass
+        if (request := self._request) is not None:
+            request.ask("emergency_stop", "the terminal's input ended, so no key could stop the fin")
+        self._answers.put(None)

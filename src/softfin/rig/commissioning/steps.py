@@ -1,0 +1,512 @@
+"""The eight steps of a commissioning: each yields what it found and what was required of it (docs/commissioning.md)."""
+
+import math
+import signal
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softfin.core.clock import Clock
+from softfin.core.errors import RigError, SoftfinError
+from softfin.core.quantities import RATE_HZ
+from softfin.rig.check import check_rig
+from softfin.rig.commissioning.form import Item
+from softfin.rig.commissioning.motion import (
+    Death,
+    DriveWatch,
+    Stopped,
+    changed,
+    die_by_signal,
+    die_in_process,
+    move,
+    narrowed,
+    stroke_ticks,
+    swings,
+)
+from softfin.rig.commissioning.operator import Operator
+from softfin.rig.config import RigConfig
+from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.machine import Target
+from softfin.rig.prove import prove_stop
+from softfin.rig.rig import Rig, zero_angle, zero_force
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.stop import StopRequest
+
+CHECKS = 10
+"""Times that `rig check` must pass in a row."""
+
+RECEIVE_BUFFER_BYTES = 4 * 1024 * 1024
+"""Receive buffer that the kernel should grant: seconds of the force sensor's stream."""
+
+RECEIVE_BUFFER_SETTING = Path("/proc/sys/net/core/rmem_max")
+
+ANGLE_TOLERANCE_RAD = 0.02
+WEIGHT_KG, GRAVITY_M_S2 = 1.0, 9.81
+WEIGHT_TOLERANCE = 0.02
+
+SMALL_RAD, SLOW_RAD_S = 0.3, 1.0
+"""Range and velocity of the first motions."""
+
+TRIALS = 5
+"""Trials of each way to stop."""
+
+UNPOWERED_S = 0.5
+"""Longest time from the last good reading to the confirmed end of a stop [s]."""
+
+DEADLY_SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
+"""Signals after which nothing of softfin runs any more. A simulated rig plays both by sending nothing."""
+
+REST_MARGIN_S = 0.05
+"""Time beyond heartbeat and braking within which a dead host's fin must stand [s], since the drive acts in steps."""
+
+STROKES = 50
+SWINGS = 10
+FOLLOWING_RAD = 0.05
+
+LEAST_MARGIN, MOST_MARGIN, ADVISED_MARGIN = 1.2, 2.5, 1.5
+"""Limits of force, torque and current over the peaks that were measured in water."""
+
+SENSOR_NOISE = 1e-3
+"""Peaks below this are noise [N, N m, A]."""
+
+DRIFT_N = 0.1
+"""Largest change of the force at rest within the hour [N]."""
+
+
+class Way(NamedTuple):
+    """A way to stop that a person provokes while the fin swings."""
+
+    instruction: str
+    causes: frozenset[str]
+    """Reasons for the stop that it must have."""
+    is_cut: bool = False
+    """Whether softfin cannot reach the drive then, so that what the fin did is judged by eye and hand."""
+
+
+BY_A_PERSON = frozenset({"emergency_stop"})
+SENSOR_GONE = frozenset({"force_stale", "device"})
+DRIVE_GONE = frozenset({"angle_stale", "device"})
+
+WAYS = {
+    "Ctrl-C": Way("press Ctrl-C", BY_A_PERSON),
+    "Enter": Way("press Enter", BY_A_PERSON),
+    "sensor cable": Way("pull the force sensor's cable", SENSOR_GONE),
+    "CAN cable": Way("pull the CAN cable at the drive", DRIVE_GONE, is_cut=True),
+    "CAN adapter": Way("pull the CAN adapter from the computer", DRIVE_GONE, is_cut=True),
+    "switch": Way("switch off the motor's supply", DRIVE_GONE, is_cut=True),
+}
+"""Ways to stop by name."""
+
+BLOCKED_CAUSES = frozenset({"following", "current_peak", "current_sustained", "device"})
+"""Reasons for a stop that a blocked shaft may have."""
+
+
+@dataclass(frozen=True)
+class StepContext:
+    """The rig, the person beside it and the recordings of one step."""
+
+    config: RigConfig
+    operator: Operator
+    folder: Path
+    """Folder of the step's recordings."""
+    clock: Clock
+    random: np.random.Generator
+    hour_s: float = 3600.0
+    """Duration of the long motion [s]; a shorter one is of no worth outside of tests."""
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the rig is emulated in simulated time, where no process can be killed."""
+        return isinstance(self.clock, SimulatedClock)
+
+    def rig(self, config: RigConfig | None = None) -> Rig:
+        """Return the rig, or one with other limits."""
+        return Rig(config or self.config, self.clock if self.is_simulated else None)
+
+    def bag(self, name: str) -> Path:
+        """Return the file of a recording of this step."""
+        return self.folder / f"{name}.mcap"
+
+
+def asked(operator: Operator, what: str, question: str) -> Item:
+    """Return the answer to a question that must be yes."""
+    answer = operator.confirm(question)
+    return Item(what=what, value="yes" if answer else "no", required="yes", passed=answer)
+
+
+def measured(what: str, value: float, required: str, passed: bool, unit: str) -> Item:
+    """Return a value that was measured, rounded for people."""
+    return Item(what=what, value=f"{value:.3g} {unit}", required=required, passed=passed)
+
+
+def compare_data_sheets(context: StepContext) -> Iterator[Item]:
+    """Step 1: the rig's file against data sheets; the settings of the drive; the switch of the motor's supply."""
+    operator = context.operator
+    drive, safety = context.config.drive, context.config.safety
+    for what, question, value in (
+        ("encoder lines", "Lines of the encoder per turn of the motor, by its data sheet", drive.encoder_lines),
+        ("gear ratio", "Turns of the motor per turn of the fin, by the gear's data sheet", drive.gear_ratio),
+    ):
+        answer = operator.number(question)
+        passed = math.isclose(answer, value, rel_tol=1e-3)
+        yield Item(what=what, value=f"{answer:g}", required=f"{value:g}, as in the rig's file", passed=passed)
+    nominal = operator.number("Nominal current of the motor [A], by its data sheet")
+    sustained = safety.current_sustained_a or math.inf
+    required = "at least safety.current_sustained_a"
+    yield measured("nominal current", nominal, f"{required}, {sustained:g} A", nominal >= sustained, "A")
+    yield from _settings(context)
+    yield asked(operator, "switch", "Is a switch of the motor's supply within reach, and did you try it just now?")
+
+
+def check_and_prove(context: StepContext) -> Iterator[Item]:
+    """Step 2: `rig check` ten times, a wrong file that is refused, the receive buffer, the proof of the stop."""
+    context.operator.wait("Take the fin off the shaft")
+    failures = []
+    for _ in range(CHECKS):
+        results = check_rig(context.config, context.folder.parent, 1.0, context.clock if context.is_simulated else None)
+        failures += [f"{result.what}: {result.text}" for result in results if result.state == "wrong"]
+    value = failures[0] if failures else f"{CHECKS} of {CHECKS}"
+    yield Item(what="rig check", value=value, required=f"{CHECKS} times without an error", passed=not failures)
+    yield _refusal_of_wrong_lines(context)
+    if not context.is_simulated:
+        granted = int(RECEIVE_BUFFER_SETTING.read_text()) if RECEIVE_BUFFER_SETTING.exists() else 0
+        yield Item(
+            what="net.core.rmem_max",
+            value=f"{granted} bytes",
+            required=f"at least {RECEIVE_BUFFER_BYTES} bytes: sudo sysctl net.core.rmem_max={RECEIVE_BUFFER_BYTES}",
+            passed=granted >= RECEIVE_BUFFER_BYTES,
+        )
+    yield _proof(context)
+
+
+def measure_by_hand(context: StepContext) -> Iterator[Item]:
+    """Step 3: a quarter and a whole turn by hand, and a weight on each axis of the force."""
+    operator = context.operator
+    operator.wait("Turn the shaft to zero by hand, and let go")
+    zero_angle(context.config, context.clock if context.is_simulated else None)
+    with DriveWatch(context.config, context.clock) as watch:
+        for what, degrees in (("a quarter turn", 90), ("a whole turn", 360)):
+            operator.wait(f"Turn the shaft by hand to {degrees} degrees from zero, in the direction of positive angles")
+            angle = watch.angle()
+            wanted = math.radians(degrees)
+            passed = abs(angle - wanted) <= ANGLE_TOLERANCE_RAD
+            yield measured(what, angle, f"{wanted:.3f} +- {ANGLE_TOLERANCE_RAD} rad", passed, "rad")
+    operator.wait("Turn the shaft back to zero, and let the force sensor rest")
+    zero_force(context.config, clock=context.clock if context.is_simulated else None)
+    rig = context.rig()
+    rig.sensor.open()
+    try:
+        weight_n = WEIGHT_KG * GRAVITY_M_S2
+        for number, axis in enumerate("xy"):
+            operator.wait(f"Pull with {WEIGHT_KG:g} kg along +{axis} (docs/rig.md, Axes: which way that is)")
+            force = rig.sensor.measured(1.0)[0][:3]
+            error = max(abs(value - (weight_n if place == number else 0.0)) for place, value in enumerate(force))
+            value = ", ".join(f"{value:+.2f}" for value in force)
+            required = f"+{weight_n:.2f} N along {axis}, 0 along the others, +-{WEIGHT_TOLERANCE:.0%}"
+            passed = error <= WEIGHT_TOLERANCE * weight_n
+            yield Item(what=f"weight along {axis}", value=f"({value}) N", required=required, passed=passed)
+            operator.wait("Take the weight off")
+    finally:
+        rig.close()
+
+
+def stop_in_every_way(context: StepContext) -> Iterator[Item]:
+    """Step 4: within +-0.3 rad at 1 rad/s, every way to stop, five times each."""
+    operator = context.operator
+    narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
+    for name, way in WAYS.items():
+        stops = []
+        left_on = 0
+        for trial in range(TRIALS):
+            stops.append(_provoke(context, narrow, f"{name}-{trial + 1}", way.instruction))
+            operator.wait(f"After {name}: put everything back, and wait until the devices are up again")
+            left_on += _reset(context)
+        yield _compare_stops(name, way, stops)
+        value = f"still on after {left_on} of {TRIALS}" if left_on else "off"
+        yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
+        if way.is_cut:
+            question = (
+                f"After each of the {TRIALS} times: did the fin stand within a quarter of a second, and could you turn "
+                "it by hand half a second later?"
+            )
+            yield asked(operator, f"{name}, by eye and hand", question)
+    allowed_s = narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
+    for number in DEADLY_SIGNALS:
+        deaths = []
+        for trial in range(TRIALS):
+            deaths.append(_die(context, narrow, number, context.bag(f"{number.name}-{trial + 1}")))
+            _reset(context)
+        what = f"softfin ended by {number.name}"
+        worst_s = max(death.seconds for death in deaths)
+        passed = worst_s <= allowed_s
+        yield measured(f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s")
+        faults = {death.fault or "no fault" for death in deaths}
+        is_expected = all("0x8130" in fault for fault in faults)
+        yield Item(what=f"{what}: fault", value="; ".join(sorted(faults)), required="0x8130", passed=is_expected)
+    yield _zero_after_reset(context)
+    for what, question in (
+        ("stop topic", "If you use ROS 2: did `true` on the stop topic stop the fin, five times? (yes if you do not)"),
+        ("computer off", "Did the fin stand after the computer was switched off while it moved, five times?"),
+    ):
+        yield asked(operator, what, question)
+
+
+def move_fully(context: StepContext) -> Iterator[Item]:
+    """Step 5: 50 strokes through the whole range, and a shaft that is held."""
+    drive = context.config.drive
+    amplitude = min(drive.angle_max_rad, -drive.angle_min_rad)
+    ticks = stroke_ticks(amplitude, drive.fastest_rad_s)
+    targets = swings(amplitude, drive.fastest_rad_s, STROKES)
+    request = StopRequest()
+    with context.operator.moving(f"The shaft makes {STROKES} full strokes now; keep away", request):
+        stopped = move(context.rig(), targets, ticks, request, context.bag("strokes"))
+    passed = stopped.cause == "none"
+    yield Item(what=f"{STROKES} strokes", value=stopped.reason, required="end by themselves", passed=passed)
+    peaks = stopped.peaks
+    passed = peaks.following_rad <= FOLLOWING_RAD
+    yield measured("following error", peaks.following_rad, f"at most {FOLLOWING_RAD} rad", passed, "rad")
+    narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
+    stopped = _provoke(context, narrow, "held", "hold the shaft with a glove until it stops")
+    context.operator.wait("Let go of the shaft")
+    _reset(context)
+    passed = stopped.cause in BLOCKED_CAUSES and stopped.is_confirmed
+    yield Item(
+        what="held shaft",
+        value=stopped.reason,
+        required="stopped by following error or current",
+        passed=passed,
+    )
+    limit_a = context.config.safety.current_peak_a or math.inf
+    current_a = stopped.peaks.current_a
+    yield measured("current when held", current_a, f"at most {limit_a:g} A", current_a <= limit_a, "A")
+
+
+def move_in_water(context: StepContext) -> Iterator[Item]:
+    """Step 6: the fin in air, then in water, from small to full strokes; the safety limits against its peaks."""
+    drive, safety = context.config.drive, context.config.safety
+    full = min(drive.angle_max_rad, -drive.angle_min_rad)
+    for medium in ("air", "water"):
+        context.operator.wait(f"Put the fin on the shaft, in {medium}, at rest at zero")
+        for amplitude in (SMALL_RAD, full / 2, full):
+            velocity = SLOW_RAD_S if amplitude == SMALL_RAD else drive.fastest_rad_s
+            request = StopRequest()
+            with context.operator.moving(f"The fin swings in {medium} by {amplitude:.2f} rad; keep away", request):
+                ticks = stroke_ticks(amplitude, velocity)
+                bag = context.bag(f"{medium}-{amplitude:.1f}")
+                stopped = move(context.rig(), swings(amplitude, velocity, SWINGS), ticks, request, bag)
+            passed = stopped.cause == "none"
+            what = f"{medium}, {amplitude:.2f} rad"
+            yield Item(what=what, value=stopped.reason, required="ends by itself", passed=passed)
+            if not passed:
+                return
+    peaks = stopped.peaks
+    for what, peak, limit, unit in (
+        ("force_peak_n", peaks.force_n, safety.force_peak_n, "N"),
+        ("torque_peak_nm", peaks.torque_nm, safety.torque_peak_nm, "N m"),
+        ("current_peak_a", peaks.current_a, safety.current_peak_a, "A"),
+    ):
+        if peak < SENSOR_NOISE or limit is None:
+            # A rig that does not feel it, such as an emulated one without torque.
+            continue
+        required = (
+            f"safety.{what} = {limit:g} must be {LEAST_MARGIN} to {MOST_MARGIN} times the peak; "
+            f"set {ADVISED_MARGIN * peak:.2g}"
+        )
+        passed = LEAST_MARGIN * peak <= limit <= MOST_MARGIN * peak
+        yield measured(f"peak for safety.{what}", peak, required, passed, unit)
+
+
+def move_for_an_hour(context: StepContext) -> Iterator[Item]:
+    """Step 7: random commands for an hour: nothing lost, nothing skipped, the force at rest where it was."""
+    rig = context.rig()
+    request = StopRequest()
+    context.operator.wait("The fin moves at random for an hour; see that nobody can reach it")
+    before = _force_at_rest(context)
+    targets = _random_targets(context)
+    with context.operator.moving("The fin moves at random", request):
+        stopped = move(rig, targets, RATE_HZ // 3, request, context.bag("hour"))
+    passed = stopped.cause == "none"
+    yield Item(what="random motion", value=stopped.reason, required="ends by itself", passed=passed)
+    counters = rig.counters()
+    counters["skipped_ticks"] = stopped.skipped_ticks
+    for name in ("sensor_lost", "drive_syncs_without_all_answers", "skipped_ticks"):
+        count = counters.get(name, 0)
+        yield Item(what=name, value=str(count), required="0", passed=count == 0)
+    change_n = float(np.max(np.abs(_force_at_rest(context) - before)))
+    yield measured("change of the force at rest", change_n, f"at most {DRIFT_N} N", change_n <= DRIFT_N, "N")
+    yield asked(context.operator, "motor", "Can you keep your hand on the motor?")
+
+
+def ask_about_robot(context: StepContext) -> Iterator[Item]:
+    """Step 8: what only a robot with several fins shows."""
+    operator = context.operator
+    if not operator.confirm("Is this fin one of several on a robot, or operated without a person beside it?"):
+        yield Item(what="robot", value="one fin, a person beside it", required="-", passed=True)
+        return
+    for what, question in (
+        ("buses", "Has each fin a CAN bus of its own, or a drive.host_node of its own that `rig check` accepted?"),
+        ("each fin killed", "Did each fin stop when its softfin was killed in the water, the others going on or not?"),
+        ("radio off", "Did all fins stop when the radio or the network to the operator was cut?"),
+        ("no suspend", "Can the computer not suspend (systemd-inhibit, or sleep targets masked)?"),
+        ("no restart", "Does nothing restart softfin after exit code 3 (systemd: RestartPreventExitStatus=3)?"),
+    ):
+        yield asked(operator, what, question)
+
+
+STEPS: dict[int, Callable[[StepContext], Iterator[Item]]] = {
+    1: compare_data_sheets,
+    2: check_and_prove,
+    3: measure_by_hand,
+    4: stop_in_every_way,
+    5: move_fully,
+    6: move_in_water,
+    7: move_for_an_hour,
+    8: ask_about_robot,
+}
+"""The steps by number, as the form has them."""
+
+
+def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
+    """Run a step to its end, or to the first error, which is a item as well."""
+    items = []
+    try:
+        for item in STEPS[number](context):
+            mark = "passed" if item.passed else "FAILED"
+            context.operator.tell(f"{mark:>6}  {item.what}: {item.value} (required: {item.required})")
+            items.append(item)
+    except SoftfinError as error:
+        context.operator.tell(f"FAILED  {error}")
+        items.append(Item(what="error", value=str(error), required="none", passed=False))
+    return tuple(items)
+
+
+def _settings(context: StepContext) -> Iterator[Item]:
+    """Read from the drive what it does by itself, and its own limits of the current."""
+    safety = context.config.safety
+    rig = context.rig()
+    try:
+        rig.drive.open()
+        connection = rig.drive.connection
+        for entry, wanted in protocol.REACTIONS.items():
+            value = procedures.read_optional(connection, entry)
+            yield Item(
+                what=str(entry),
+                value="no such object" if value is None else str(value),
+                required=f"{wanted}, or no such object: the proof in step 2 shows what it does",
+                passed=value in (None, wanted),
+            )
+        continuous_ma = procedures.read_optional(connection, protocol.CONTINUOUS_CURRENT)
+        peak_ma = procedures.read_optional(connection, protocol.CURRENT_LIMIT)
+    finally:
+        rig.close()
+    for name, own_a, drive_ma in (
+        ("current_peak_a", safety.current_peak_a, peak_ma),
+        ("current_sustained_a", safety.current_sustained_a, continuous_ma),
+    ):
+        if own_a is not None and drive_ma is not None:
+            drive_a = drive_ma / 1000
+            yield measured(f"safety.{name}", own_a, f"below the drive's own {drive_a:g} A", own_a < drive_a, "A")
+
+
+def _proof(context: StepContext) -> Item:
+    """Prove that the drive stops without softfin's heartbeats."""
+    rig = context.rig()
+    try:
+        rig.drive.open()
+        proof = prove_stop(context.config, rig.drive)
+    finally:
+        rig.close()
+    longest_s = context.config.drive.heartbeat_s + procedures.LOSS_MARGIN_S
+    required = f"fault within {longest_s:.1f} s of the last heartbeat"
+    return measured("proof of the stop", proof.faulted_after_s, required, True, "s")
+
+
+def _refusal_of_wrong_lines(context: StepContext) -> Item:
+    """Open the drive with a rig's file that names another encoder, which must be refused."""
+    lines = context.config.drive.encoder_lines
+    rig = context.rig(changed(context.config, drive={"encoder_lines": 2 * lines}))
+    try:
+        rig.drive.open()
+        value = "accepted"
+    except RigError:
+        value = "refused"
+    finally:
+        rig.close()
+    return Item(what="wrong encoder_lines", value=value, required="refused", passed=value == "refused")
+
+
+def _provoke(context: StepContext, config: RigConfig, name: str, instruction: str) -> Stopped:
+    """Swing slowly until the operator, or whatever was provoked, stops the fin."""
+    request = StopRequest()
+    amplitude, velocity = config.drive.angle_max_rad, config.drive.fastest_rad_s
+    with context.operator.moving(f"The fin swings now: {instruction}", request):
+        rig = context.rig(config)
+        stopped = move(rig, swings(amplitude, velocity), stroke_ticks(amplitude, velocity), request, context.bag(name))
+    context.operator.tell(f"        {name}: {stopped.reason}")
+    return stopped
+
+
+def _compare_stops(name: str, way: Way, stops: list[Stopped]) -> Item:
+    """Compare how the trials of one way ended with how they must end."""
+    causes = {stopped.cause for stopped in stops}
+    value = "; ".join(sorted(causes))
+    passed = causes <= way.causes
+    if way.is_cut:
+        required = f"{' or '.join(sorted(way.causes))}; softfin says if the drive did not confirm the stop"
+        # What an unconfirmed stop says ends in what to do about it.
+        passed = passed and all(stopped.is_confirmed or "; BUT " in stopped.reason for stopped in stops)
+        return Item(what=name, value=value, required=required, passed=passed)
+    worst_s = max(stopped.seconds for stopped in stops)
+    passed = passed and worst_s <= UNPOWERED_S and all(stopped.is_confirmed for stopped in stops)
+    required = f"{' or '.join(sorted(way.causes))}, motor off within {UNPOWERED_S} s of the last good reading"
+    return Item(what=name, value=f"{value}, motor off within {worst_s:.2f} s", required=required, passed=passed)
+
+
+def _die(context: StepContext, config: RigConfig, number: signal.Signals, bag: Path) -> Death:
+    """Have the host die at a random moment while the fin moves."""
+    if context.is_simulated:
+        return die_in_process(config, context.clock, int(context.random.integers(5, 200)), bag)
+    return die_by_signal(config, number, float(context.random.uniform(0.0, 1.0)), bag)
+
+
+def _reset(context: StepContext) -> bool:
+    """Acknowledge the fault that a drive may be in; whether its motor was still on, which is then switched off."""
+    with DriveWatch(context.config, context.clock) as watch:
+        is_powered = watch.is_powered()
+    rig = context.rig()
+    try:
+        if is_powered:
+            rig.drive.switch_off()
+        rig.drive.connect()
+        rig.drive.reset_fault()
+    finally:
+        rig.close()
+    return is_powered
+
+
+def _zero_after_reset(context: StepContext) -> Item:
+    """Whether the drive still knows its zero, after all faults were reset and without a power-cycle."""
+    with DriveWatch(context.config, context.clock) as watch:
+        is_known = watch.is_referenced() or not context.config.drive.zero_needed
+    return Item(what="zero after the faults", value="known" if is_known else "lost", required="known", passed=is_known)
+
+
+def _force_at_rest(context: StepContext) -> np.ndarray:
+    rig = context.rig()
+    try:
+        rig.sensor.open()
+        return np.array(rig.sensor.measured(1.0)[0][:3])
+    finally:
+        rig.close()
+
+
+def _random_targets(context: StepContext) -> Iterator[Target]:
+    """Yield random commands within the rig's range, three per second, for the duration of the long motion."""
+    limits = context.config.drive.limits
+    for _ in range(round(3 * context.hour_s)):
+        angle = context.random.uniform(limits.angle_min, limits.angle_max)
+        velocity = context.random.uniform(limits.velocity_min, limits.velocity_max)
+        yield Target(float(angle), float(velocity))

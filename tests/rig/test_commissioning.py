@@ -1,0 +1,255 @@
+"""The whole commissioning on the emulated rig, and one failure per step that it must find."""
+
+import json
+import queue
+import signal
+
+import pytest
+
+from softfin.core.errors import ConfigurationError, RigError, RunError
+from softfin.rig.commissioning import steps
+from softfin.rig.commissioning.commission import commission_step
+from softfin.rig.commissioning.form import (
+    TITLES,
+    Form,
+    Item,
+    SignedStep,
+    config_values,
+    form_file,
+    load_form,
+    save_form,
+)
+from softfin.rig.commissioning.motion import die_by_signal, narrowed
+from softfin.rig.commissioning.operator import TerminalOperator
+from softfin.rig.commissioning.steps import STEPS
+from softfin.rig.config import RigConfig, load_rig
+from softfin.rig.epos2.protocol import State
+from softfin.rig.stop import StopRequest
+from tests.patience import wait_until
+from tests.rig.emulated_operator import EmulatedOperator
+from tests.rig.faulty_network import FaultyNetwork
+from tests.rig.rigs import over_sockets, simulated, values_of
+
+LIMITS = {"force_peak_n": 2.5, "force_sustained_n": 2.0, "current_peak_a": 2.0, "current_sustained_a": 1.5}
+"""Limits that suit the simple fin: 0.5 N and 0.4 A per rad/s."""
+
+RATE_HZ = 200.0
+
+HOUR_S = 10.0
+"""Stands for the hour of the long motion."""
+
+
+class Site:
+    """An emulated rig, its file and the operator beside it."""
+
+    def __init__(self, behind, folder):
+        self.behind = behind
+        self.file = folder / "rig.yaml"
+        self.operator = EmulatedOperator(behind)
+        self.values = values_of(behind, **LIMITS)
+        # Fewer records than usual: simulated time passes sooner.
+        behind.sensor.rate_hz = RATE_HZ
+        self.values["sensor"]["rate_hz"] = RATE_HZ
+        # The bus is that of this process.
+        self.values["bus"] = {"interface": "virtual", "channel": behind.channel}
+
+    @property
+    def config(self):
+        return RigConfig.build(self.values, "rig.yaml")
+
+    def run(self, number):
+        return commission_step(self.file, self.config, number, self.operator, self.behind.clock, HOUR_S)
+
+    def pass_until(self, number):
+        """Sign the steps before one."""
+        item = Item(what="any", value="1", required="1", passed=True)
+        steps = [
+            SignedStep(number=each, date="-", signed_by="-", items=(item,), rig=config_values(self.config))
+            for each in range(1, number)
+        ]
+        save_form(self.file, Form(attempts=tuple(steps)))
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """With fewer repetitions: each takes a second of simulated time or more."""
+    monkeypatch.setattr(steps, "CHECKS", 2)
+    monkeypatch.setattr(steps, "TRIALS", 1)
+    monkeypatch.setattr(steps, "STROKES", 4)
+    monkeypatch.setattr(steps, "SWINGS", 2)
+    with simulated() as behind:
+        yield Site(behind, tmp_path)
+
+
+def failures(step):
+    return {item.what: item.value for item in step.items if not item.passed}
+
+
+def test_every_step_passes_on_a_good_rig_and_the_form_says_so(site):
+    for number in TITLES:
+        assert load_form(site.file).next_step(site.config) == number
+        step = site.run(number)
+        assert step.passed, failures(step)
+    form = load_form(site.file)
+    assert form.next_step(site.config) is None
+    assert form.warning(site.config) is None
+    assert {"step-4-1", "step-5-1", "step-6-1", "step-7-1"} <= {
+        bag.split("/")[1] for each in form.attempts for bag in each.bags
+    }
+    assert all((site.file.parent / bag).exists() for each in form.attempts for bag in each.bags)
+    text = form_file(site.file).with_suffix(".md").read_text()
+    assert text.count("Passed; signed by A. Engineer") == len(TITLES)
+    assert "failed" not in text
+
+
+def wrong_gear_on_the_data_sheet(site):
+    site.operator.answers["Turns of the motor"] = 66.0
+    return "gear ratio"
+
+
+def a_broken_sensor(site):
+    site.behind.sensor.status = 0x88000000
+    return "rig check"
+
+
+def a_wrong_frame(site):
+    site.values["sensor"]["frame"] = "x,y"
+    return "weight along x"
+
+
+def a_drive_that_ignores_the_loss(site):
+    site.behind.drive.fault = lambda code: None
+    return "motor after CAN cable"
+
+
+def a_loose_shaft(site):
+    now = site.behind.fin.now
+    site.behind.fin.now = lambda: now()._replace(demand=now().demand + 0.06)
+    return "following error"
+
+
+def a_wide_force_limit(site):
+    site.values["safety"]["force_peak_n"] = 30.0
+    return "peak for safety.force_peak_n"
+
+
+def a_loose_connector(site):
+    FaultyNetwork.between(site.behind.sensor).disturb(drop=0.002)
+    return "sensor_lost"
+
+
+def a_robot_that_restarts_softfin(site):
+    site.operator.answers["restart"] = False
+    return "no restart"
+
+
+FAILURES = {
+    1: wrong_gear_on_the_data_sheet,
+    2: a_broken_sensor,
+    3: a_wrong_frame,
+    4: a_drive_that_ignores_the_loss,
+    5: a_loose_shaft,
+    6: a_wide_force_limit,
+    7: a_loose_connector,
+    8: a_robot_that_restarts_softfin,
+}
+
+
+@pytest.mark.parametrize("number", STEPS)
+def test_a_failure_in_a_step_is_found_there(site, number):
+    what = FAILURES[number](site)
+    site.pass_until(number)
+    step = site.run(number)
+    assert what in failures(step), step.items
+    form = load_form(site.file)
+    assert form.next_step(site.config) == number
+    assert "failed" in form_file(site.file).with_suffix(".md").read_text()
+    assert f"step {number} of 8" in form.warning(site.config)
+
+
+def test_steps_are_run_in_order(site):
+    site.pass_until(2)
+    with pytest.raises(ConfigurationError, match=r"step 4: step 2 \(Checks and proof .*\) is not passed"):
+        site.run(4)
+
+
+def test_another_drive_or_sensor_voids_the_steps_and_other_limits_do_not(site):
+    site.pass_until(9)
+    assert load_form(site.file).warning(site.config) is None
+    site.values["safety"]["force_peak_n"] = 3.0
+    site.values["sensor"]["address"] = "localhost"
+    assert load_form(site.file).warning(site.config) is None
+    site.values["drive"]["gear_ratio"] = 66.0
+    assert "no longer commissioned" in load_form(site.file).warning(site.config)
+
+
+def test_every_attempt_is_kept_and_the_latest_counts(site):
+    site.operator.answers["switch"] = False
+    assert not site.run(1).passed
+    del site.operator.answers["switch"]
+    assert site.run(1).passed
+    assert [step.passed for step in load_form(site.file).attempts] == [False, True]
+
+
+def test_an_error_in_a_step_is_a_finding_and_the_step_can_be_repeated(site):
+    site.pass_until(3)
+    site.behind.drive.go_silent()
+    step = site.run(3)
+    assert failures(step)["error"].startswith("no drive answers")
+    site.behind.drive.plug_in()
+    assert site.run(3).passed
+
+
+def test_a_damaged_form_is_refused_in_one_line(site):
+    form_file(site.file).write_text(json.dumps({"attempts": 1}))
+    with pytest.raises(RigError, match=r"rig.commissioning.json: not the form of a commissioning"):
+        load_form(site.file)
+
+
+class TestTerminal:
+    def test_answers_are_read_again_until_they_can_be_used(self):
+        shown = []
+        operator = TerminalOperator(
+            iter(["maybe\n", "yes\n", "much\n", "2.5\n", "\n", "A. Engineer\n", "\n"]), shown.append
+        )
+        assert operator.confirm("Is it on?")
+        assert operator.number("How much?") == 2.5
+        assert operator.text("Signed by") == "A. Engineer"
+        operator.wait("Let go")
+        assert "'much': not a number; write it as 2.5\n" in shown
+
+    def test_the_end_of_its_input_is_one_clear_line(self):
+        operator = TerminalOperator(iter([]), lambda _: None)
+        for _ in range(2):
+            with pytest.raises(RunError, match="input has ended; start it again, it resumes at this step"):
+                operator.confirm("Is it on?")
+
+    def test_enter_stops_the_fin_while_it_moves_and_other_lines_do_not(self):
+        typed = queue.Queue()
+        request = StopRequest()
+        operator = TerminalOperator(iter(typed.get, None), lambda _: None)
+        with operator.moving("It moves", request):
+            typed.put("2,1\n")
+            typed.put("\n")
+            wait_until(lambda: request.trip is not None)
+        assert request.trip.reason == "stopped by a key"
+
+    def test_the_end_of_its_input_stops_the_fin_while_it_moves(self):
+        typed = queue.Queue()
+        request = StopRequest()
+        operator = TerminalOperator(iter(typed.get, None), lambda _: None)
+        with operator.moving("It moves", request):
+            typed.put(None)
+            wait_until(lambda: request.trip is not None)
+        assert "input ended" in request.trip.reason
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_softfin_that_dies_leaves_a_fin_at_rest_in_real_time_too(tmp_path, number):
+    with over_sockets(tmp_path / "rig.yaml") as behind:
+        config = load_rig(tmp_path / "rig.yaml")
+        death = die_by_signal(narrowed(config, 0.3, 1.0), number, 0.2, tmp_path / "died.mcap")
+        assert "0x8130" in death.fault
+        assert behind.drive.state is State.FAULT
+        where = behind.fin.now().angle
+        assert behind.fin.now().angle == where
