@@ -143,6 +143,8 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
         (["--reference=4,0"], "not trained for"),
         (["--set", "joint_topic=joint"], "joint_topic = 'joint'"),
         (["--domain", "300"], "connection.domain = 300"),
+        (["--fin", "left fin"], "fin 'left fin': cannot be in the name of a topic"),
+        (["--fin", "left", "--set", "reference_timeout_s=null"], "reference_lost = stop: needs an age"),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, said, capsys):
@@ -152,6 +154,22 @@ def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, 
     err = capsys.readouterr().err
     assert said in err.splitlines()[-1]
     assert not there.fin.commands
+
+
+def test_a_fin_of_a_robot_has_its_own_topics_and_stops_with_exit_code_3_when_references_end(there, tmp_path, capsys):
+    messages = there.transport.messages
+
+    def ask():
+        there.transport.put("/tail/reference", messages.wrench(0, "", (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)))
+
+    there.fin.on_enable = ask
+    with pytest.raises(SystemExit) as stop:
+        run("--reference=0,0", "--fin", "tail", "--arm", "--yes", "--seconds", "60", "--bag", str(tmp_path / "a.mcap"))
+    assert stop.value.code == 3
+    assert "/tail/reference: no reference for 1 s" in capsys.readouterr().err
+    assert there.controller.asked[0] == (2.0, -1.0)
+    assert {"/tail/joint_states", "/tail/wrench", "/tail/command"} == set(there.transport.sent)
+    assert {"/tail/reference", "/tail/stop"} == set(there.transport.asked)
 
 
 def test_a_topic_of_the_fins_own_is_not_spoken_on(there, monkeypatch, capsys):

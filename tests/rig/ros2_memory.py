@@ -63,6 +63,7 @@ class MemoryTransport:
         self.messages = Messages()
         self.clock = clock
         self.sent = defaultdict(list)
+        self.sent_at = defaultdict(list)
         self.waiting = defaultdict(list)
         self.asked = defaultdict(list)
         self.deadlines = {}
@@ -79,6 +80,7 @@ class MemoryTransport:
                 raise DeviceError(f"{topic}: not sent")
             known = kind in self.messages.types.fielddefs
             self.sent[topic].append(self.messages.decode(data, kind) if known else data)
+            self.sent_at[topic].append(self.clock())
 
         return Publisher(send, lambda: self.readers[topic])
 
@@ -106,3 +108,66 @@ class MemoryTransport:
         """Publish a message with an offered quality of service, each reader of which hears it."""
         data = message if isinstance(message, bytes) else self.messages.encode(message)
         self.waiting[topic].append((data, self.clock() if at is None else at, offered))
+
+
+class TopicDriver:
+    """A fin and its driver behind a transport in memory, in simulated time, which can fail as drivers do."""
+
+    STEP_S = 0.005
+
+    def __init__(self, clock, transport, delay_s=0.02, acceleration=100.0, dead_man_s=None):
+        """`delay_s` is the time from a message to its effect; without a command for `dead_man_s` the fin stops."""
+        self.clock, self.transport = clock, transport
+        self.delay_s, self.acceleration, self.dead_man_s = delay_s, acceleration, dead_man_s
+        self.is_there = self.takes_commands = self.takes_stops = True
+        self.is_blocked = False
+        self.angle = self.velocity = self.target = 0.0
+        self.speed, self.commanded_at = 0.0, -1.0
+        self.is_stopped = False
+        self.done = defaultdict(int)
+        clock.spawn(self._run, "driver")
+
+    def _run(self):
+        while True:
+            if self.is_there:
+                self._listen()
+                for _ in range(2):
+                    self._move()
+                    self.clock.sleep(self.STEP_S)
+                self._say()
+            else:
+                self.clock.sleep(2 * self.STEP_S)
+
+    def _new(self, topic):
+        """Messages whose effect is due."""
+        times = self.transport.sent_at[topic]
+        while self.done[topic] < len(times) and times[self.done[topic]] <= self.clock() - self.delay_s:
+            self.done[topic] += 1
+            yield self.transport.sent[topic][self.done[topic] - 1]
+
+    def _listen(self):
+        for command in self._new("/command"):
+            if self.takes_commands:
+                self.target, self.speed = command.position[0], command.velocity[0]
+                self.commanded_at = self.clock()
+        for stop in self._new("/stop"):
+            if self.takes_stops:
+                self.is_stopped = stop.data
+
+    def _move(self):
+        rest = self.target - self.angle
+        wanted = np.sign(rest) * min(self.speed, np.sqrt(2 * self.acceleration * abs(rest)), abs(rest) / self.STEP_S)
+        is_alone = self.dead_man_s is not None and self.clock() - self.commanded_at > self.dead_man_s
+        if self.is_stopped or is_alone:
+            wanted = 0.0
+        change = self.acceleration * self.STEP_S
+        self.velocity += np.clip(wanted - self.velocity, -change, change)
+        if self.is_blocked:
+            self.velocity = 0.0
+        self.angle += self.velocity * self.STEP_S
+
+    def _say(self):
+        stamp = round(self.clock.wall() * 1e9)
+        messages = self.transport.messages
+        self.transport.put("/joint", messages.joint(stamp, "", "fin", self.angle, self.velocity))
+        self.transport.put("/wrench", messages.wrench(stamp, "", (0.0,) * 6))

@@ -206,6 +206,9 @@ class Ros2Arguments(Driving, Configured):
 
     reference: Force
     """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the last is too old."""
+    fin: str | None = None
+    """Name of one fin of a robot: its topics are /NAME/joint_states, /NAME/reference and so on, and it stops when
+    references end."""
     transport: TransportName | None = None
     """auto: rclpy where it is installed, else DDS without ROS 2."""
     domain: int | None = None
@@ -223,7 +226,8 @@ class Ros2Arguments(Driving, Configured):
 
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
-        topics = self.configured(NodeConfig(), connection=given or None)
+        defaults = NodeConfig() if self.fin is None else NodeConfig.of_fin(self.fin)
+        topics = self.configured(defaults, connection=given or None)
         controller, robot = self.parties()
         if isinstance(clock_of(robot.machine), SimulatedClock):
             raise RigError(

@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import VECTOR
@@ -58,6 +58,66 @@ def test_the_newest_reference_counts_and_an_old_one_does_not():
     assert node.told == ["/fin/reference: no reference for 0.5 s: the last one does not count any more"]
     node.ask(3.0, 0.0)
     assert node.node.reference() == (3.0, 0.0)
+
+
+@pytest.mark.parametrize("lost", ["keep", "zero", "stop"])
+def test_references_that_end_are_followed_by_what_is_configured(lost):
+    node, request = Node(reference_timeout_s=0.5, reference_lost=lost), StopRequest()
+    node.node.observe(request, SAMPLE, None)
+    node.now += 100.0
+    node.node.observe(request, SAMPLE, None)
+    assert node.node.reference() is None, "none has come yet"
+    node.ask(2.0, -0.5)
+    for _ in range(5):
+        node.node.observe(request, SAMPLE, None)
+        assert node.node.reference() == (2.0, -0.5)
+        node.now += 0.1
+    node.now += 0.1
+    node.node.observe(request, SAMPLE, None)
+    assert node.node.reference() == ((0.0, 0.0) if lost == "zero" else None)
+    reason = "/fin/reference: no reference for 0.5 s; start its publisher, then this node again"
+    assert request.trip == (("reference_lost", reason) if lost == "stop" else None)
+    node.ask(1.0, 1.0)
+    assert node.node.reference() == (1.0, 1.0)
+
+
+def test_references_that_are_all_refused_are_lost_too():
+    node, request = Node(reference_timeout_s=0.5, reference_lost="stop"), StopRequest()
+    node.ask(1.0, 1.0)
+    for _ in range(10):
+        node.node.observe(request, SAMPLE, None)
+        node.ask(math.nan, 1.0)
+        node.now += 0.1
+    assert request.trip is not None
+
+
+def test_no_force_that_the_controller_cannot_make_is_refused_at_once():
+    def resolve(force):
+        raise CoverageError(f"reference {force}: not trained for")
+
+    with pytest.raises(CoverageError):
+        RosNode(MemoryTransport(), NodeConfig(reference_lost="zero"), print, resolve)
+    RosNode(MemoryTransport(), NodeConfig(), print, resolve)
+
+
+def test_a_loss_without_an_age_is_refused():
+    with pytest.raises(ConfigurationError, match="reference_lost = stop: needs an age; set reference_timeout_s"):
+        NodeConfig.build({"reference_lost": "stop", "reference_timeout_s": None})
+
+
+def test_one_fin_of_a_robot_has_topics_under_its_name_and_stops_without_its_robot():
+    config = NodeConfig.of_fin("ucat/front_left")
+    assert {value for name, value in config if name.endswith("_topic")} == {
+        f"/ucat/front_left/{name}" for name in ("joint_states", "wrench", "command", "reference", "stop")
+    }
+    assert config.connection.node == "ucat_front_left"
+    assert config.reference_lost == "stop"
+
+
+@pytest.mark.parametrize("name", ["left fin", "/left", "left/", "1", "", "a//b", "schw\u00e4nzchen"])
+def test_a_fin_whose_name_cannot_be_in_a_topic_is_refused(name):
+    with pytest.raises(ConfigurationError, match="cannot be in the name of a topic; use letters"):
+        NodeConfig.of_fin(name)
 
 
 def test_without_a_timeout_the_newest_is_obeyed_for_ever():

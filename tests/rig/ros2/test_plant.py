@@ -1,4 +1,4 @@
-import threading
+import itertools
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from softfin.core.errors import CommandError, ConfigurationError, DeviceError, R
 from softfin.rig.machine import Machine, Target
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.ros2.plant import Ros2Machine
-from tests.patience import HANG_S
+from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.ros2_memory import MemoryTransport, Messages
 
 START = 1_700_000_000 * 10**9
@@ -25,13 +25,13 @@ FLIPPER = {
 
 
 class Rig:
-    """A machine on a transport in memory, and a clock that stands still."""
+    """A machine on a transport in memory, in simulated time; its driver publishes where the test says so."""
 
     def __init__(self, **changes):
-        self.now = 10.0
-        self.transport = MemoryTransport(lambda: self.now)
+        self.clock = SimulatedClock()
+        self.transport = MemoryTransport(self.clock)
         self.machine = Ros2Machine(
-            Ros2PlantConfig.build(CONFIG | changes), lambda: self.now, lambda config, types: self._with(types)
+            Ros2PlantConfig.build(CONFIG | changes), self.clock, lambda config, types: self._with(types)
         )
         self.stamp = START
         self.say()
@@ -47,7 +47,13 @@ class Rig:
         self.transport.put("/wrench", messages.wrench(self.stamp, "", wrench))
 
     def commands(self):
-        return [(m.position[0], m.velocity[0]) for m in self.transport.sent["/command"]]
+        """Commands without their repetitions."""
+        sent = [(m.position[0], m.velocity[0]) for m in self.transport.sent["/command"]]
+        return [command for command, _ in itertools.groupby(sent)]
+
+    def stops(self):
+        """Messages on the stop topic without their repetitions."""
+        return [stop for stop, _ in itertools.groupby(m.data for m in self.transport.sent["/stop"])]
 
 
 @pytest.fixture
@@ -64,15 +70,16 @@ def test_it_meets_the_contract(rig):
 
 
 def test_a_sample_is_the_newest_of_both_topics_in_softfins_axes(rig):
-    rig.now = 10.01
+    rig.clock.sleep(0.01)
     rig.say(0.5, 1.5)
+    said_at = pytest.approx(rig.clock(), abs=0.003)
     sample = rig.machine.read()
     assert (sample.angle, sample.velocity) == (0.5, 1.5)
     assert sample.wrench == (2.0, -1.0, 3.0, 5.0, -4.0, 6.0)
-    assert sample.time == pytest.approx(10.01)
+    assert sample.time == said_at
     assert sample.complaints == ()
-    rig.now = 11.0
-    assert rig.machine.read().time == pytest.approx(10.01), "what is old says so"
+    rig.clock.sleep(1.0)
+    assert rig.machine.read().time == said_at, "what is old says so"
     assert rig.machine.counters() == {
         "joint_received": 2, "joint_refused": 0, "joint_not_newer": 0,
         "wrench_received": 2, "wrench_refused": 0, "wrench_not_newer": 0,
@@ -92,7 +99,7 @@ def test_a_driver_that_counts_the_other_way_is_turned_round():
 def test_a_velocity_that_is_not_told_is_the_difference(rig):
     message = rig.transport.messages.joint(START + 10**9, "", "fin", 0.75, 0.0)
     message.velocity = np.zeros(0)
-    rig.now += 0.99
+    rig.clock.sleep(0.99)
     rig.transport.put("/joint", message)
     assert rig.machine.read().velocity == pytest.approx(0.5 / 0.99, rel=1e-2)
 
@@ -152,17 +159,23 @@ def test_nobody_who_obeys_is_told_before_anything_moves(rig):
         rig.machine.enable()
 
 
-def test_a_stop_goes_to_the_stop_topic_where_somebody_reads_it():
+def test_a_stop_holds_and_goes_to_the_stop_topic_whoever_reads_that():
     rig = Rig(stop_topic="/stop", stop_release=True)
     rig.machine.open()
-    rig.machine.enable()
+    for readers in (1, 0):
+        rig.transport.readers["/stop"] = readers
+        rig.machine.enable()
+        rig.machine.stop()
+        assert rig.stops()[-2:] == [False, True]
+        assert rig.commands()[-1] == (0.25, 3.0), "its reader may be a recorder, and the driver hears commands alone"
+
+
+def test_a_machine_that_has_not_moved_its_fin_asks_for_a_stop_and_holds_nothing():
+    rig = Rig(stop_topic="/stop")
+    rig.machine.open()
     rig.machine.stop()
-    assert [message.data for message in rig.transport.sent["/stop"]] == [False, True]
-    assert len(rig.commands()) == 1
-    rig.transport.readers["/stop"] = 0
-    rig.machine.enable()
-    rig.machine.stop()
-    assert rig.commands()[-1] == (0.25, 3.0), "nobody reads it: hold"
+    assert rig.stops() == [True]
+    assert rig.commands() == []
 
 
 def test_a_stop_never_raises(rig):
@@ -193,9 +206,8 @@ def test_a_stop_in_the_middle_of_a_command_has_the_last_word(rig):
 
 def test_a_stop_from_another_thread_ends_the_commands(rig):
     rig.machine.enable()
-    thread = threading.Thread(target=rig.machine.stop)
-    thread.start()
-    thread.join(HANG_S)
+    thread = rig.clock.spawn(rig.machine.stop, "other")
+    thread.join(1.0)
     assert not thread.is_alive()
     with pytest.raises(DeviceError, match="not enabled"):
         rig.machine.command(Target(1.0, 2.0))
@@ -205,21 +217,25 @@ def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
     rig = Rig(stop_topic="/stop")
     rig.machine.open()
     rig.machine.enable()
-    publisher, hangs, goes_on = rig.machine._topics.commands.publisher, threading.Event(), threading.Event()
+    publisher, goes_on = rig.machine._topics.commands.publisher, rig.clock.event()
+    send = publisher.send
 
-    def send(data):
-        hangs.set()
-        goes_on.wait(HANG_S)
+    def hang(data):
+        goes_on.wait()
+        send(data)
 
-    publisher.send = send
-    thread = threading.Thread(target=rig.machine.command, args=(Target(1.0, 2.0),))
-    thread.start()
-    assert hangs.wait(HANG_S)
+    publisher.send = hang
+    thread = rig.clock.spawn(lambda: rig.machine.command(Target(1.0, 2.0)), "loop")
+    rig.clock.sleep(0.01)
+    before = rig.clock()
     rig.machine.stop()
-    assert [message.data for message in rig.transport.sent["/stop"]] == [True]
+    assert rig.clock() - before < 0.6
+    assert rig.stops() == [True]
+    assert rig.transport.sent_at["/stop"][0] - before < 0.03
     goes_on.set()
-    thread.join(HANG_S)
-    assert len(rig.transport.sent["/stop"]) == 2, "and the stop has the last word"
+    thread.join(1.0)
+    assert not thread.is_alive()
+    assert rig.commands()[-1] == (0.25, 3.0), "and the stop has the last word"
 
 
 def test_a_reading_that_is_no_number_is_a_complaint(rig):
@@ -274,7 +290,7 @@ def test_a_flipper_follows_the_command_at_its_velocity_twenty_times_a_second():
     rig.machine.enable()
     rig.machine.command(Target(1.25, 2.0))
     for _ in range(100):
-        rig.now += 0.01
+        rig.clock.sleep(0.01)
         rig.machine.read()
     sent = rig.transport.sent["/command"][1:]
     assert len(sent) == 21
@@ -284,7 +300,7 @@ def test_a_flipper_follows_the_command_at_its_velocity_twenty_times_a_second():
     rig.machine.stop()
     assert rig.transport.sent["/command"][-1].zero_direction == pytest.approx(0.25)
     count = len(rig.transport.sent["/command"])
-    rig.now += 1.0
+    rig.clock.sleep(1.0)
     rig.machine.read()
     assert len(rig.transport.sent["/command"]) == count, "after a stop nothing is sent"
 
@@ -295,7 +311,7 @@ def test_a_flipper_that_was_stopped_by_its_topic_starts_again_from_where_it_is()
     rig.machine.enable()
     rig.machine.command(Target(1.25, 2.0))
     rig.machine.stop()
-    rig.now += 1.0
+    rig.clock.sleep(1.0)
     rig.say(0.5)
     rig.machine.enable()
     assert rig.transport.sent["/command"][-1].zero_direction == pytest.approx(0.5)

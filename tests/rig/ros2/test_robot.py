@@ -151,8 +151,26 @@ def test_one_reach_for_each_fin_is_kept():
         assert np.hypot(*pool.forces(name).T).max() <= reach + 1e-9
 
 
-def test_without_a_new_wrench_the_fins_are_asked_for_nothing():
+def test_wrenches_that_end_stop_every_fin():
     pool = Pool(reference_timeout_s=0.5)
+    pool.at(2.0, lambda: setattr(pool, "wrench", None))
+    error = pool.run(8.0)
+    assert isinstance(error, SafetyStop)
+    assert str(error) == (
+        "/robot/reference: no wrench for 0.5 s; every fin was told to stop; start its publisher, then the nodes again"
+    )
+    assert not pool.alive
+    assert pool.clock.now < 104
+
+
+def test_a_robot_that_nobody_has_asked_for_a_wrench_yet_waits():
+    pool = Pool(reference_timeout_s=0.5)
+    pool.wrench = None
+    assert str(pool.run(8.0)) == "the end; every fin was told to stop"
+
+
+def test_without_a_new_wrench_the_fins_may_be_asked_for_nothing():
+    pool = Pool(reference_timeout_s=0.5, reference_lost="zero")
     pool.at(2.0, lambda: setattr(pool, "wrench", None))
     pool.run()
     together = pool.together()
@@ -239,7 +257,7 @@ def test_a_fin_that_is_not_there_at_the_start_may_be_dead():
 
 
 def test_a_wrench_from_before_the_start_does_not_count():
-    pool = Pool()
+    pool = Pool(reference_lost="zero")
     pool.alive.discard("front_left")
     pool.at(1.0, lambda: setattr(pool, "wrench", None))
     pool.at(3.0, lambda: pool.alive.add("front_left"))

@@ -1,6 +1,7 @@
 """Configuration of ROS 2: how to reach other nodes, the topics of softfin's nodes, the topics of a fin."""
 
 import os
+import re
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
@@ -8,7 +9,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, PositiveFloat, Str
 
 from softfin.core.choices import TransportName
 from softfin.core.configuration import Configuration
-from softfin.core.errors import RigError
+from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.quantities import Limits
 from softfin.data.importing.importing import FORCE_FRAMES
 
@@ -67,15 +68,31 @@ class NodeConfig(Configuration):
     """Frame of the forces: +x is thrust that pushes the robot forward."""
     reference_timeout_s: PositiveFloat | None = 1.0
     """Age beyond which a reference does not count any more [s]; None obeys the newest for ever."""
+    reference_lost: Literal["keep", "zero", "stop"] = "keep"
+    """Reaction to a reference that came and is too old. keep: --reference holds again; zero: the target is 0 N, for
+    which the fin may beat all the same; stop: the fin is stopped."""
     reference_limit_n: PositiveFloat = Field(default=20.0)
     """A reference beyond this on either axis is refused [N]: twice what a fin like the paper's can make."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """How to reach other nodes."""
 
+    @classmethod
+    def of_fin(cls, name: str) -> "NodeConfig":
+        """Return the defaults for one fin of a robot: topics under its name, and a stop if its robot's node is lost."""
+        if not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
+            raise ConfigurationError(
+                f"fin {name!r}: cannot be in the name of a topic; use letters, digits and _, as front_left, or "
+                "ucat/front_left in a namespace"
+            )
+        connection = TransportConfig(node=name.replace("/", "_"))
+        return cls(**fin_topics(name), reference_lost="stop", connection=connection)
+
     @model_validator(mode="after")
-    def _apart(self) -> "NodeConfig":
+    def _check(self) -> "NodeConfig":
         check_names([value for name, value in self if name.endswith("_topic")])
+        if self.reference_lost != "keep" and self.reference_timeout_s is None:
+            raise ValueError(f"reference_lost = {self.reference_lost}: needs an age; set reference_timeout_s")
         return self
 
 
@@ -102,13 +119,27 @@ class RobotNodeConfig(Configuration):
     """Greatest mean force that a fin makes in every direction [N]: one number, or one for each fin by name. Required:
     it is of your fins, and of their controllers."""
     reference_timeout_s: PositiveFloat = 1.0
-    """Age beyond which a wrench does not count any more [s]; then the fins are asked for no force."""
+    """Age beyond which a wrench does not count any more [s]."""
+    reference_lost: Literal["zero", "stop"] = "stop"
+    """Reaction to a wrench that came and is too old. zero: the fins are asked for no force; stop: every fin is stopped,
+    and this node."""
     fin_timeout_s: PositiveFloat = 0.5
     """Silence of a fin's joint_states beyond which it counts as silent [s]."""
     wait_s: PositiveFloat = Field(default=60.0, le=600)
     """Longest wait for all fins at the start [s]."""
     connection: TransportConfig = Field(default_factory=lambda: TransportConfig(node="softfin_robot"))
     """How to reach other nodes."""
+
+
+def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
+    """Return the topics of the node of a robot's fin, by their names in NodeConfig."""
+    return {
+        "joint_topic": f"{prefix}/{name}/joint_states",
+        "wrench_topic": f"{prefix}/{name}/wrench",
+        "command_topic": f"{prefix}/{name}/command",
+        "reference_topic": f"{prefix}/{name}/reference",
+        "stop_topic": f"{prefix}/{name}/stop",
+    }
 
 
 def check_names(topics: Sequence[str]) -> None:
@@ -157,6 +188,9 @@ class Ros2PlantConfig(Configuration):
     """std_msgs/Bool that the driver brakes and disables its motor on. None: a stop is a command to hold."""
     stop_release: bool = False
     """Send false on the stop topic when the fin is enabled: only where that takes back nobody else's stop."""
+    driver_delay_s: float = Field(default=0.15, ge=0, le=1)
+    """Time by which the fin may follow its commands late [s]: the driver's delay, and its ramps: two velocities divided
+    by the acceleration. Only what lags behind for longer is a following error."""
     best_effort: bool = True
     """Read joint and wrench as sensor data: it matches every publisher, and a lost reading is not sent again."""
     wait_s: PositiveFloat = Field(default=5.0, le=120)

@@ -36,6 +36,8 @@ class NewestReference(Generic[Value]):
         """`timeout_s` is the age beyond which a reference does not count any more [s]; None: never."""
         self.subscription, self._timeout, self._clock, self._once = subscription, timeout_s, clock, once
         self._newest: tuple[float, Value] | None = None
+        self.is_lost = False
+        """Whether references came, and the newest is too old."""
 
     def newest(self) -> Value | None:
         """The newest reference that counts; None where none has come, or the newest is too old, which is reported."""
@@ -46,10 +48,12 @@ class NewestReference(Generic[Value]):
         if self.subscription.refusal is not None:
             self._once(self.subscription.refusal)
         if self.subscription.mismatched():
-            self._once(f"{self.subscription.topic}: a publisher there is not heard; it must be reliable, not best "
-                       "effort")  # fmt: skip
+            topic = self.subscription.topic
+            self._once(f"{topic}: a publisher there is not heard; it must be reliable, not best effort")
         newest, timeout = self._newest, self._timeout
-        if newest is not None and timeout is not None and self._clock() - newest[0] > timeout:
+        if newest is not None:
+            self.is_lost = timeout is not None and self._clock() - newest[0] > timeout
+        if newest is not None and self.is_lost:
             self._newest = newest = None
             topic = self.subscription.topic
             self._once.report(f"{topic}: no reference for {timeout:g} s: the last one does not count any more")
@@ -82,16 +86,16 @@ class EmergencyStop:
         """Reason to stop for good; None where nobody has asked for it."""
         if self._reason is None:
             try:
-                self._reason = next(filter(None, map(self._was_requested, self._subscriptions.values())), None)
+                self._reason = next(filter(None, map(self._read_stop, self._subscriptions.values())), None)
                 # The other readers do not match every publisher, and need not: this one asks for the least.
                 if self._subscriptions["best_effort"].mismatched():
-                    self._once(f"{self._topic}: a publisher there cannot be heard, so it cannot stop the fin; "
-                               "give it ROS 2's default quality of service")  # fmt: skip
+                    problem = "a publisher there cannot be heard, so it cannot stop the fin"
+                    self._once(f"{self._topic}: {problem}; give it ROS 2's default quality of service")
             except DeviceError as error:
                 self._reason = f"emergency stop cannot be heard: {error}"
         return self._reason
 
-    def _was_requested(self, subscription: Subscription[bool]) -> str | None:
+    def _read_stop(self, subscription: Subscription[bool]) -> str | None:
         if any(stop for _, stop in subscription.take()):
             return f"emergency stop on {self._topic}"
         if subscription.refusal is not None:

@@ -35,6 +35,8 @@ class RosNode:
         kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
         subscription = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
         self._references = NewestReference(subscription, topics.reference_timeout_s, clock, self._report_once)
+        # A controller that cannot make it is refused before anything moves.
+        self._no_force = resolve((0.0, 0.0))[0] if topics.reference_lost == "zero" else None
         self._stop = EmergencyStop(transport, topics.stop_topic, self._report_once)
         self._published: Target | None = None
         self._unsent = 0
@@ -56,8 +58,9 @@ class RosNode:
             self._report_once(str(error))
 
     def reference(self) -> Force | None:
-        """The newest reference that counts; None where none has come, or the newest is too old."""
-        return self._references.newest()
+        """The newest reference that counts; where it is too old, no force or None, as configured."""
+        newest = self._references.newest()
+        return self._no_force if newest is None and self._references.is_lost else newest
 
     def stop_reason(self) -> str | None:
         """Reason to stop for good; None where nobody has asked for it. An unreadable message stops, too."""
@@ -70,6 +73,11 @@ class RosNode:
             request.ask("emergency_stop", reason)
         # Taken here too, so that its age counts from when it came, not from the next action.
         self.reference()
+        if self._references.is_lost and self.config.reference_lost == "stop":
+            # A fin whose robot, radio or operator is gone must not go on swimming.
+            topic, timeout_s = self.config.reference_topic, self.config.reference_timeout_s
+            reason = f"{topic}: no reference for {timeout_s:g} s; start its publisher, then this node again"
+            request.ask("reference_lost", reason)
         self.publish(sample, target)
 
     def counters(self) -> dict[str, int]:

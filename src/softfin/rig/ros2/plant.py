@@ -3,24 +3,35 @@
 Tried with drivers of our own making on loopback; it has met neither a real driver nor a node of ROS 2.
 """
 
-import contextlib
+import functools
 import importlib.util
-import math
-import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from softfin.core.clock import REAL, Clock
 from softfin.core.errors import CommandError, DeviceError, RigError, one_line
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
+from softfin.rig.ros2.braking import brake
 from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
 from softfin.rig.ros2.connection import BOOL, Publisher, Quality, Subscription, Transport, joint_of, wrench_of
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import JOINT_STATE, SECOND_NS, WRENCH_STAMPED, cdr, serialized, type_store
+
+COMMAND_RATE_HZ = 20.0
+"""Rate at which a JointState command is repeated [Hz]."""
+
+COMMAND_DEADLINE_S = 0.2
+"""Silence on the command topic after which a driver should stop its fin [s]: four commands are missing by then, and it
+is longer than the lateness of a tick that safety tolerates by default."""
+
+LOCK_S = 0.02
+"""Longest wait of a stop for a command in progress [s]; it takes 5 ms at most, unless it hangs."""
 
 
 def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
@@ -68,14 +79,19 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
 
 
 class Commands:
-    """Commands as messages: one for each, or, with a period, a set-point that goes to the target at its velocity."""
+    """Commands as messages, repeated while they are in force, and the set-point that goes to the target meanwhile."""
 
     def __init__(self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float) -> None:
         """`encode` makes a message of the target and the set-point [rad]."""
         self.publisher, self._encode, self._period = publisher, encode, period_s
+        self._setpoint = self._since = self._next = 0.0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin the next set-point at the measured angle."""
         self.target: Target | None = None
         """Target of the set-point; None where that begins at the measured angle."""
-        self._setpoint = self._since = self._next = 0.0
+        self._recent: deque[tuple[float, float]] = deque()
 
     def send(self, target: Target, angle: float, now: float) -> None:
         """Move on from where the set-point is; from the measured angle where there is none yet."""
@@ -92,9 +108,20 @@ class Commands:
             self.publisher.send(self._encode(self.target, self._at(self.target, now)))
 
     def hold(self, angle: float, velocity: float) -> None:
-        """Send one message by which it stays where it is, then none."""
-        self.target = None
+        """Send one message by which it stays at an angle [rad]; from any thread."""
         self.publisher.send(self._encode(Target(angle, velocity), angle))
+
+    def following_error(self, angle: float, now: float, delay_s: float) -> float:
+        """Return by how much the set-point leads a measured angle [rad].
+
+        A fin that is where any set-point of the last `delay_s` was has no error: the driver may be late by so much.
+        """
+        assert self.target is not None
+        self._recent.append((now, self._at(self.target, now)))
+        while self._recent[0][0] < now - delay_s:
+            self._recent.popleft()
+        setpoints = [setpoint for _, setpoint in self._recent]
+        return max(min(setpoints) - angle, 0.0) + min(max(setpoints) - angle, 0.0)
 
     def _at(self, target: Target, now: float) -> float:
         reach = target.velocity * (now - self._since)
@@ -114,26 +141,31 @@ class _Topics(NamedTuple):
 class Ros2Machine:
     """Meets the Machine contract.
 
-    What a stop does lies with the driver. With a `stop_topic` that somebody reads, `true` goes there, and what follows
-    is the driver's doing. Else the last command holds the angle that was last measured: the fin brakes as its driver
-    brakes, the motor stays on, and a driver that does not listen goes on. Keep a switch of the motor's supply at hand.
+    What a stop does lies with the driver. A command holds the angle that was last measured, so that the fin brakes as
+    its driver brakes; with a `stop_topic`, `true` goes there as well. Both are repeated until the fin is at rest. The
+    motor may stay on, and a driver that does not listen goes on, which is reported. Keep a switch of the motor's supply
+    at hand.
     """
 
     name = "ros2"
-    stop_unconfirmed: str | None = "whether the motor is off lies with its driver; keep a switch of its supply at hand"
 
     def __init__(
-        self, config: Ros2PlantConfig, clock: Callable[[], float] = time.monotonic,
+        self, config: Ros2PlantConfig, clock: Clock = REAL,
         opener: Callable[[TransportConfig, Typestore], Transport] = open_transport,
     ) -> None:  # fmt: skip
-        self.config, self._clock, self._opener = config, clock, opener
+        self.config, self.clock, self._opener = config, clock, opener
         self.limits: Limits = config.limits
         self._types = define_types(config.flipper.definitions if config.flipper else {})
         self._sign = -1.0 if config.negate_angle else 1.0
         # A signal's handler may stop the machine while this very thread is in the middle of a command.
-        self._lock = threading.RLock()
+        self._lock = clock.lock()
+        # The loop reads, and a stop in another thread looks whether the fin still turns.
+        self._reading = clock.lock()
         self._topics: _Topics | None = None
         self._enabled = False
+        self._was_enabled = False
+        """Whether it was since it was opened: then its motion is softfin's."""
+        self._stop_failure: str | None = None
         self._joint: tuple[float, float, float] | None = None
         """Time [s], angle [rad] and velocity [rad/s]."""
         self._force: tuple[float, Wrench] | None = None
@@ -144,9 +176,17 @@ class Ros2Machine:
         """Remarks on the connection."""
         return () if self._topics is None else self._topics.transport.notes
 
+    @property
+    def stop_unconfirmed(self) -> str | None:
+        """Doubt that is left after a stop: whether the motor is off, always; and whether the fin still turns."""
+        return (
+            self._stop_failure or "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+        )
+
     def open(self) -> None:
         """Wait until joint and wrench publish; nothing is sent."""
         self.close()
+        self._stop_failure = None
         config, flipper, sign, turn = self.config, self.config.flipper, self._sign, rotation(self.config.frame)
         transport = self._opener(config.connection, self._types)
 
@@ -164,8 +204,9 @@ class Ros2Machine:
             encode(Target(0.0, 0.0), 0.0)
             joint = subscribe(config.joint_topic, JOINT_STATE, lambda message: joint_of(message, config.joint_name))
             wrench = subscribe(config.wrench_topic, WRENCH_STAMPED, lambda message: rotated(wrench_of(message), turn))
-            publisher = transport.publish(config.command_topic, flipper.type if flipper else JOINT_STATE)
-            commands = Commands(publisher, encode, 1 / flipper.rate_hz if flipper else math.inf)
+            kind = flipper.type if flipper else JOINT_STATE
+            publisher = transport.publish(config.command_topic, kind, COMMAND_DEADLINE_S)
+            commands = Commands(publisher, encode, 1 / (flipper.rate_hz if flipper else COMMAND_RATE_HZ))
             stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
             self._topics = _Topics(transport, joint, wrench, commands, stop)
             self._await_first(self._topics)
@@ -179,11 +220,18 @@ class Ros2Machine:
         topics = self._take()
         assert self._joint is not None
         assert self._force is not None
+        complaints = [refusal for refusal in (topics.joint.refusal, topics.wrench.refusal) if refusal is not None]
+        following_error = None
         with self._lock:
             if self._enabled:
                 self._send(topics.commands.tick)
-        complaints = tuple(filter(None, (topics.joint.refusal, topics.wrench.refusal)))
-        return Sample(*self._joint, None, None, *self._force, complaints)
+            if self._enabled:
+                angle, delay_s = self._joint[1], self.config.driver_delay_s
+                following_error = topics.commands.following_error(angle, self.clock(), delay_s)
+                if not topics.commands.publisher.readers():
+                    topic = self.config.command_topic
+                    complaints.append(f"nobody reads {topic} any more: commands go nowhere; start the driver again")
+        return Sample(*self._joint, None, following_error, *self._force, tuple(complaints))
 
     def enable(self) -> None:
         """Take commands, and hold where it is."""
@@ -197,10 +245,12 @@ class Ros2Machine:
             raise DeviceError(f"nobody reads {self.config.command_topic}: commands would go nowhere; start the driver, "
                               "and check the topic's type")  # fmt: skip
         with self._lock:
-            if self.config.stop_release:
-                self._send_stop(False)
-            # Where a stop topic ended the last motion, the fin is not at that motion's set-point.
-            self._enabled, topics.commands.target = True, None
+            if self.config.stop_release and topics.stop is not None:
+                topics.stop.send(serialized(BOOL, {"data": False}))
+            # Where a stop ended the last motion, the fin is not at that motion's set-point.
+            topics.commands.restart()
+            self._stop_failure = None
+            self._enabled = self._was_enabled = True
             self._send(topics.commands.send, Target(angle, limits.velocity_min), angle)
 
     def command(self, target: Target) -> None:
@@ -214,15 +264,38 @@ class Ros2Machine:
             self._send(self._topics.commands.send, target, self._joint[1])
 
     def stop(self) -> None:
-        """See the class for what it can do and cannot."""
-        # A command that hangs in its transport, where 5 ms are usual, must not keep the watchdog from its stop.
-        alone = self._lock.acquire(timeout=0.02)
-        try:
-            was_enabled, self._enabled = self._enabled, False
-            self._brake(was_enabled)
-        finally:
-            if alone:
-                self._lock.release()
+        """Brake until the fin is at rest, 0.5 s at most; see the class for what it can do and cannot."""
+        # A command that hangs in its transport must not keep the watchdog from its stop.
+        alone = self._lock.acquire(timeout=LOCK_S)
+        self._enabled = False
+        topics, joint = self._topics, self._joint
+        if alone:
+            self._lock.release()
+        if topics is None or joint is None:
+            return
+        sends = []
+        if self._was_enabled:
+            # First, and whoever reads the stop topic: that may be a recorder, while the driver does not.
+            sends.append(functools.partial(topics.commands.hold, joint[1], self.limits.velocity_max))
+        if topics.stop is not None:
+            sends.append(functools.partial(topics.stop.send, serialized(BOOL, {"data": True})))
+        if not sends:
+            return
+        last: list[tuple[float, float]] = []
+
+        def look() -> tuple[float, float]:
+            self._take()
+            assert self._joint is not None
+            last[:] = [self._joint[:2]]
+            return last[0]
+
+        if brake(self.clock, sends, look) or not self._was_enabled:
+            # A fin that softfin has not moved is turned by somebody else.
+            self._stop_failure = None
+        elif last and last[0][0] > joint[0]:
+            self._stop_failure = "the fin still turns; switch off its supply"
+        else:
+            self._stop_failure = f"no new {self.config.joint_topic} show whether the fin stands; switch off its supply"
 
     def close(self) -> None:
         """Stop and leave; a machine that was not enabled sends nothing."""
@@ -232,6 +305,7 @@ class Ros2Machine:
             self._counted = self.counters()
             topics, self._topics = self._topics, None
             self._joint = self._force = None
+            self._was_enabled = False
         if topics is not None:
             topics.transport.close()
 
@@ -246,10 +320,10 @@ class Ros2Machine:
         }
 
     def _await_first(self, topics: _Topics) -> None:
-        deadline = time.monotonic() + self.config.wait_s
-        while (self._joint is None or self._force is None) and time.monotonic() < deadline:
+        deadline = self.clock() + self.config.wait_s
+        while (self._joint is None or self._force is None) and self.clock() < deadline:
             self._take()
-            time.sleep(0.002)
+            self.clock.sleep(0.002)
         for awaited, value in ((topics.joint, self._joint), (topics.wrench, self._force)):
             if value is None:
                 there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
@@ -265,34 +339,20 @@ class Ros2Machine:
         topics = self._topics
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
-        for at, (angle, velocity) in topics.joint.take():
-            if velocity is None:
-                # A driver that reports no velocity: the difference from the reading before.
-                then, before, _ = self._joint or (at, 0.0, 0.0)
-                velocity = (self._sign * angle - before) / (at - then) if at > then else 0.0
-            else:
-                velocity *= self._sign
-            self._joint = at, self._sign * angle, velocity
-        self._force = next(reversed(topics.wrench.take()), self._force)
+        with self._reading:
+            for at, (angle, velocity) in topics.joint.take():
+                if velocity is None:
+                    # A driver that reports no velocity: the difference from the reading before.
+                    then, before, _ = self._joint or (at, 0.0, 0.0)
+                    velocity = (self._sign * angle - before) / (at - then) if at > then else 0.0
+                else:
+                    velocity *= self._sign
+                self._joint = at, self._sign * angle, velocity
+            self._force = next(reversed(topics.wrench.take()), self._force)
         return topics
 
     def _send(self, send: Callable[..., None], *what: Target | float) -> None:
         """Send a message that moves; a stop in between, by a signal, has the last word."""
-        send(*what, self._clock())
+        send(*what, self.clock())
         if not self._enabled:
-            self._brake(was_enabled=True)
-
-    def _send_stop(self, stop: bool) -> bool:
-        """Ask the driver to stop, or take that back, where it has a topic for it; returns whether somebody reads it."""
-        if self._topics is None or self._topics.stop is None:
-            return False
-        self._topics.stop.send(serialized(BOOL, {"data": stop}))
-        return self._topics.stop.readers() > 0
-
-    def _brake(self, was_enabled: bool) -> None:
-        with contextlib.suppress(Exception):
-            if self._send_stop(True):
-                return
-        with contextlib.suppress(Exception):
-            if was_enabled and self._topics is not None and self._joint is not None:
-                self._topics.commands.hold(self._joint[1], self.limits.velocity_max)
+            self.stop()

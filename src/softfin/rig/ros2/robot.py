@@ -15,7 +15,7 @@ from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, DeviceError, RigError, SafetyStop
 from softfin.rig.machine import Wrench
 from softfin.rig.pace import Pace
-from softfin.rig.ros2.config import RobotNodeConfig, check_names
+from softfin.rig.ros2.config import RobotNodeConfig, check_names, fin_topics
 from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, check_frame, wrench_of
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
@@ -39,7 +39,9 @@ class FinTopics:
 
     def __init__(self, transport: Transport, name: str, prefix: str) -> None:
         self.name = name
-        self.joint_topic, self.reference_topic, self.stop_topic = fin_topics(name, prefix)
+        topics = fin_topics(name, prefix)
+        self.joint_topic, self.stop_topic = topics["joint_topic"], topics["stop_topic"]
+        self.reference_topic = topics["reference_topic"]
         self.reference: Publisher = transport.publish(self.reference_topic, WRENCH_STAMPED)
         self.stop: Publisher = transport.publish(self.stop_topic, BOOL)
         # Not stamped: a fin that publishes is there; whether its readings are new, its own safety watches.
@@ -88,7 +90,8 @@ class RobotNode:
         """Wait for the fins, then act until a stop; however it ends, every fin is told to stop.
 
         Raises:
-            SafetyStop: somebody asked for a stop, or a fin is silent and `silent_fin` is stop.
+            SafetyStop: somebody asked for a stop, wrenches ended and `reference_lost` is stop, or a fin is silent and
+                `silent_fin` is stop.
             DeviceError: fins were not there within `wait_s`.
         """
         pace = Pace(self._clock)
@@ -107,7 +110,7 @@ class RobotNode:
         """Publish the references of one action, the wrench that they make, and whether that is less than asked for."""
         wrench = self._wrenches.newest()
         if wrench is None:
-            # Fins that brace themselves would go on swimming for nobody.
+            # Fins that brace themselves would go on beating for nobody.
             action = Allocation(self._rest, np.zeros(6), np.zeros(6, bool))
         else:
             action, self._brace = self._allocation.share(np.array(wrench), self._forces, self._brace)
@@ -127,6 +130,10 @@ class RobotNode:
     def watch(self, request: StopRequest) -> None:
         """Pass on stops, and look for silent fins: at every tick of 10 ms; raises SafetyStop."""
         self._listen(request)
+        if self._wrenches.is_lost and self.config.reference_lost == "stop":
+            # A robot whose radio or operator is gone must not go on swimming.
+            reason = f"{self.config.reference_topic}: no wrench for {self.config.reference_timeout_s:g} s"
+            raise SafetyStop(f"{reason}; every fin was told to stop; start its publisher, then the nodes again")
         now, timeout = self._clock(), self.config.fin_timeout_s
         for number, fin in enumerate(self.fins):
             if number not in self._allocation.dead and fin.is_silent(now, timeout):
@@ -216,11 +223,6 @@ class RobotNode:
         return wrench
 
 
-def fin_topics(name: str, prefix: str) -> tuple[str, str, str]:
-    """Names of the topics of a fin: its joint_states, reference and stop."""
-    return f"{prefix}/{name}/joint_states", f"{prefix}/{name}/reference", f"{prefix}/{name}/stop"
-
-
 def fin_reach(robot: RobotConfig, config: RobotNodeConfig) -> list[float]:
     """Return the greatest mean force of each fin [N]; raises ConfigurationError where one is not configured."""
     thrust, names = config.max_thrust, list(robot.fins)
@@ -247,6 +249,6 @@ def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
             )
     own = [value for name, value in config if name.endswith("_topic")]
     try:
-        check_names([*own, *(topic for name in robot.fins for topic in fin_topics(name, config.fin_prefix))])
+        check_names([*own, *(topic for name in robot.fins for topic in fin_topics(name, config.fin_prefix).values())])
     except ValueError as error:
         raise RigError(f"{robot.name}: {error}") from None
