@@ -29,7 +29,7 @@ SEEDS = (10, 11, 12, 13, 14)
 BENCHMARKS = {
     "tank": (2, 5), "task": (2, 5), "surrogate": (1, 5), "fit": (2, 5), "ppo": (6, 3), "controllers": (7, 3),
     "cells": (3, 3), "compile": (6, 1), "memory": (6, 1), "controller_step": (1, 5), "recording": (1, 5), "rig": (3, 3),
-    "rig_deaths": (75, 1), "activation": (8, 3),
+    "rig_deaths": (60, 1), "activation": (8, 3),
     "robot": (2, 3), "explore": (1, 5),
 }  # fmt: skip
 """Benchmarks: minutes of each run, and runs. Those of few runs take long, or count what hardly varies."""

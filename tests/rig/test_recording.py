@@ -25,9 +25,9 @@ def test_a_session_is_recorded_whole(tmp_path):
         session.hold(Target(0.2, 1.0), 20)
         session.deactivate()
     assert events_of(tmp_path / "run.mcap") == ["active: free fin", "inactive"]
-    # One reading settles that all is well before the motor is enabled.
+    # Ten readings settle that all is well before the motor is enabled.
     assert counts_of(tmp_path / "run.mcap") == {
-        DEFAULT_TOPICS["command"]: 2, DEFAULT_TOPICS["joint"]: 21, DEFAULT_TOPICS["wrench"]: 21, CURRENT: 21, EVENTS: 2
+        DEFAULT_TOPICS["command"]: 2, DEFAULT_TOPICS["joint"]: 30, DEFAULT_TOPICS["wrench"]: 30, CURRENT: 30, EVENTS: 2
     }  # fmt: skip
 
 

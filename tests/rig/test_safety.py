@@ -54,7 +54,7 @@ def test_nothing_is_wrong_with_a_fin_that_is_well():
         ({"wrench": (0.0, 0.0, 0.0, 0.0, -5.1, 0.0)}, "torque_peak", ("5.10", "5 N m")),
         ({"current": -4.1}, "current_peak", ("4.10", "4 A")),
         ({"time": 49.9}, "angle_stale", ("100 ms", "50 ms", "cable")),
-        ({"force_time": 49.8}, "force_stale", ("200 ms", "100 ms", "network")),
+        ({"force_time": 49.8}, "force_stale", ("200 ms", "150 ms", "network")),
     ],
 )
 def test_what_is_beyond_a_limit_trips_at_once_with_figures_and_the_way_out(changes, cause, figures):
