@@ -19,6 +19,9 @@ WAITS = ("wait", "join", "communicate", "settimeout", "create_connection", "urlo
 SIMULATED = (
     "tests/rig/conformance.py",
     "tests/rig/epos2/test_drive.py",
+    "tests/rig/epos2/test_own_stop.py",
+    "tests/rig/epos2/test_several_fins.py",
+    "tests/rig/ros2/test_plant.py",
     "tests/rig/test_simulated_clock.py",
 )
 """Files in which these waits are in simulated time, in which nothing is slow."""
