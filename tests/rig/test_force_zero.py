@@ -77,6 +77,19 @@ def opened(config, clock):
         rig.close()
 
 
+def test_a_rig_that_is_refused_for_its_zero_leaves_nothing_open(bench):
+    behind, config = bench
+    zero_force(config, 0.2, behind.clock)
+    behind.sensor.reboot(0.1)
+    behind.clock._now += 60.0
+    rig = Rig(config, behind.clock)
+    with pytest.raises(RigError, match="its zero is lost"):
+        rig.open()
+    with pytest.raises(DeviceError, match="not open"):
+        rig.sensor.stream
+    rig.close()
+
+
 @pytest.mark.parametrize("pause_s", [0.0, 60.0, 3600.0])
 def test_a_zero_that_was_kept_is_no_obstacle(bench, pause_s):
     behind, config = bench

@@ -66,6 +66,7 @@ class Rig:
             check_force_zero(self.sensor, self.config)
         except BaseException:
             self.drive.close()
+            self.sensor.close()
             raise
 
     def read(self) -> Sample:
