@@ -82,10 +82,7 @@ ELSEWHERE = {
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
-    "ros2 controller --reference=0,0 --plant rig:front_left.yaml --arm "
-    "--set joint_topic=/front_left/joint_states --set reference_topic=/front_left/reference "
-    "--set stop_topic=/front_left/stop --set wrench_topic=/front_left/wrench "
-    "--set command_topic=/front_left/command": "tests/cli/test_ros2.py",
+    "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "robot evaluate ucat --hold --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --dead --out one-fin-dead": "tests/cli/test_robot.py",

@@ -116,13 +116,9 @@ def plant(_: Path) -> dict[str, Any]:
     """A machine of topics on the child's driver: open, read, move, stop."""
     from softfin.core.errors import DeviceError
     from softfin.rig.machine import Target
-    from softfin.rig.ros2.config import Ros2PlantConfig
     from softfin.rig.ros2.plant import Ros2Machine
 
-    limits = {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0}
-    config = {"joint_topic": "/joint", "joint_name": "fin", "wrench_topic": "/wrench", "frame": "x,y",
-              "command_topic": "/command", "stop_topic": "/stop", "wait_s": 120.0, "limits": limits}  # fmt: skip
-    machine = Ros2Machine(Ros2PlantConfig.build(config))
+    machine = Ros2Machine(_plant_config())
     machine.open()
     there = machine._topics.transport.topics()
     at_rest = [_ticked(machine) for _ in range(30)]
@@ -138,7 +134,7 @@ def plant(_: Path) -> dict[str, Any]:
         _ticked(machine)
     counters = machine.counters()
     machine.close()
-    silent = Ros2Machine(Ros2PlantConfig.build(config | {"wrench_topic": "/elsewhere", "wait_s": 1.0}))
+    silent = Ros2Machine(_plant_config(wrench_topic="/elsewhere", wait_s=1.0))
     try:
         silent.open()
         complaint = ""
@@ -153,6 +149,23 @@ def plant(_: Path) -> dict[str, Any]:
         "counters": counters,
         "silent": complaint,
     }
+
+
+def _plant_config(**changes: Any) -> Any:
+    from softfin.rig.ros2.config import Ros2PlantConfig
+
+    limits = {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0}
+    config = {
+        "joint_topic": "/joint",
+        "joint_name": "fin",
+        "wrench_topic": "/wrench",
+        "frame": "x,y",
+        "command_topic": "/command",
+        "stop_topic": "/stop",
+        "wait_s": 120.0,
+        "limits": limits,
+    }
+    return Ros2PlantConfig.build(config | changes)
 
 
 def node(_: Path) -> dict[str, Any]:
@@ -227,6 +240,36 @@ def stops(_: Path) -> dict[str, Any]:
     return {"heard": heard, "told": told}
 
 
+def dead_man(folder: Path) -> dict[str, Any]:
+    """A third process moves the child's fin and is killed in the middle of a stroke."""
+    host = subprocess.Popen([sys.executable, "-m", "tests.rig.ros2_processes", "host_child", str(folder)])
+    path = folder / "driver.json"
+    while not path.exists():
+        # On a busy computer the driver's switch may act before; then the fin goes on with the next command.
+        assert host.poll() is None, f"the host ended with {host.returncode}"
+        time.sleep(0.005)
+    host.kill()
+    host.wait()
+    (folder / "killed").touch()
+    while not (folder / "rest.json").exists():
+        time.sleep(0.005)
+    driver: dict[str, Any] = json.loads((folder / "rest.json").read_text())
+    return driver
+
+
+def host_child(_: Path) -> None:
+    """Moves a fin to 1.5 rad at 1 rad/s, until it is killed."""
+    from softfin.rig.machine import Target
+    from softfin.rig.ros2.plant import Ros2Machine
+
+    machine = Ros2Machine(_plant_config())
+    machine.open()
+    machine.enable()
+    machine.command(Target(1.5, 1.0))
+    while True:
+        _ticked(machine)
+
+
 def _ticked(machine: Any) -> Any:
     time.sleep(0.01)
     return machine.read()
@@ -295,6 +338,32 @@ def plant_child(_: Path) -> None:
         force = Vector3(-0.5 * velocity, 0.1, 0.2)
         wrenches.write(WrenchStamped(header(), Wrench(force, Vector3(0.01, 0.02, 0.03))))
         time.sleep(0.005)
+
+
+def dead_man_child(folder: Path) -> None:
+    """A driver with a dead man's switch: without a command for 0.2 s its fin stops, until the next one comes."""
+    child = Child()
+    joints, wrenches = child.writer("/joint", JointState), child.writer("/wrench", WrenchStamped)
+    commands = child.reader("/command", JointState)
+    angle, target, speed, heard_at, heard_angle, resting = 0.0, 0.0, 0.0, 0.0, 0.0, 0
+    while resting < 40:
+        for command in taken(commands):
+            target, speed, heard_at, heard_angle = command.position[0], command.velocity[0], time.monotonic(), angle
+        # The fin moves by steps: a busy computer makes it slower, never faster. A tenth of the speed leaves 14 s to
+        # kill the host before it is at its target.
+        step = 0.0
+        if time.monotonic() - heard_at < 0.2:
+            step = min(0.1 * speed * 0.005, target - angle)
+        angle += step
+        joints.write(JointState(header(), ["fin"], [angle], [step / 0.005], []))
+        wrenches.write(WrenchStamped(header(), Wrench(Vector3(0.0, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))))
+        if angle > 0.05:
+            (folder / "driver.json").touch()
+        resting = resting + 1 if step == 0.0 and (folder / "killed").exists() else 0
+        time.sleep(0.005)
+    (folder / "rest.part").write_text(json.dumps({"angle": angle, "after_last_command": angle - heard_angle}))
+    (folder / "rest.part").rename(folder / "rest.json")
+    time.sleep(HANG_S)
 
 
 def node_child(folder: Path) -> None:

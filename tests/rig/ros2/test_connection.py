@@ -143,12 +143,22 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
 def test_damaged_messages_are_told_or_refused_and_nothing_else():
     cases = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 2_000
     generator, messages, transport = np.random.default_rng(7), Messages(), MemoryTransport()
-    kinds = {JOINT: lambda message: joint_of(message, "fin"), WRENCH: wrench_of}
-    whole = {JOINT: messages.joint(START, "fin_mount", "fin", 1.0, 2.0),
-             WRENCH: messages.wrench(START, "fin_mount", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))}  # fmt: skip
+    vector = messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
+    kinds = {
+        JOINT: lambda message: joint_of(message, "fin"),
+        WRENCH: wrench_of,
+        VECTOR: lambda message: reference_of(message, "fin_mount"),
+        BOOL: lambda message: (message.data,),
+    }
+    whole = {
+        JOINT: messages.joint(START, "fin_mount", "fin", 1.0, 2.0),
+        WRENCH: messages.wrench(START, "fin_mount", (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)),
+        VECTOR: messages.make(VECTOR, messages.header(START, "fin_mount"), vector),
+        BOOL: messages.make(BOOL, True),
+    }
     subscriptions = [Subscription(transport, f"/{kind}", kind, value) for kind, value in kinds.items()]
     for case in range(cases):
-        subscription = subscriptions[case % 2]
+        subscription = subscriptions[case % len(subscriptions)]
         data = bytearray(messages.encode(whole[subscription.kind]))
         for _ in range(generator.integers(1, 6)):
             data[generator.integers(len(data))] = generator.choice([0, 1, 127, 128, 255, generator.integers(256)])

@@ -147,6 +147,13 @@ def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_
     ]
 
 
+def test_a_driver_stops_by_itself_where_softfin_is_killed(tmp_path):
+    told = within("dead_man", tmp_path)
+    # At 0.1 rad/s, 0.2 s after the last command; it was on its way to 1.5 rad.
+    assert 0.0 <= told["after_last_command"] < 0.021
+    assert 0.05 < told["angle"] < 1.4
+
+
 def run(code):
     """In a process of its own: Cyclone DDS reads its environment once."""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S)
