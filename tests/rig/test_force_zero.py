@@ -79,14 +79,15 @@ def opened(config, clock):
 
 def test_a_rig_that_is_refused_for_its_zero_leaves_nothing_open(bench):
     behind, config = bench
+    behind.clock._now += 10.0
     zero_force(config, 0.2, behind.clock)
-    behind.sensor.reboot(0.1)
-    behind.clock._now += 60.0
+    behind.sensor.reboot(1.0)
+    behind.clock._now += 1.0
     rig = Rig(config, behind.clock)
     with pytest.raises(RigError, match="its zero is lost"):
         rig.open()
     with pytest.raises(DeviceError, match="not open"):
-        rig.sensor.stream
+        rig.sensor.keep_up()
     rig.close()
 
 
