@@ -11,8 +11,9 @@ import pytest
 from softfin.core.errors import CommandError, DeviceError, RigError
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive import DriveTraits
-from softfin.rig.epos2 import protocol
+from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.epos2.config import BusConfig
+from softfin.rig.epos2.connection import CanConnection, download
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.epos2.procedures import REFUSED
 from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, Object, State
@@ -620,3 +621,49 @@ def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch: pytest.Mo
         assert 0 < tried.count(0x200 + NODE) <= 2 * REFUSED + 1
         assert "press the emergency stop" in made.drive.stop_unconfirmed
         monkeypatch.undo()
+
+
+def test_a_stop_that_comes_while_the_drive_is_being_enabled_is_not_forgotten(monkeypatch) -> None:
+    with bench() as made:
+        made.drive.open()
+        made.drive.home_here()
+        set_mode = procedures.set_mode
+
+        def stop_and_set_mode(connection: CanConnection, mode: int) -> None:
+            made.drive.stop()
+            set_mode(connection, mode)
+
+        monkeypatch.setattr(procedures, "set_mode", stop_and_set_mode)
+        with pytest.raises(DeviceError, match="was stopped while it was being enabled"):
+            made.drive.enable()
+        made.clock.sleep(0.1)
+        assert made.emulated.state in protocol.UNPOWERED
+
+
+def test_a_drive_that_somebody_else_has_stopped_is_not_started_by_the_next_target() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.0, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.3)
+        send(made, protocol.SDO_REQUEST + NODE, download(protocol.CONTROLWORD, protocol.QUICK_STOP))
+        made.clock.sleep(0.01)
+        made.drive.sync_and_read(0.02)
+        made.drive.command(Target(-1.0, 1.0))
+        where = made.fin.now().angle
+        made.until(lambda: made.clock() < 0)
+        assert made.emulated.state is State.QUICK_STOP_ACTIVE
+        assert made.fin.now().angle == where
+
+
+def test_a_drive_that_does_not_obey_a_stop_is_left_to_its_own_watch() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.3)
+        # Stopped by NMT: it takes no controlwords, neither as process data nor by SDO, and still counts heartbeats.
+        send(made, protocol.NMT, bytes([2, NODE]))
+        made.clock.sleep(0.01)
+        began = made.clock()
+        made.drive.stop()
+        assert made.drive.stop_unconfirmed is not None
+        assert made.emulated.state in FAULT_STATES
+        assert made.fin.now().angle < 0.3 + made.drive.config.heartbeat_s + 0.2
+        assert made.clock() - began < 3.0

@@ -178,8 +178,9 @@ class CanConnection:
             return
         if message.is_remote_frame or message.is_extended_id:
             return
-        if self._foreign_ids is not None:
-            self._foreign_ids.add(cob_id)
+        foreign_ids = self._foreign_ids
+        if foreign_ids is not None:
+            foreign_ids.add(cob_id)
         if cob_id != protocol.SDO_ANSWER + self.node:
             self._on_frame(cob_id, data)
         elif len(data) != 8:

@@ -227,20 +227,24 @@ class Epos2(Exchange):
     def stop(self) -> None:
         """Quick stop at once, then no voltage; from any thread, any number of times; never raises."""
         try:
+            generation = self.generation
             free = self.brake()
             if not self.powered:
                 return
             if self.connection.in_receiver or not free:
                 # The receiver's thread brings the answers that the rest needs; and nobody waits for a bus that hangs.
-                self.clock.spawn(self._come_to_rest, "softfin drive stop")
+                self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
             else:
-                self._come_to_rest()
+                self._come_to_rest(generation)
         except Exception as error:
             self.trouble = f"stop of the drive failed ({error}); press the emergency stop"
 
     def _new_reading(self) -> DriveStatus:
+        """Begin to power the motor up: a stop that comes from now on is not forgotten."""
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
+        with self.lock:
+            self.stopped = False
         is_new = any(self.sync_and_read(ANSWER_STEP_S).new for _ in range(round(FIRST_ANSWER_S / ANSWER_STEP_S)))
         if lines := self.complaints():
             raise DeviceError(lines[0])
@@ -273,8 +277,11 @@ class Epos2(Exchange):
             raise DeviceError("drive is still being stopped; wait, then enable it again")
         try:
             with self.lock:
+                if self.stopped:
+                    raise DeviceError("drive was stopped while it was being enabled; enable it again")
                 self.handshake.clear()
-                self.powered, self.stopped = True, False
+                self.powered = True
+                self.generation += 1
         finally:
             self.stopping.release()
         try:
@@ -286,10 +293,13 @@ class Epos2(Exchange):
             self.stop()
             raise
 
-    def _come_to_rest(self) -> None:
+    def _come_to_rest(self, generation: int) -> None:
+        """Finish a stop, unless the drive was powered up again since: that motor is not the one to take for off."""
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
             return
         try:
+            if generation != self.generation:
+                return
             if procedures.rest(self):
                 self.powered = False
                 # The host's heartbeat ends with the program, which is no fault of a drive that is at rest.

@@ -199,6 +199,8 @@ class Exchange:
         """Held while the motor is brought to rest after a stop."""
         self.powered = False
         """Whether the motor may have power: not confirmed otherwise since it was last enabled."""
+        self.generation = 0
+        """Number of times that the motor was powered up: a stop belongs to one of them."""
         self.reset()
 
     def reset(self) -> None:
@@ -271,7 +273,8 @@ class Exchange:
 
     def carry_on(self) -> None:
         """Carry the hand-shake on, as far as the newest statusword lets it."""
-        if not self.armed:
+        if not self.armed or self.status.state is not State.OPERATION_ENABLED:
+            # A drive that somebody else has stopped must not be started again by the next target.
             return
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
         if isinstance(step, tuple):

@@ -261,6 +261,8 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
                 raise DeviceError("drive was stopped while it was being enabled; enable it again")
             if fault := status.fault():
                 raise DeviceError(f"{fault}; then run: softfin rig check --reset-fault")
+            if exchange.trouble is not None:
+                raise DeviceError(exchange.trouble)
             if status.state is State.OPERATION_ENABLED:
                 exchange.armed = then_arm
                 return
@@ -307,8 +309,11 @@ def rest(exchange: Exchange) -> bool:
     def repeat(word: int, done: Callable[[], bool], seconds: float) -> None:
         """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it too."""
         refused = 0
-        for _ in range(max(3, round(seconds / config.sync_s))):
-            exchange.send_heartbeat()
+        for attempt in range(max(REFUSED, round(seconds / config.sync_s))):
+            # A drive that does not obey must stop by itself: our heartbeats would only keep it going.
+            obeys = status.state is State.QUICK_STOP_ACTIVE or is_off()
+            if obeys or attempt < REFUSED:
+                exchange.send_heartbeat()
             refused = 0 if exchange.insist(word) else refused + 1
             if refused == REFUSED:
                 return
