@@ -174,6 +174,14 @@ def test_a_stop_that_cannot_be_read_stops_too():
     assert "cannot be heard" in node.node.stop_reason()
 
 
+def test_a_stop_that_cannot_be_read_is_not_taken_back_by_the_next_message():
+    node = Node()
+    node.transport.put("/fin/stop", b"\x00\x01\x00\x00")
+    node.stop(asked=False)
+    assert "cannot be read" in node.node.stop_reason()
+    assert "cannot be read" in node.node.stop_reason()
+
+
 @pytest.mark.parametrize("offered", ["reliable", "best_effort", "latched", "from before"])
 def test_a_stop_is_heard_from_every_kind_of_publisher(offered):
     node = Node()

@@ -96,8 +96,11 @@ class EmergencyStop:
         return self._reason
 
     def _read_stop(self, subscription: Subscription[bool]) -> str | None:
+        refused = subscription.refused
         if any(stop for _, stop in subscription.take()):
             return f"emergency stop on {self._topic}"
-        if subscription.refusal is not None:
-            return f"emergency stop: {subscription.refusal}"
+        # A readable message after it does not take an unreadable one back.
+        if subscription.refused > refused:
+            reason = subscription.refusal or f"{self._topic}: a message cannot be read; correct its publisher"
+            return f"emergency stop: {reason}"
         return None
