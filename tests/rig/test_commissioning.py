@@ -10,7 +10,7 @@ from softfin.core.errors import ConfigurationError, RigError, RunError
 from softfin.rig.commissioning import steps
 from softfin.rig.commissioning.commission import commission_step
 from softfin.rig.commissioning.form import (
-    TITLES,
+    STEP_TITLES,
     Form,
     Item,
     SignedStep,
@@ -21,7 +21,7 @@ from softfin.rig.commissioning.form import (
 )
 from softfin.rig.commissioning.motion import die_by_signal, narrowed
 from softfin.rig.commissioning.operator import TerminalOperator
-from softfin.rig.commissioning.steps import STEPS
+from softfin.rig.commissioning.steps import STEP_FUNCTIONS
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.epos2.protocol import State
 from softfin.rig.stop import StopRequest
@@ -86,7 +86,7 @@ def failures(step):
 
 
 def test_every_step_passes_on_a_good_rig_and_the_form_says_so(site):
-    for number in TITLES:
+    for number in STEP_TITLES:
         assert load_form(site.file).next_step(site.config) == number
         step = site.run(number)
         assert step.passed, failures(step)
@@ -98,7 +98,7 @@ def test_every_step_passes_on_a_good_rig_and_the_form_says_so(site):
     }
     assert all((site.file.parent / bag).exists() for each in form.attempts for bag in each.bags)
     text = form_file(site.file).with_suffix(".md").read_text()
-    assert text.count("Passed; signed by A. Engineer") == len(TITLES)
+    assert text.count("Passed; signed by A. Engineer") == len(STEP_TITLES)
     assert "failed" not in text
 
 
@@ -155,7 +155,7 @@ FAILURES = {
 }
 
 
-@pytest.mark.parametrize("number", STEPS)
+@pytest.mark.parametrize("number", STEP_FUNCTIONS)
 def test_a_failure_in_a_step_is_found_there(site, number):
     what = FAILURES[number](site)
     site.pass_until(number)

@@ -16,7 +16,8 @@ from softfin.data.collect import CollectConfig, collect
 from softfin.data.recordings import open_logs
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.rig.epos2.protocol import State
-from softfin.rig.record import ForceZero, RigRecord, save_record
+from softfin.rig.record import load_record
+from softfin.rig.rig import zero_force
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock
@@ -233,11 +234,11 @@ def test_a_collection_of_an_older_version_is_finished_only_if_all_its_logs_are_t
 
 def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_interruption(tmp_path):
     out, file = tmp_path / "data", tmp_path / "rig.yaml"
-    zero = ForceZero(date="2026-11-25T03:00:00", sensor_serial="FT1", ft_sequence=7, wall_s=1.0)
-    save_record(file, RigRecord(force_zero=zero))
     warnings = []
     with emulated() as (behind, robot):
         robot.machine.config._file = file
+        zero_force(robot.machine.config, 0.2, behind.clock)
+        zero = load_record(file).force_zero
         pull(behind.fin, 0.4, 0.0)
         stopped_in_the_second_log(robot, out)
         pull(behind.fin, 0.0, 0.3)

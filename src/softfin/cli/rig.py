@@ -114,7 +114,7 @@ class RigArguments(Armed, Common):
 
     def _commission(self) -> None:
         from softfin.rig.commissioning.commission import commission_step
-        from softfin.rig.commissioning.form import TITLES, form_file, load_form
+        from softfin.rig.commissioning.form import STEP_TITLES, form_file, load_form
         from softfin.rig.commissioning.operator import TerminalOperator
 
         config = load_rig(self.rig)
@@ -123,8 +123,8 @@ class RigArguments(Armed, Common):
                 f"{self.rig}: an emulated rig has no shaft to turn and no cables to pull; the steps are for real "
                 "devices, see docs/commissioning.md"
             )
-        if self.step not in (None, *TITLES):
-            raise ConfigurationError(f"--step {self.step}: no such step; give a number from 1 to {len(TITLES)}")
+        if self.step not in (None, *STEP_TITLES):
+            raise ConfigurationError(f"--step {self.step}: no such step; give a number from 1 to {len(STEP_TITLES)}")
         if self.yes:
             raise ConfigurationError("--yes: a commissioning needs a person; leave it out")
         self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)

@@ -6,14 +6,14 @@ which only its power switch resets.
 
 from softfin.rig.axia80.rdt import BUSY_BIT, RdtRecord, wrapped_step
 
-STUCK_S = 0.1
+FROZEN_S = 0.1
 """Time for which values may be the same in all six channels, or the sensor busy [s]. From memory, the noise of an
 Axia80 is thousands of counts, so that two equal records in a row are rare already."""
 
 REORDERED_SAMPLES = 4096
 """Samples by which the sensor's count may go back without a restart: half a second."""
 
-MEASURED_S = 0.3
+RATE_MEASURED_S = 0.3
 """Shortest duration over which the rate of the sensor's count is measured [s]."""
 
 RATE_ERROR = 0.02
@@ -23,7 +23,7 @@ HELD_UP_S = 1.0
 """Time by which records may be held up on their way [s]: their counts then do not fit the time between them."""
 
 
-LARGEST_STEP_S = 3600.0
+LARGEST_STEP_S = 60.0
 """Step ahead of the count that no record which was held up explains [s]."""
 
 
@@ -33,7 +33,7 @@ class StreamWatch:
     def __init__(self, rate_hz: float) -> None:
         self.has_restarted = False
         """Whether the sensor restarted since the stream was opened."""
-        self._stuck_records = round(STUCK_S * rate_hz)
+        self._stuck_records = round(FROZEN_S * rate_hz)
         self._equal_counts = self._equal_samples = self._busy = 0
         self._began = 0.0
         """When the first record arrived [s]."""
@@ -50,7 +50,7 @@ class StreamWatch:
     def ft_rate_hz(self) -> float:
         """Measured rate of the sensor's count [Hz]; 0 before it is known."""
         duration = 0.0 if self._newest is None else self._newest[1] - self._began
-        return self._samples / duration if duration >= MEASURED_S else 0.0
+        return self._samples / duration if duration >= RATE_MEASURED_S else 0.0
 
     @property
     def is_busy(self) -> bool:
@@ -77,7 +77,7 @@ class StreamWatch:
         """Whether the count went on by as many samples as the time since the record before brings.
 
         A restart in a pause may be long past, so that the count is higher than before it: samples are missing then.
-        And after three days a count is so high that one from 0 looks like a step ahead of hours. Records that were held
+        And after three days a count is so high that one from 0 looks like a step ahead. Records that were held
         up together look like more samples than the time brings, which is not a restart.
         """
         rate_hz = self.ft_rate_hz

@@ -8,7 +8,7 @@ import numpy as np
 from softfin.core.clock import Clock
 from softfin.core.errors import ConfigurationError
 from softfin.rig.commissioning.form import (
-    TITLES,
+    STEP_TITLES,
     Form,
     SignedStep,
     bag_folder,
@@ -20,9 +20,6 @@ from softfin.rig.commissioning.operator import Operator
 from softfin.rig.commissioning.steps import StepContext, run_step
 from softfin.rig.config import RigConfig
 
-MOVING = frozenset({2, 3, 4, 5, 6, 7})
-"""Steps that power the motor."""
-
 
 def commission_step(
     rig: Path, config: RigConfig, number: int, operator: Operator, clock: Clock, hour_s: float = 3600.0
@@ -32,15 +29,15 @@ def commission_step(
     Raises ConfigurationError if an earlier step is not passed.
     """
     form = load_form(rig)
-    missing = [earlier for earlier in TITLES if earlier < number and not form.is_passed(earlier, config)]
+    missing = [earlier for earlier in STEP_TITLES if earlier < number and not form.is_passed(earlier, config)]
     if missing:
         raise ConfigurationError(
-            f"step {number}: step {missing[0]} ({TITLES[missing[0]]}) is not passed with this drive and sensor; "
+            f"step {number}: step {missing[0]} ({STEP_TITLES[missing[0]]}) is not passed with this drive and sensor; "
             "run the steps in order"
         )
     date = datetime.now().astimezone().isoformat(timespec="seconds")
     folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
-    operator.tell(f"Step {number} of {len(TITLES)}: {TITLES[number]}")
+    operator.tell(f"Step {number} of {len(STEP_TITLES)}: {STEP_TITLES[number]}")
     items = run_step(number, StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s))
     step = SignedStep(
         number=number,

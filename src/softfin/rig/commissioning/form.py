@@ -13,7 +13,7 @@ from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.config import RigConfig
 from softfin.storage import artifact as artifacts
 
-TITLES = {
+STEP_TITLES = {
     1: "Data sheets, settings of the drive, switch",
     2: "Checks and proof of the stop, fin off the shaft",
     3: "Angle and force by hand",
@@ -77,7 +77,7 @@ class Form(Configuration):
 
     def next_step(self, config: RigConfig) -> int | None:
         """Return the number of the first step that is not passed; None if all are."""
-        return next((number for number in TITLES if not self.is_passed(number, config)), None)
+        return next((number for number in STEP_TITLES if not self.is_passed(number, config)), None)
 
     def warning(self, config: RigConfig) -> str | None:
         """Return a line for a rig that is not commissioned, or no longer; None if it is."""
@@ -86,8 +86,8 @@ class Form(Configuration):
             return None
         state = "not commissioned" if self.latest(number) is None else "no longer commissioned, or a step failed"
         return (
-            f"rig of {config.fin}: {state}: step {number} of {len(TITLES)} is not passed; see docs/commissioning.md "
-            "and run: softfin rig commission --arm"
+            f"rig of {config.fin}: {state}: step {number} of {len(STEP_TITLES)} is not passed; see "
+            "docs/commissioning.md and run: softfin rig commission --arm"
         )
 
 
@@ -121,7 +121,7 @@ def save_form(rig: Path, form: Form) -> None:
 def form_text(form: Form, name: str) -> str:
     """Return the form as Markdown."""
     lines = [f"# Commissioning of {name}", ""]
-    for number, title in TITLES.items():
+    for number, title in STEP_TITLES.items():
         lines += [f"## {number}. {title}", ""]
         step = form.latest(number)
         if step is None:

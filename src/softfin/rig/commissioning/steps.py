@@ -72,7 +72,7 @@ LEAST_MARGIN, MOST_MARGIN, ADVISED_MARGIN = 1.2, 2.5, 1.5
 SENSOR_NOISE = 1e-3
 """Peaks below this are noise [N, N m, A]."""
 
-DRIFT_N = 0.1
+MAX_DRIFT_N = 0.1
 """Largest change of the force at rest within the hour [N]."""
 
 
@@ -90,7 +90,7 @@ BY_A_PERSON = frozenset({"emergency_stop"})
 SENSOR_GONE = frozenset({"force_stale", "device"})
 DRIVE_GONE = frozenset({"angle_stale", "device"})
 
-WAYS = {
+WAYS_TO_STOP = {
     "Ctrl-C": Way("press Ctrl-C", BY_A_PERSON),
     "Enter": Way("press Enter", BY_A_PERSON),
     "sensor cable": Way("pull the force sensor's cable", SENSOR_GONE),
@@ -217,7 +217,7 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     """Step 4: within +-0.3 rad at 1 rad/s, every way to stop, five times each."""
     operator = context.operator
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
-    for name, way in WAYS.items():
+    for name, way in WAYS_TO_STOP.items():
         stops = []
         left_on = 0
         for trial in range(TRIALS):
@@ -336,7 +336,7 @@ def move_for_an_hour(context: StepContext) -> Iterator[Item]:
         count = counters.get(name, 0)
         yield Item(what=name, value=str(count), required="0", passed=count == 0)
     change_n = float(np.max(np.abs(_force_at_rest(context) - before)))
-    yield measured("change of the force at rest", change_n, f"at most {DRIFT_N} N", change_n <= DRIFT_N, "N")
+    yield measured("change of the force at rest", change_n, f"at most {MAX_DRIFT_N} N", change_n <= MAX_DRIFT_N, "N")
     yield asked(context.operator, "motor", "Can you keep your hand on the motor?")
 
 
@@ -356,7 +356,7 @@ def ask_about_robot(context: StepContext) -> Iterator[Item]:
         yield asked(operator, what, question)
 
 
-STEPS: dict[int, Callable[[StepContext], Iterator[Item]]] = {
+STEP_FUNCTIONS: dict[int, Callable[[StepContext], Iterator[Item]]] = {
     1: compare_data_sheets,
     2: check_and_prove,
     3: measure_by_hand,
@@ -373,7 +373,7 @@ def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
     """Run a step to its end, or to the first error, which is a item as well."""
     items = []
     try:
-        for item in STEPS[number](context):
+        for item in STEP_FUNCTIONS[number](context):
             mark = "passed" if item.passed else "FAILED"
             context.operator.tell(f"{mark:>6}  {item.what}: {item.value} (required: {item.required})")
             items.append(item)

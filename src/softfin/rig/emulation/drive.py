@@ -16,7 +16,7 @@ import canopen
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import EmulatedMotor
-from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, READ_ONLY, ProcessData, dictionary, values
+from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, READ_ONLY_OBJECTS, ProcessData, dictionary, values
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
@@ -90,7 +90,7 @@ class EmulatedDrive:
         self._network = _Network(clock)
         node: Any = canopen.LocalNode
         objects = {entry: value for entry, value in values(config).items() if entry not in traits.missing}
-        self._node = node(config.node, dictionary(objects, READ_ONLY | traits.read_only))
+        self._node = node(config.node, dictionary(objects, READ_ONLY_OBJECTS | traits.read_only))
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
         velocity_step_rpm = 60_000 // (4 * config.encoder_lines) if traits.coarse_velocity else 1

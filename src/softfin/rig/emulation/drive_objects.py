@@ -18,7 +18,7 @@ PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
 FIRST_TAKEN, FIRST_SENT = 0x1400, 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
-READ_ONLY = frozenset(
+READ_ONLY_OBJECTS = frozenset(
     {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
      protocol.POSITION, protocol.VELOCITY, protocol.MOTOR_CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR,
      protocol.SERIAL_NUMBER}
@@ -68,7 +68,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
     return start
 
 
-def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONLY) -> Any:
+def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONLY_OBJECTS) -> Any:
     """canopen's object dictionary with every object at its value."""
     library: Any = od
     found = library.ObjectDictionary()

@@ -30,7 +30,7 @@ RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 
 ADC_RATE_HZ = 7812.0
 
-BUSY_S = 0.3
+BUSY_AT_START_S = 0.3
 """Time after power-up for which the sensor is busy [s]; that it is busy then is from memory, its time is assumed."""
 
 NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
@@ -63,7 +63,7 @@ class EmulatedAxia80:
         """Status of every record; a test may set its bits."""
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
         """Datagrams that arrive for one that is sent; a test may have it lost, doubled or late."""
-        self.busy_s = BUSY_S
+        self.busy_s = BUSY_AT_START_S
         """Time after power-up for which it is busy [s]; like the following ones, a test may set it."""
         self.are_values_frozen = False
         """Whether all six channels stand still, while the records go on."""
