@@ -30,6 +30,9 @@ from cyclonedds.topic import Topic
 
 from tests.patience import HANG_S
 
+DEAD_MAN_S = 0.2
+"""Time without a command after which the driver stops its motor [s]."""
+
 ALONE = ("unshare", "--map-root-user", "--net", "--pid", "--fork", "--kill-child", "--mount-proc")
 
 LOOPBACK = (
@@ -352,7 +355,7 @@ def dead_man_child(folder: Path) -> None:
         # The fin moves by steps: a busy computer makes it slower, never faster. A tenth of the speed leaves 14 s to
         # kill the host before it is at its target.
         step = 0.0
-        if time.monotonic() - heard_at < 0.2:
+        if time.monotonic() - heard_at < DEAD_MAN_S:
             step = min(0.1 * speed * 0.005, target - angle)
         angle += step
         joints.write(JointState(header(), ["fin"], [angle], [step / 0.005], []))
