@@ -11,7 +11,14 @@ from contextlib import contextmanager
 import pytest
 
 from softfin.rig.simulated_clock import SimulatedClock
-from softfin.rig.stop import STOP_SIGNALS, StopRequest, Watchdog, listen_to_keyboard, stopped_by_signals
+from softfin.rig.stop import (
+    STOP_SIGNALS,
+    StopRequest,
+    Watchdog,
+    interrupted_by_signals,
+    listen_to_keyboard,
+    stopped_by_signals,
+)
 from tests.patience import HANG_S, wait_until
 
 
@@ -164,3 +171,31 @@ def test_a_hang_that_holds_the_interpreters_lock_is_seen_only_when_it_is_over():
     assert during == []
     assert bitten.wait(HANG_S)
     assert silences[0] >= SILENCE_S
+
+
+def test_no_signal_breaks_off_a_stop_that_is_under_way(monkeypatch):
+    request = StopRequest()
+    monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", -1.0)
+    with handled_by(signal.SIGINT, signal.default_int_handler), stopped_by_signals(request):
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        request.is_obeyed = True
+        signal.raise_signal(signal.SIGINT)
+    assert request.trip.reason == "stopped by Ctrl-C"
+
+
+@pytest.mark.parametrize("name", STOP_SIGNALS)
+def test_a_signal_interrupts_what_powers_a_motor_and_a_second_one_does_not_disturb_its_end(name):
+    number = getattr(signal, name)
+    ends = []
+
+    def power() -> None:
+        try:
+            signal.raise_signal(number)
+        finally:
+            signal.raise_signal(number)
+            ends.append(number)
+
+    with handled_by(number, signal.SIG_DFL), interrupted_by_signals(), pytest.raises(KeyboardInterrupt):
+        power()
+    assert ends == [number]

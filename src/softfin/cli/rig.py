@@ -20,6 +20,7 @@ from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.prove import prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
+from softfin.rig.stop import interrupted_by_signals
 from softfin.storage.paths import RIG_FILE
 
 PROVING = "the motor is powered and holds where it stands; softfin then falls silent until the drive stops by itself"
@@ -89,7 +90,8 @@ class RigArguments(Armed, Common):
             raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
 
     def _prove(self, config: RigConfig) -> None:
-        with contextlib.closing(Rig(config)) as rig:
+        # A closed terminal must not leave the motor powered by a drive that is not proved yet.
+        with interrupted_by_signals(), contextlib.closing(Rig(config)) as rig:
             rig.drive.open()
             self.confirm(RobotSetup(rig, config.safety), PROVING, proves=True)
             proof = prove_stop(config, rig.drive)
@@ -107,7 +109,8 @@ class RigArguments(Armed, Common):
         both = self.angle == self.force
         result: dict[str, Any] = {}
         if both or self.angle:
-            result |= zero_angle(config, confirm=lambda rig: self.confirm(RobotSetup(rig, config.safety), ZEROING))
+            with interrupted_by_signals():
+                result |= zero_angle(config, confirm=lambda rig: self.confirm(RobotSetup(rig, config.safety), ZEROING))
         if both or self.force:
             result |= zero_force(config)
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))

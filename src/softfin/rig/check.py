@@ -92,7 +92,7 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
     angle = rig.drive.sync_and_read(0.02).angle
     yield CheckResult("drive", "well", f"{where}: limits, ramps and mapping written and read back")
     yield from (CheckResult("drive setup", "note", note) for note in rig.drive.notes)
-    yield from _check_currents(rig)
+    yield from check_currents(rig)
     yield from _check_own_stop(rig)
     inside = config.angle_min_rad <= angle <= config.angle_max_rad
     yield CheckResult("angle", "well" if inside else "wrong", f"{angle:+.3f} rad, limits "
@@ -103,7 +103,7 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
     yield from (CheckResult("drive status", "wrong", line) for line in rig.drive.complaints())
 
 
-def _check_currents(rig: Rig) -> Iterator[CheckResult]:
+def check_currents(rig: Rig) -> Iterator[CheckResult]:
     """Compare the limits of the current with those that the drive keeps itself: beyond these they can never trip."""
     safety = rig.config.safety
     for name, limit_a, entry in (

@@ -83,6 +83,7 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._unwatch()
+        self.stop_request.is_obeyed = True
         self.machine.stop()
         unconfirmed, was_reported = self.machine.stop_unconfirmed, self.state == "stopped"
         if not was_reported:
@@ -253,6 +254,7 @@ class Session:
     def abort(self, trip: Trip) -> NoReturn:
         """Stop the machine, record why, and raise SafetyStop; the reason is that of the first stop."""
         trip = self.trip or trip
+        self.stop_request.is_obeyed = True
         self.machine.stop()
         self._unwatch()
         if self.state != "stopped":

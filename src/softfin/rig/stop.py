@@ -25,6 +25,8 @@ class StopRequest:
 
     def __init__(self) -> None:
         self.trip: Trip | None = None
+        self.is_obeyed = False
+        """Whether the machine is being stopped, which is bounded in time: no signal must break that off."""
 
     def ask(self, cause: str, reason: str) -> None:
         """Ask for a stop."""
@@ -35,20 +37,44 @@ class StopRequest:
 @contextmanager
 def stopped_by_signals(request: StopRequest) -> Iterator[None]:
     """Ctrl-C and its kin raise the flag, instead of an exception somewhere in the loop; only in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
     asked: list[float] = []
 
     def handle(number: int, _: FrameType | None) -> None:
         name = signal.Signals(number).name
         asked.append(time.monotonic())
-        if asked[-1] - asked[0] > PATIENCE_S:
+        if asked[-1] - asked[0] > PATIENCE_S and not request.is_obeyed:
             # The first one was not obeyed, as while figures are drawn: now the program ends as others do.
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
+    with _handling_signals(handle):
+        yield
+
+
+@contextmanager
+def interrupted_by_signals() -> Iterator[None]:
+    """The first of Ctrl-C and its kin raises KeyboardInterrupt, so that what powers a motor ends by stopping it.
+
+    Later ones are ignored: they would break the stop off, which is bounded in time.
+    """
+    is_asked = False
+
+    def handle(number: int, _: FrameType | None) -> None:
+        nonlocal is_asked
+        if not is_asked:
+            is_asked = True
+            raise KeyboardInterrupt
+
+    with _handling_signals(handle):
+        yield
+
+
+@contextmanager
+def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Have the signals that stop the fin handled; only in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
     # Under nohup the end of the terminal is ignored on purpose: a night's collection must survive a dropped ssh.
     numbers = [number for number in numbers if not _is_ignored_hangup(number)]

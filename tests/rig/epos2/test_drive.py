@@ -667,3 +667,19 @@ def test_a_drive_that_does_not_obey_a_stop_is_left_to_its_own_watch() -> None:
         assert made.emulated.state in FAULT_STATES
         assert made.fin.now().angle < 0.3 + made.drive.config.heartbeat_s + 0.2
         assert made.clock() - began < 3.0
+
+
+def test_a_host_with_our_number_is_a_complaint_whenever_it_begins_to_send() -> None:
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.1)
+        send(made, protocol.HEARTBEAT + made.drive.config.host, bytes([protocol.OPERATIONAL]))
+        assert complaint(made, f"has the number {made.drive.config.host} of this one")
+
+
+def test_what_an_adapter_echoes_is_not_taken_for_another_host() -> None:
+    with enabled() as made:
+        heartbeat = protocol.HEARTBEAT + made.drive.config.host
+        echo = can.Message(arbitration_id=heartbeat, data=bytes([5]), is_extended_id=False, is_rx=False)
+        made.drive.connection._sort(echo)
+        assert made.drive.complaints() == ()

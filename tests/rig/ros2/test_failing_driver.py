@@ -179,9 +179,10 @@ def test_a_computer_that_cannot_start_a_thread_sends_the_stop_all_the_same():
         raise RuntimeError("can't start new thread")
 
     tail.clock.spawn = fail
+    sent = len(tail.transport.sent["/command"])
     tail.machine.stop()
     assert tail.transport.sent["/stop"][-1].data
-    assert tail.transport.sent["/command"][-1].velocity[0] == 3.0
+    assert len(tail.transport.sent["/command"]) > sent
 
 
 def test_a_stop_that_failed_is_over_with_the_next_opening():

@@ -93,7 +93,7 @@ def test_a_driver_that_counts_the_other_way_is_turned_round():
     rig.machine.enable()
     rig.machine.command(Target(1.0, 2.0))
     rig.machine.stop()
-    assert rig.commands() == [(0.25, 1.0), (-1.0, 2.0), (0.25, 3.0)]
+    assert rig.commands() == [(0.25, 1.0), (-1.0, 2.0), (0.25, 1.0)]
 
 
 def test_a_velocity_that_is_not_told_is_the_difference(rig):
@@ -122,7 +122,7 @@ def test_nothing_moves_before_it_is_enabled_nor_after_a_stop(rig):
     rig.machine.read()
     rig.machine.stop()
     rig.machine.stop()
-    assert rig.commands() == [(0.25, 1.0), (1.0, 2.0), (0.6, 3.0)]
+    assert rig.commands() == [(0.25, 1.0), (1.0, 2.0), (0.6, 1.0)]
     with pytest.raises(DeviceError, match="not enabled"):
         rig.machine.command(Target(1.0, 2.0))
     rig.machine.close()
@@ -131,8 +131,9 @@ def test_nothing_moves_before_it_is_enabled_nor_after_a_stop(rig):
 
 def test_a_machine_that_is_closed_while_it_moves_is_stopped(rig):
     rig.machine.enable()
+    rig.machine.command(Target(1.0, 2.0))
     rig.machine.close()
-    assert rig.commands()[-1] == (0.25, 3.0)
+    assert rig.commands()[-1] == (0.25, 1.0)
 
 
 @pytest.mark.parametrize("target", [(2.0, 2.0), (0.0, 0.5), (np.nan, 2.0), (0.0, np.inf)])
@@ -167,7 +168,7 @@ def test_a_stop_holds_and_goes_to_the_stop_topic_whoever_reads_that():
         rig.machine.enable()
         rig.machine.stop()
         assert rig.stops()[-2:] == [False, True]
-        assert rig.commands()[-1] == (0.25, 3.0), "its reader may be a recorder, and the driver hears commands alone"
+        assert rig.commands()[-1] == (0.25, 1.0), "its reader may be a recorder, and the driver hears commands alone"
 
 
 def test_a_machine_that_has_not_moved_its_fin_asks_for_a_stop_and_holds_nothing():
@@ -201,7 +202,17 @@ def test_a_stop_in_the_middle_of_a_command_has_the_last_word(rig):
 
     publisher.send = interrupted
     rig.machine.command(Target(1.0, 2.0))
-    assert rig.commands()[-1] == (0.25, 3.0)
+    assert rig.commands()[-1] == (0.25, 1.0)
+
+
+def test_a_stop_holds_the_fin_where_it_is_by_now(rig):
+    rig.machine.enable()
+    rig.machine.command(Target(1.0, 2.0))
+    rig.clock.sleep(0.3)
+    # The loop has hung, while the fin went on.
+    rig.say(0.8)
+    rig.machine.stop()
+    assert rig.commands()[-1] == (0.8, 1.0)
 
 
 def test_a_stop_from_another_thread_ends_the_commands(rig):
@@ -235,7 +246,7 @@ def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
     goes_on.set()
     thread.join(1.0)
     assert not thread.is_alive()
-    assert rig.commands()[-1] == (0.25, 3.0), "and the stop has the last word"
+    assert rig.commands()[-1] == (0.25, 1.0), "and the stop has the last word"
 
 
 def test_a_reading_that_is_no_number_is_a_complaint(rig):

@@ -172,6 +172,9 @@ class CanConnection:
                     self._clock.sleep(RECEIVER_CYCLE_S)
 
     def _sort(self, message: can.Message) -> None:
+        if not message.is_rx:
+            # An adapter that echoes what we send.
+            return
         cob_id, data = message.arbitration_id, bytes(message.data)
         if message.is_error_frame:
             self._count_errors(cob_id, data)

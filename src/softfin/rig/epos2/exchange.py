@@ -199,6 +199,8 @@ class Exchange:
         """Held while the motor is brought to rest after a stop."""
         self.powered = False
         """Whether the motor may have power: not confirmed otherwise since it was last enabled."""
+        self.own_ids = protocol.host_cob_ids(config.host)
+        """COB-IDs that nobody but this program sends."""
         self.generation = 0
         """Number of times that the motor was powered up: a stop belongs to one of them."""
         self.reset()
@@ -287,6 +289,13 @@ class Exchange:
             self.attempt(*self.order(protocol.ENABLE_OPERATION, target[0] if target else None))
 
     def _take(self, cob_id: int, data: bytes) -> None:
+        if self.owned and cob_id in self.own_ids:
+            # Its heartbeats would pass for ours, and keep this fin moving when we are dead. It may have been silent, as
+            # a program that waits for a person is, while we listened.
+            self._report(
+                f"another program on {self.connection.name} has the number {self.config.host} of this one; end it, or "
+                "give each rig's file a drive.host_node of its own"
+            )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
             if cob_id == protocol.TPDO[0] + self.config.node:

@@ -41,7 +41,7 @@ def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[i
     the frames of others.
     """
     foreign_ids = connection.listen(LISTEN_S)
-    if foreign_ids & {protocol.HEARTBEAT + config.host, protocol.SYNC + config.host}:
+    if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
             f"{connection.name}: number {config.host} of this program is in use by another program or device; give "
             "each rig's file a drive.host_node of its own, or end the other program"

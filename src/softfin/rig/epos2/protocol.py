@@ -113,6 +113,11 @@ INVALID = 1 << 31
 """Bit of a PDO's COB-ID: it is off."""
 
 
+def host_cob_ids(host: int) -> frozenset[int]:
+    """Return the COB-IDs that nobody but the host of a number sends: its heartbeat and its SYNC."""
+    return frozenset({HEARTBEAT + host, SYNC + host})
+
+
 def layout(objects: tuple[Object, ...]) -> struct.Struct:
     """Layout of a PDO that carries these objects."""
     return struct.Struct("<" + "".join(each.form for each in objects))

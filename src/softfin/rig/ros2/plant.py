@@ -3,6 +3,7 @@
 Tried with drivers of our own making on loopback; it has met neither a real driver nor a node of ROS 2.
 """
 
+import contextlib
 import functools
 import importlib.util
 import time
@@ -268,15 +269,24 @@ class Ros2Machine:
         # A command that hangs in its transport must not keep the watchdog from its stop.
         alone = self._lock.acquire(timeout=LOCK_S)
         self._enabled = False
-        topics, joint = self._topics, self._joint
+        topics = self._topics
         if alone:
             self._lock.release()
-        if topics is None or joint is None:
+        if topics is None:
             return
+        # A loop that hung has not read for a while, and to hold an old angle would be a motion. In a thread, since the
+        # transport may be what hangs; a computer that cannot start one stops all the same.
+        with contextlib.suppress(RuntimeError):
+            self.clock.spawn(self._read_quietly, "ros2 reading before a stop").join(LOCK_S)
+        joint = self._joint
+        if joint is None:
+            return
+        # How fast the fin brakes does not depend on this; how fast it would go back to an angle that it has left does.
+        velocity = self.limits.velocity_min or self.limits.velocity_max
         sends = []
         if self._was_enabled:
             # First, and whoever reads the stop topic: that may be a recorder, while the driver does not.
-            sends.append(functools.partial(topics.commands.hold, joint[1], self.limits.velocity_max))
+            sends.append(functools.partial(topics.commands.hold, joint[1], velocity))
         if topics.stop is not None:
             sends.append(functools.partial(topics.stop.send, serialized(BOOL, {"data": True})))
         if not sends:
@@ -350,6 +360,10 @@ class Ros2Machine:
                 self._joint = at, self._sign * angle, velocity
             self._force = next(reversed(topics.wrench.take()), self._force)
         return topics
+
+    def _read_quietly(self) -> None:
+        with contextlib.suppress(Exception):
+            self._take()
 
     def _send(self, send: Callable[..., None], *what: Target | float) -> None:
         """Send a message that moves; a stop in between, by a signal, has the last word."""
