@@ -5,13 +5,12 @@ firmware, so no fin of a rig's file moves before it was seen.
 """
 
 import shlex
-from datetime import datetime
 from pathlib import Path
 
 from softfin.core.errors import RigError, SoftfinError
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.record import StopProof, load_record, save_record
+from softfin.rig.record import StopProof, date_and_time, load_record, save_record
 
 
 def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
@@ -26,7 +25,7 @@ def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
         save_record(config.file, record.model_copy(update={"stop_proof": None}))
         raise
     proof = StopProof(
-        date=datetime.now().astimezone().isoformat(timespec="seconds"),
+        date=date_and_time(),
         drive_serial=drive.serial,
         heartbeat_s=config.drive.heartbeat_s,
         host_node=config.drive.host,

@@ -5,6 +5,7 @@ softfin dies, and where the sensor's zero was set. A rig that is built in Python
 """
 
 import json
+from datetime import datetime
 from pathlib import Path
 
 from pydantic import Field
@@ -49,6 +50,11 @@ class RigRecord(Configuration):
     """Proof that the drive stops by itself; None if it was never proved."""
     force_zero: ForceZero | None = None
     """Last zero of the force; None if softfin never set it."""
+
+
+def date_and_time() -> str:
+    """Return the present date and time, as ISO 8601."""
+    return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def record_file(rig: Path) -> Path:

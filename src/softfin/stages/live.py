@@ -26,6 +26,7 @@ from softfin.data.collect import CollectConfig
 from softfin.data.importing.clocks import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.record import load_record
@@ -58,9 +59,6 @@ STATE = "collect.json"
 DRIFT_N = 0.2
 """Change of the force at rest from the first log of a collection beyond which a log gets a warning [N]; the force at
 rest is subtracted from each log, but a sensor that drifts while it rests also drifts while it is recorded."""
-
-SENSOR_ADDRESS = ("address", "http_port", "rdt_port")
-"""Settings of the sensor that may change from one day to the next; the others decide what the numbers of a log mean."""
 
 Warn = Callable[[str], None]
 """Function that shows a person a warning of one line."""
@@ -242,7 +240,7 @@ def _drop_addresses(configuration: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration without the settings of how its devices are reached."""
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
-        kept["sensor"] = {name: value for name, value in kept["sensor"].items() if name not in SENSOR_ADDRESS}
+        kept["sensor"] = {name: value for name, value in kept["sensor"].items() if name not in ADDRESS_FIELDS}
     return kept
 
 
@@ -251,10 +249,9 @@ def _sensor_state(machine: Machine) -> dict[str, Any]:
     # Only a rig has a sensor of its own; one behind ROS 2 belongs to another program.
     if not isinstance(machine, Rig):
         return {"sensor_serial": None, "force_zero": None}
-    settings = machine.sensor.settings
     force_zero = load_record(machine.config.file).force_zero
     return {
-        "sensor_serial": None if settings is None else settings.calsn,
+        "sensor_serial": machine.sensor.serial,
         "force_zero": None if force_zero is None else force_zero.model_dump(mode="json"),
     }
 

@@ -7,6 +7,10 @@ import pydantic
 from softfin.core.configuration import Configuration
 from softfin.data.importing.importing import FORCE_FRAMES
 
+ADDRESS_FIELDS = ("address", "http_port", "rdt_port")
+"""Fields that only say where a sensor is reached, which may change from one day to the next; the others decide what its
+numbers mean."""
+
 
 class Axia80Config(Configuration):
     """An ATI Axia80 with an Ethernet socket; the defaults are those of the sensor as it is delivered."""

@@ -1,6 +1,5 @@
 """The procedure: find the next step of a rig, run it, have it signed, keep it; it resumes where it was left."""
 
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from softfin.rig.commissioning.form import (
 from softfin.rig.commissioning.operator import Operator
 from softfin.rig.commissioning.steps import StepContext, run_step
 from softfin.rig.config import RigConfig
+from softfin.rig.record import date_and_time
 
 
 def commission_step(
@@ -35,7 +35,7 @@ def commission_step(
             f"step {number}: step {missing[0]} ({STEP_TITLES[missing[0]]}) is not passed with this drive and sensor; "
             "run the steps in order"
         )
-    date = datetime.now().astimezone().isoformat(timespec="seconds")
+    date = date_and_time()
     folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
     operator.tell(f"Step {number} of {len(STEP_TITLES)}: {STEP_TITLES[number]}")
     items = run_step(number, StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s))

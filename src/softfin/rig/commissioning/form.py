@@ -10,6 +10,7 @@ from typing import Any
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
+from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.config import RigConfig
 from softfin.storage import artifact as artifacts
 
@@ -27,9 +28,6 @@ STEP_TITLES = {
 
 VOIDING = ("drive", "sensor")
 """Parts of the rig's file whose change voids the steps that were signed before it."""
-
-REACH = frozenset({"address", "http_port", "rdt_port"})
-"""Settings of these parts that only say where a device is reached: they may change."""
 
 
 class Item(Configuration):
@@ -145,4 +143,4 @@ def config_values(config: RigConfig) -> dict[str, Any]:
 
 
 def _voiding_parts(rig: dict[str, Any]) -> dict[str, Any]:
-    return {part: {name: value for name, value in rig[part].items() if name not in REACH} for part in VOIDING}
+    return {part: {name: value for name, value in rig[part].items() if name not in ADDRESS_FIELDS} for part in VOIDING}

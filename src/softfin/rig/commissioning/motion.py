@@ -126,9 +126,7 @@ def move(
             session.activate()
             session.rest(0.0)
             for target in targets:
-                session.command(target)
-                for _ in range(ticks):
-                    session.tick()
+                session.hold(target, ticks)
             session.rest(0.0)
             session.deactivate()
     except SafetyStop as stop:
