@@ -81,6 +81,7 @@ ELSEWHERE = {
     "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",
+    "rig commission --arm": "tests/rig/test_commissioning.py",
     "ros2 controller --reference=2,0 --arm": "tests/cli/test_ros2.py",
     "ros2 controller --fin front_left --reference=0,0 --plant rig:front_left.yaml --arm": "tests/cli/test_ros2.py",
     "robot evaluate ucat --hold --out robot": "tests/cli/test_robot.py",

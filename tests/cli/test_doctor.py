@@ -12,7 +12,7 @@ def test_the_rig_of_a_file_is_examined_too(tmp_path, capsys):
     with simulated() as behind, filed(behind, tmp_path / "rig.yaml") as file:
         main(["doctor", "--rig", str(file), "--json"])
     rows = json.loads(capsys.readouterr().out)
-    assert [row["what"] for row in rows][-3:] == ["zero", "100 Hz loop", "readings"]
+    assert [row["what"] for row in rows][-3:] == ["force zero", "100 Hz loop", "readings"]
     assert {row["state"] for row in rows} <= {"well", "note"}
 
 

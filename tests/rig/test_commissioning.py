@@ -49,6 +49,7 @@ class Site:
         self.values = values_of(behind, **LIMITS)
         # Fewer records than usual: simulated time passes sooner.
         behind.sensor.rate_hz = RATE_HZ
+        behind.sensor._socket.timeout = 1 / RATE_HZ
         self.values["sensor"]["rate_hz"] = RATE_HZ
         # The bus is that of this process.
         self.values["bus"] = {"interface": "virtual", "channel": behind.channel}
