@@ -1,11 +1,14 @@
 """The whole commissioning on the emulated rig, and one failure per step that it must find."""
 
+import io
 import json
 import queue
 import signal
 
 import pytest
+import yaml
 
+from softfin.cli import main
 from softfin.core.errors import ConfigurationError, RigError, RunError
 from softfin.rig.commissioning import steps
 from softfin.rig.commissioning.commission import commission_step
@@ -25,6 +28,7 @@ from softfin.rig.commissioning.steps import STEP_FUNCTIONS
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.epos2.protocol import State
 from softfin.rig.stop import StopRequest
+from tests.cli.test_cli import fails
 from tests.patience import wait_until
 from tests.rig.emulated_operator import EmulatedOperator
 from tests.rig.faulty_network import FaultyNetwork
@@ -205,6 +209,43 @@ def test_a_damaged_form_is_refused_in_one_line(site):
     form_file(site.file).write_text(json.dumps({"attempts": 1}))
     with pytest.raises(RigError, match=r"rig.commissioning.json: not the form of a commissioning"):
         load_form(site.file)
+
+
+class TestCommand:
+    @pytest.fixture
+    def command(self, site, monkeypatch):
+        site.file.write_text(yaml.safe_dump(site.values))
+        monkeypatch.setattr("softfin.cli.rig.REAL", site.behind.clock)
+        monkeypatch.setattr("softfin.rig.commissioning.operator.TerminalOperator", lambda: site.operator)
+        monkeypatch.setattr("softfin.cli.common.on_terminal", lambda: True)
+        monkeypatch.setattr("sys.stdin", io.StringIO("move\n" * 2))
+        return ["rig", "commission", "--rig", str(site.file)]
+
+    def test_it_goes_from_step_to_step_ends_at_one_that_fails_and_resumes_there(self, site, command, capsys):
+        a_broken_sensor(site)
+        with pytest.raises(SystemExit, match="1"):
+            main([*command, "--arm"])
+        told = capsys.readouterr().err
+        assert told.endswith("step 2: rig check: not as required; correct it, then run this command again\n")
+        assert load_form(site.file).next_step(site.config) == 2
+        site.behind.sensor.status = 0
+        main([*command, "--arm", "--step", "2"])
+        assert capsys.readouterr().out.endswith("rig.commissioning.md: step 3 is next\n")
+        assert load_form(site.file).next_step(site.config) == 3
+
+    @pytest.mark.parametrize(
+        ("options", "told"),
+        [
+            ([], "nothing moves without --arm"),
+            (["--arm", "--yes"], "--yes: a commissioning needs a person; leave it out"),
+            (["--arm", "--step", "9"], "--step 9: no such step; give a number from 1 to 8"),
+        ],
+    )
+    def test_a_wrong_option_is_one_clear_line(self, site, command, capsys, options, told):
+        line, code = fails(capsys, *command, *options)
+        assert line.endswith(told)
+        assert code == 2
+        assert site.operator.asked == []
 
 
 class TestTerminal:

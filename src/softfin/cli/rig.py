@@ -140,7 +140,9 @@ class RigArguments(Armed, Common):
                 raise DeviceError(f"step {number}: {failed}: not as required; correct it, then run this command again")
             number = None if self.step else load_form(self.rig).next_step(config)
         form = form_file(self.rig).with_suffix(".md")
-        self.tell({"form": str(form)}, f"{form}: the form, every step signed")
+        left = load_form(self.rig).next_step(config)
+        rest = "every step is passed and signed" if left is None else f"step {left} is next"
+        self.tell({"form": str(form), "next_step": left}, f"{form}: {rest}")
 
     def _emulate(self) -> None:
         if self.rig.exists() and not self.overwrite:
