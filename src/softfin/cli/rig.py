@@ -3,7 +3,6 @@
 import contextlib
 import json
 import sys
-import threading
 import time
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,7 +19,7 @@ from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.prove import prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.robot_setup import RobotSetup
-from softfin.rig.stop import interrupted_by_signals
+from softfin.rig.stop import SIGNAL_CHECK_S, interrupted_by_signals
 from softfin.storage.paths import RIG_FILE
 
 PROVING = "the motor is powered and holds where it stands; softfin then falls silent until the drive stops by itself"
@@ -159,7 +158,8 @@ class RigArguments(Armed, Common):
                 told = f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
                 sys.stdout.write(told)
                 sys.stdout.flush()
-                threading.Event().wait()
+                while True:
+                    REAL.sleep(SIGNAL_CHECK_S)
             return
         # A new rig starts without the state of the one that was there.
         state_file(self.rig).unlink(missing_ok=True)

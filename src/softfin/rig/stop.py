@@ -108,6 +108,11 @@ def listen_to_keyboard(
     return REAL.spawn(listen, "keyboard")
 
 
+SIGNAL_CHECK_S = 0.2
+"""Longest time for which the main thread waits for a lock [s]. The kernel may give a signal to another thread, which
+does not wake the main thread, where Python handles it."""
+
+
 class Watchdog:
     """A thread that stops the machine when the loop is silent, as where a controller waits for ever.
 

@@ -1,5 +1,6 @@
 """The person beside the rig, who does what a step asks for and answers; a test plays another one."""
 
+import contextlib
 import queue
 import sys
 import threading
@@ -9,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 from softfin.core.errors import RunError
 from softfin.core.printable import printable
-from softfin.rig.stop import StopRequest
+from softfin.rig.stop import SIGNAL_CHECK_S, StopRequest
 
 
 @runtime_checkable
@@ -91,12 +92,17 @@ class TerminalOperator:
 
     def _ask(self, prompt: str) -> str:
         self._write(printable(prompt))
-        answer = self._answers.get()
+        answer = self._next_line()
         if answer is None:
             # What was read stays ended: the next question must not wait for ever.
             self._answers.put(None)
             raise RunError("commissioning: the terminal's input has ended; start it again, it resumes at this step")
         return answer
+
+    def _next_line(self) -> str | None:
+        while True:
+            with contextlib.suppress(queue.Empty):
+                return self._answers.get(timeout=SIGNAL_CHECK_S)
 
     def _read(self, lines: Iterable[str]) -> None:
         try:
