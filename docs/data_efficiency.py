@@ -1,7 +1,7 @@
-"""How long to record: free-running error against minutes of tank time, with random and with active excitation.
+"""How long to record: free-running error against minutes of tank time.
 
     python docs/data_efficiency.py RUN                                            # all of it: hours on two cores
-    python docs/data_efficiency.py RUN --minutes 2,5,10 --active 5,10 --set members=3 --set force_updates=800
+    python docs/data_efficiency.py RUN --minutes 2,5,10 --set members=3 --set force_updates=800
 
 Every recording, fit and score has a place of its own under RUN and is left out where it is there already: the same
 command goes on after a stop, and sizes, seeds and models can be added one after another. RUN/study.json and the table
@@ -31,7 +31,6 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
-from softfin.surrogate.active import ActiveCollectConfig
 from softfin.surrogate.compare.scores import free_run, measured_ranges, run_from_rest, score_segments, segments_of, take
 from softfin.tank import SensorConfig, Tank, TankConfig
 
@@ -85,20 +84,12 @@ class Options(Configuration):
     """Folder of all recordings, fits and scores."""
     minutes: Numbers = (2, 5, 10, 30, 100, 333)
     """Of random excitation that streaming networks are fitted to."""
-    active: Numbers = (5, 10)
-    """Of active excitation, in order; each goes on from the one before, the first from the random ones of `start`."""
-    start: int = 2
-    """Minutes of random excitation that the active one begins with; their fit chooses first."""
     paper: Numbers = ()
     """Of random excitation that the paper's networks are fitted to."""
     seeds: Numbers = (0, 1, 2)
     """Of logs and weights."""
     set: tuple[str, ...] = ()
     """Changes of the streaming networks' configuration: path=value."""
-    choice: tuple[str, ...] = ()
-    """Changes of the configuration of the active excitation: path=value, such as active.candidates=16."""
-    choice_name: str = "active"
-    """Under which the active recordings and fits are kept."""
     logs: Path | None = None
     """Dataset whose training logs are learnt from, cut into minutes; without it the tank is recorded."""
     same: Path | None = None
@@ -115,9 +106,6 @@ def main(options: Options) -> None:
     for minutes in options.minutes:
         for seed in options.seeds:
             study(options, "random", minutes, seed, tests)
-    for minutes in options.active:
-        for seed in options.seeds:
-            study(options, options.choice_name, minutes, seed, tests)
     for minutes in options.paper:
         for seed in options.seeds[:1]:
             study(options, "paper", minutes, seed, tests)
@@ -136,7 +124,7 @@ def study(options: Options, kind: str, minutes: int, seed: int, tests: dict[str,
     fitted, scores = options.run / "fits" / name, options.run / "scores" / f"{name}.json"
     if not artifacts.is_kind(fitted, "surrogate"):
         paper = kind == "paper"
-        logs = learning_logs(options, "random" if paper else kind, minutes, seed)
+        logs = learning_logs(options, minutes, seed)
         config = FitConfig() if paper else StreamingConfig().changed(options.set)
         fit(logs, fitted, config, seed=seed, resume=True, progress=told(name))
     if not scores.exists():
@@ -145,29 +133,17 @@ def study(options: Options, kind: str, minutes: int, seed: int, tests: dict[str,
         artifacts.write_file(scores, artifacts.dump_json(found))
 
 
-def learning_logs(options: Options, kind: str, minutes: int, seed: int) -> Path:
-    """A dataset of logs of a minute each; random ones of one seed begin alike, active ones extend each other."""
-    path = options.run / "logs" / f"{kind}-{minutes:03d}" / f"seed-{seed}"
+def learning_logs(options: Options, minutes: int, seed: int) -> Path:
+    """A dataset of logs of a minute each; those of one seed begin alike."""
+    path = options.run / "logs" / f"random-{minutes:03d}" / f"seed-{seed}"
     if artifacts.is_kind(path, "dataset"):
         return path
-    if kind != "random":
-        before, chooser = before_active(options, minutes, seed)
-        held = len(Dataset.open(before).train)
-        config = ActiveCollectConfig(logs=minutes - held, test_logs=0, rows=MINUTE, seed=seed).changed(options.choice)
-        collect("tank", path, config, surrogate=chooser, extend=before, progress=told(path.name))
-    elif options.logs is not None:
+    if options.logs is not None:
         write_dataset(path, pieces(options.logs, minutes, seed), [], {"plant": "tank", "cut_from": str(options.logs)})
     else:
         config = CollectConfig(logs=minutes, test_logs=0, rows=MINUTE, seed=seed)
         collect("tank", path, config, progress=told(path.name))
     return path
-
-
-def before_active(options: Options, minutes: int, seed: int) -> tuple[Path, Path]:
-    """The logs that an active recording extends, and the ensemble that chooses what comes next."""
-    shorter = [m for m in options.active if m < minutes]
-    name = f"{options.choice_name}-{max(shorter):03d}" if shorter else f"random-{options.start:03d}"
-    return tuple(options.run / part / name / f"seed-{seed}" for part in ("logs", "fits"))
 
 
 def pieces(folder: Path, minutes: int, seed: int) -> list[Log]:
@@ -292,7 +268,7 @@ def cell(value: dict[str, float | None] | None, factor: float, digits: int) -> s
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Errors over minutes, both axes logarithmic; bars: a standard deviation over the seeds, either way.
 
-    Active excitation is tested without noise and drift; dotted is the tank without them: a model cannot be better.
+    Dotted is the tank without noise and drift: a model cannot be better.
     """
     with styled():
         figure = new_figure(9.6, 3.2)
@@ -305,9 +281,6 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
                 # The tank itself has no error where nothing is added to it.
                 if level > 0:
                     axes.axhline(level * factor, color=colour, linestyle=":", linewidth=1.2)
-            chosen = [row for row in rows if row["kind"] == "active"]
-            look = {"color": BLACK, "marker": "x", "markersize": 6, "capsize": 2, "linestyle": "--"}
-            curve(axes, chosen, "silent", score, factor, label="active", **look)
             axes.set(title=title, xlabel="tank time [min]", xscale="log", yscale="log")
             minutes = sorted({row["minutes"] for row in rows if row["minutes"]})
             axes.set_xticks(minutes, [str(minute) for minute in minutes])

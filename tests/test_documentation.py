@@ -35,11 +35,9 @@ from softfin.learning.configuration import TRAIN_PRESETS
 from softfin.rig.config import load_rig, load_ros2
 from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
 from softfin.robot.evaluate import RobotEvaluateConfig
-from softfin.robot.train import RobotTrainConfig
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.dataset import Dataset
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
-from softfin.surrogate.active import ActiveCollectConfig
+from softfin.surrogate import FitConfig, StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig
 from softfin.tank.calibration.config import CALIBRATE_PRESETS as CALIBRATIONS
 from tests.documents import (
@@ -57,13 +55,13 @@ from tests.documents import (
 )
 
 CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
-    "collect": (CollectConfig(), ActiveCollectConfig()),
-    "fit": (StreamingConfig(), FitConfig(), AutoConfig()),
+    "collect": (CollectConfig(),),
+    "fit": (StreamingConfig(), FitConfig()),
     "calibrate": tuple(CALIBRATIONS.values()),
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
-    "robot": (RobotEvaluateConfig(), RobotTrainConfig(), RobotNodeConfig()),
+    "robot": (RobotEvaluateConfig(), RobotNodeConfig()),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),

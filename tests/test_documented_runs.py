@@ -32,7 +32,6 @@ def flat(values, path=""):
 TINY = {
     "collect": f"--logs 1 --test-logs 1 --rows {staged.ROWS}",
     "collect --plant tank": "--plant tank.yaml",
-    "collect --excitation active": f"--plant {staged.PLANT} --test-logs 0 --set active.candidates=2",
     "fit": "--config streaming.yaml",
     "fit --model paper": "--config paper.yaml",
     "compare": f"--horizons 1 --noise-floor {staged.PLANT}",
@@ -87,8 +86,6 @@ ELSEWHERE = {
     "robot evaluate ucat --hold --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --out robot": "tests/cli/test_robot.py",
     "robot evaluate ucat --dead --out one-fin-dead": "tests/cli/test_robot.py",
-    "robot evaluate ucat --policy robot-policy --out with-policy": "tests/cli/test_robot.py",
-    "robot train ucat --out robot-policy": "tests/cli/test_robot.py",
     "robot view ucat --out robot.html": "tests/cli/test_robot.py",
     "robot view ucat --lemniscate --out lemniscate.html": "tests/cli/test_robot.py",
     "robot ros2 ucat --set max_thrust=3": "tests/cli/test_robot.py",

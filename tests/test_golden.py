@@ -19,9 +19,6 @@ from softfin.control.controller import Measured
 from softfin.core.quantities import Command
 from softfin.gaits.force_map import load_map
 from softfin.rig.config import load_rig, load_ros2
-from softfin.robot.description import RobotConfig
-from softfin.robot.paths import PathPoint
-from softfin.robot.residual_policy import ResidualPolicy
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.recovery import scan
 from softfin.storage.formats import FOLDERS, FORMATS, IN_FILE
@@ -205,27 +202,6 @@ def test_a_dataset_and_a_recording_with_numbers(tmp_path: Path) -> None:
     options = softfin.ImportConfig(shortest_s=1)
     recorded, _ = softfin.import_logs(NUMBERED / "session.mcap", tmp_path / "dataset", options, ignore_errors=True)
     np.testing.assert_allclose([summary(log) for log in recorded.load(recorded.train)], expected["recording"], **EXACT)
-
-
-def robot_accelerations() -> np.ndarray:
-    """Accelerations that the golden policy of a robot adds."""
-    description = artifacts.load_description(NUMBERED / "robot-policy", "robot-policy")
-    policy = ResidualPolicy.load(NUMBERED / "robot-policy", RobotConfig.model_validate(description["robot"]))
-    return np.array([policy.act(*robot_state(begin)) for begin in (0.0, 1.0, 2.0)])
-
-
-def robot_state(begin: float) -> tuple[np.ndarray, np.ndarray, list[PathPoint]]:
-    """An estimate, accelerations and a path whose numbers all differ."""
-    numbers = np.sin(begin + np.arange(200.0))
-    estimate, accelerations = 0.05 * numbers[:18].reshape(6, 3), 0.2 * numbers[18:30].reshape(2, 6)
-    points = [0.2 * row for row in numbers[40:104].reshape(4, 16)]
-    path = [PathPoint(p[:3], np.array([0.9, *p[3:6]]), p[6:9], p[9:12], p[12:15], p[13:16]) for p in points]
-    return estimate, accelerations, path
-
-
-def test_robot_policy() -> None:
-    expected = json.loads((NUMBERED / "expected.json").read_text())
-    np.testing.assert_allclose(robot_accelerations(), expected["robot"], rtol=1e-4)
 
 
 def test_the_example_of_that_time_lists_what_it_held() -> None:

@@ -119,11 +119,8 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
 def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
     part = PARTS["robot"]((3, 4))
     commands = [each.command for each in part.steps if each.command.startswith("softfin robot evaluate")]
-    assert len(commands) == 4
-    # Policies have the same trials whatever the seeds of their training are.
-    trials = [" --seeds 2 --seed 3 " in command for command in commands]
-    assert trials == [" --policy " not in command for command in commands]
-    assert all(" --seeds 5 --seed 10 " in command for command in commands if " --policy " in command)
+    assert len(commands) == 2
+    assert all(" --seeds 2 --seed 3 " in command for command in commands)
     rows = [
         dict.fromkeys(("position_rms_m", "position_worst_m", "attitude_rms_deg"), 1.0) | {"seed": s} for s in (3, 4)
     ]
@@ -137,7 +134,7 @@ def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
         )
         (tmp_path / f"{each.name}.step.json").write_text(json.dumps({"resumed": False, "wall_s": 1.0}))
     figures = part.figures(Work(tmp_path))
-    for name in ("hold.position", "dead.lissajous.worst", "a.lemniscate.attitude", "policy.hold"):
+    for name in ("hold.position", "dead.lissajous.worst", "a.lemniscate.attitude"):
         assert figures[name]["seeds"] == [3, 4]
     for name in ("force_error_n", "a.roll_ripple"):
         assert figures[name]["seeds"] == [3]

@@ -17,25 +17,10 @@ def robot(seeds: Sequence[int]) -> Part:
     # Each fin dies in one of the first four; the others have other directions of current and push.
     dead = step("robot-dead", f"{command} --hold --lemniscate --lissajous --dead", 2, tiny=TINY)
 
-    trained = [
-        step(f"robot-policy-{seed}", f"softfin robot train ucat --seed {seed}", 4, seed,
-             "--set num_updates=2 --set num_envs=2 --set num_steps=2")
-        for seed in seeds
-    ]  # fmt: skip
-    # Each policy has the same trials. Their mean is the figure of the training's seed.
-    command = "softfin robot evaluate ucat --seeds 5 --seed 10 --hold --lemniscate --lissajous --policy robot-policy-"
-    judged = [step(f"robot-with-policy-{seed}", f"{command}{seed}", 4, seed, TINY) for seed in seeds]
-
     def read(work: Work) -> Figures:
         figures: Figures = {}
         # Wrenches are drawn once, by the first seed.
         first = seeds[:1]
-        found = [work.json(f"{each.name}/robot.json") for each in judged]
-        for task in ("hold", "lemniscate", "lissajous"):
-            for key, score, factor in (("", "position_rms_m", 100), (".attitude", "attitude_rms_deg", 1)):
-                means = [factor * sum(row[score] for row in rows[task]) / len(rows[task]) for rows in found]
-                figures[f"policy.{task}{key}"] = figure("degrees" if key else "cm", means, seeds)
-        figures["policy.wall_s"] = work.spent([[each.name] for each in trained], seeds, "wall_s")
         for prefix, name in (("", "robot"), ("dead.", "robot-dead")):
             found = work.json(f"{name}/robot.json")
             for task in ("hold", "lemniscate", "lissajous"):
@@ -66,4 +51,4 @@ def robot(seeds: Sequence[int]) -> Part:
         return figures
 
     pictures = {"docs/robot.png": "robot/lemniscate.png"}
-    return Part("U-CAT with four fins", (whole, dead, *trained, *judged), read, pictures)
+    return Part("U-CAT with four fins", (whole, dead), read, pictures)

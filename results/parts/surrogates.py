@@ -92,9 +92,9 @@ def ablation(seeds: Sequence[int]) -> Part:
 
 def data_efficiency(seeds: Sequence[int]) -> Part:
     """How long to record."""
-    command = "python docs/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --active 5 --seeds {0} "
+    command = "python docs/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --seeds {0} "
     command += "--set members=3 --set drive_updates=300 --set force_updates=800"
-    tiny = "--minutes 2 --active 3 --set members=2 --set force_updates=2 --set drive_updates=2"
+    tiny = "--minutes 2 --set members=2 --set force_updates=2 --set drive_updates=2"
     runs = [step(f"efficiency-{seed}", command.format(seed), 12, seed, tiny) for seed in seeds]
     every = " ".join(names_of(runs))
     drawn = step("efficiency", f"python -m results.scripts efficiency efficiency {every}", 0.5)

@@ -33,13 +33,11 @@ from .stages.surrogates import fit as fit
 from .stages.surrogates import import_keras as import_keras
 from .storage.dataset import Dataset as Dataset
 from .storage.registry import find_plant as find_plant
-from .surrogate import AutoConfig as AutoConfig
 from .surrogate import FitConfig as FitConfig
 from .surrogate import StreamingConfig as StreamingConfig
 from .surrogate import StreamingSurrogate as StreamingSurrogate
 from .surrogate import Surrogate as Surrogate
 from .surrogate import load_surrogate as load_surrogate
-from .surrogate.active import ActiveCollectConfig as ActiveCollectConfig
 from .surrogate.compare.compare import CompareConfig as CompareConfig
 from .tank import Tank as Tank
 from .tank import TankConfig as TankConfig

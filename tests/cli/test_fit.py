@@ -9,7 +9,6 @@ from softfin.cli.surrogates import warning
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig
-from softfin.surrogate.selection import AutoConfig
 from tests.surrogate.streaming import small
 
 
@@ -23,17 +22,16 @@ def dataset(tmp_path_factory):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """What is asked of the fit, which is not done; out come a surrogate with random weights and evidence."""
+    """Arguments of each fit, none of which is done; it returns a surrogate with random weights."""
     configs = []
-    evidence = {"chosen": "paper", "held_out": {name: {"force_rmse_n": 0.5, "angle_rmse_rad": 0.1, "seconds": 13.0}
-                                                for name in ("streaming", "paper")}}  # fmt: skip
 
-    def fit_any(logs, config, seed, run_directory, progress):
+    def fit(logs, config, seed, run_directory, progress):
         run_directory.log().close()
         configs.append((config, seed, len(logs)))
-        return small.surrogate(), evidence if isinstance(config, AutoConfig) else None
+        return small.surrogate()
 
-    monkeypatch.setattr("softfin.stages.surrogates.fit_any", fit_any)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_paper", fit)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_streaming", fit)
     return configs
 
 
@@ -60,7 +58,6 @@ def fails(capsys, *words):
         (["--model", "streaming", "--set", "members=2", "--set", "drive.units=3"],
          StreamingConfig(members=2, drive={"units": 3})),
         (["--model", "paper", "--epochs", "3"], FitConfig(epochs=3)),
-        (["--model", "auto", "--set", "paper.epochs=3"], AutoConfig(paper={"epochs": 3})),
     ],
 )  # fmt: skip
 def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked, words, config):
@@ -71,18 +68,12 @@ def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked
     description = artifacts.load_description(out, "surrogate")
     assert description["configuration"] == json.loads(json.dumps(config.model_dump(mode="json")))
     assert description["scores"] == said["table_i"]
-    assert description.get("candidates") == said["candidates"]
-    assert ("candidates" in description) == ("auto" in words)
 
 
-def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path, dataset, asked):
-    text = run(capsys, "fit", dataset, "--model", "auto", "--out", str(tmp_path / "s"))
+def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
+    text = run(capsys, "fit", dataset, "--out", str(tmp_path / "s"))
     assert "Drive networks, commands to angle" in text
     assert "Force networks, free-running behind the drive networks" in text
-    (chosen,) = [line for line in text.splitlines() if "<- chosen" in line]
-    assert chosen.startswith("paper ")
-    assert "0.5000" in chosen
-    assert "13.0" in chosen
 
 
 @pytest.mark.parametrize(
@@ -91,7 +82,8 @@ def test_people_are_told_table_i_and_why_a_candidate_was_chosen(capsys, tmp_path
         (["--seed", "2147483648"], "--seed 2147483648: a seed is a whole number from 0"),
         (["--set", "epochs=3"], "--set: unknown key 'epochs'"),
         (["--set", "force.wakes=3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
-        (["--model", "auto", "--set", "streaming.burn_in=900"], "burn_in must be less than ticks = 250"),
+        (["--set", "burn_in=900"], "burn_in must be less than ticks = 250"),
+        (["--epochs", "3"], "--epochs with --model streaming: only --model paper counts in epochs"),
         (["--set", "ticks=300", "--set", "burn_in=10"], "has 300 rows; 321 are needed in one piece; record longer"),
     ],
 )
@@ -141,7 +133,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
         run_directory.save({}, {})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.surrogates.fit_any", stopped)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_streaming", stopped)
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)

@@ -29,7 +29,6 @@ SLIPS: list[tuple[list[str], str]] = [
     (["collect", *OUT, "--plant", "pool"], "plant pool: unknown (does not exist); give tank, "),
     (["collect", *OUT, "--plant", "no_such_module:plant"], "No module named 'no_such_module'"),
     (["collect", *OUT, "--surrogate", "no"], "no: no such folder; it should be a surrogate"),
-    (["collect", *OUT, "--extend", "."], ".: not a dataset: it holds no dataset.json"),
     (["collect", *OUT, "--config", "no.yaml"], "no.yaml: cannot be read (No such file or directory)"),
     (["collect", "--out", "full"], "full: exists already; give another --out, or --overwrite"),
     (["collect", *OUT, "--seed", "-1"], "--seed -1: a seed is a whole number from 0 to"),

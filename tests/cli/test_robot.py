@@ -52,17 +52,6 @@ def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_trained_policy_goes_on_when_a_fin_dies(capsys, tmp_path):
-    policy, out = tmp_path / "robot-policy", tmp_path / "with-policy"
-    main(["robot", "train", "ucat", "--out", str(policy), "--set", "num_updates=1", "--set", "num_envs=2",
-          "--set", "num_steps=2", "--set", "hidden=4"])  # fmt: skip
-    main(["robot", "evaluate", "ucat", "--policy", str(policy), "--dead", "--hold", "--out", str(out), "--seeds", "1",
-          "--set", "hold_s=8", "--set", "settled_s=2"])  # fmt: skip
-    assert "front_right dead at" in capsys.readouterr().out
-    assert json.loads((out / "robot.json").read_text())["hold"][0]["dead"] == "front_right"
-
-
-@pytest.mark.slow
 def test_view_writes_a_page(capsys, tmp_path):
     page = tmp_path / "lem.html"
     main(["robot", "view", "--lemniscate", "--out", str(page), "--set", "path_s=20", "--set", "settled_s=5"])
@@ -80,9 +69,7 @@ def test_view_writes_a_page(capsys, tmp_path):
         (("evaluate", "nemo.yaml"), "nemo.yaml: there is no such file"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
         (("evaluate", "--set", "hold_s=60"), "must be at least 90.34 s with settled_s = 30"),
-        (("train", "--dead"), "--dead goes with robot evaluate and robot view"),
-        (("train", "--policy", "robot-policy"), "--policy goes with robot evaluate"),
-        (("evaluate", "--policy", "robot-policy"), "robot-policy: no such folder"),
+        (("check", "--dead"), "--dead goes with robot evaluate and robot view"),
         (("ros2", "ucat", "--hold"), "robot ros2 runs no trial"),
         (("ros2", "ucat"), "max_thrust: missing"),
         (("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"), "stop_topic = 'stop'"),

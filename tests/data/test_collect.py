@@ -5,7 +5,7 @@ import pytest
 
 from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
-from softfin.data.collect import CollectConfig, collect
+from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.simulate import CHUNK_ROWS
 from tests.plants import AnalyticFin, PlainFin
 
@@ -19,7 +19,7 @@ def config() -> CollectConfig:
 
 @pytest.fixture(scope="module")
 def dataset(config, tmp_path_factory):
-    return collect(AnalyticFin(), config, tmp_path_factory.mktemp("collect") / "data")
+    return collect_logs(AnalyticFin(), config, tmp_path_factory.mktemp("collect") / "data")
 
 
 def logs_of(dataset) -> list[Log]:
@@ -57,15 +57,15 @@ def test_the_command_of_a_row_shows_first_in_the_reading_of_the_next(dataset):
 
 
 def test_the_same_seed_gives_the_same_files_and_another_seed_others(dataset, config, tmp_path):
-    again = collect(AnalyticFin(), config, tmp_path / "again")
-    other = collect(AnalyticFin(), config.changed(["seed=4"]), tmp_path / "other")
+    again = collect_logs(AnalyticFin(), config, tmp_path / "again")
+    other = collect_logs(AnalyticFin(), config.changed(["seed=4"]), tmp_path / "other")
     assert again.data_hash == dataset.data_hash
     assert other.data_hash != dataset.data_hash
 
 
 @pytest.mark.parametrize("batch", [1, 3])
 def test_a_log_does_not_depend_on_what_is_simulated_beside_it(dataset, config, tmp_path, batch):
-    other = collect(AnalyticFin(), config.changed([f"batch={batch}"]), tmp_path / "data")
+    other = collect_logs(AnalyticFin(), config.changed([f"batch={batch}"]), tmp_path / "data")
     for one, another in zip(logs_of(dataset), logs_of(other), strict=True):
         assert_same(one, another, tolerance=1e-5)
 
@@ -73,7 +73,7 @@ def test_a_log_does_not_depend_on_what_is_simulated_beside_it(dataset, config, t
 def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, tmp_path):
     silent = AnalyticFin(gain=0.0, noise_n=0.0)
     strong = AnalyticFin(gain=5.0, noise_n=0.0)
-    other = collect(AnalyticFin(), config, tmp_path / "data", test_plants=[silent, strong])
+    other = collect_logs(AnalyticFin(), config, tmp_path / "data", test_plants=[silent, strong])
     first, second = other.load(other.test)
     assert not first.reading.force.any()
     assert np.abs(second.reading.force).max() > 5
@@ -83,8 +83,10 @@ def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, 
 
 def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
-    stacked = collect(AnalyticFin(), config, tmp_path / "one", test_plants=[AnalyticFin(gain=g) for g in (0.1, 0.9)])
-    mixed = collect(AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)])
+    stacked = collect_logs(
+        AnalyticFin(), config, tmp_path / "one", test_plants=[AnalyticFin(gain=g) for g in (0.1, 0.9)]
+    )
+    mixed = collect_logs(AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)])
     for one, other in zip(logs_of(stacked), logs_of(mixed), strict=True):
         assert_same(one, other, tolerance=1e-5)
 
@@ -92,7 +94,7 @@ def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
 def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
     plants = [AnalyticFin(lag_s=0.05, noise_n=0.0), AnalyticFin(lag_s=0.5, noise_n=0.0)]
-    fast, slow = (log for log in logs_of(collect(AnalyticFin(), config, tmp_path / "data", plants))[-2:])
+    fast, slow = (log for log in logs_of(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:])
     for log, lag in ((fast, 0.05), (slow, 0.5)):
         expected = np.clip((log.command.angle - log.reading.angle) / lag, -log.command.velocity, log.command.velocity)
         np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
@@ -100,7 +102,9 @@ def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
 
 def test_progress_grows_to_all_rows(config, tmp_path):
     seen = []
-    collect(AnalyticFin(), config.changed(["batch=3"]), tmp_path / "data", progress=lambda *counts: seen.append(counts))
+    collect_logs(
+        AnalyticFin(), config.changed(["batch=3"]), tmp_path / "data", progress=lambda *counts: seen.append(counts)
+    )
     stages, done, notes = zip(*seen, strict=True)
     assert set(stages) == {"collect"}
     assert notes[-1] == f"{6 * ROWS:,} of {6 * ROWS:,} rows"
@@ -114,54 +118,8 @@ def test_an_interrupt_leaves_nothing(config, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        collect(AnalyticFin(), config, tmp_path / "data", progress=interrupt)
+        collect_logs(AnalyticFin(), config, tmp_path / "data", progress=interrupt)
     assert not any(tmp_path.iterdir())
-
-
-def swinging(key, rows, limits):
-    """To and fro each second, whatever the key."""
-    side = jnp.where(jnp.arange(rows) // 100 % 2 == 0, limits.angle_min, limits.angle_max)
-    return Command(side / 2, jnp.full(rows, limits.velocity_max))
-
-
-def test_logs_to_learn_from_are_under_the_commands_that_are_given_and_test_logs_under_random_ones(
-    dataset, config, tmp_path
-):
-    other = collect(AnalyticFin(), config, tmp_path / "data", commands=swinging)
-    for log in other.load(other.train):
-        # The command that row 0 shows was given before any log.
-        np.testing.assert_allclose(log.command.angle, swinging(None, ROWS + 1, PAPER_LIMITS).angle[1:])
-    for one, another in zip(dataset.load(dataset.test), other.load(other.test), strict=True):
-        assert_same(one, another)
-
-
-def test_logs_that_are_recorded_on_are_those_that_one_recording_would_have_given(dataset, config, tmp_path):
-    first = collect(AnalyticFin(), config.changed(["logs=1", "test_logs=1"]), tmp_path / "first")
-    more = config.changed(["logs=3", "test_logs=1"])
-    both = collect(AnalyticFin(), more, tmp_path / "both", before=first)
-    whole, joined = logs_of(dataset), logs_of(both)
-    assert (len(both.train), len(both.test)) == (4, 2)
-    for one, another in zip([*whole[1:4], whole[0], *whole[4:]], joined, strict=True):
-        assert_same(one, another, tolerance=1e-5)
-
-
-def test_what_was_known_of_a_dataset_is_kept_when_it_is_recorded_on(tmp_path):
-    config = CollectConfig(logs=1, test_logs=1, rows=300, seed=7)
-    first = collect(AnalyticFin(), config, tmp_path / "first", metadata={"colour": "blue"})
-    both = collect(AnalyticFin(), config.changed(["seed=8"]), tmp_path / "both", before=first)
-    told = both.description["extends"]
-    assert (told["dataset"], told["data_hash"]) == (str(first.path), first.data_hash)
-    assert (told["logs"], told["test_logs"]) == (1, 1)
-    assert told["description"]["colour"] == "blue"
-    assert told["description"]["configuration"]["seed"] == 7
-    assert both.description["configuration"]["seed"] == 8
-
-
-def test_a_dataset_may_be_recorded_on_in_its_own_place(tmp_path):
-    config = CollectConfig(logs=1, test_logs=0, rows=300)
-    first = collect(AnalyticFin(), config, tmp_path / "data")
-    both = collect(AnalyticFin(), config, tmp_path / "data", before=first, overwrite=True)
-    assert [path.name for path in both.train] == ["0000.parquet", "0001.parquet"]
 
 
 class Broken(PlainFin):
@@ -182,13 +140,13 @@ class Late(PlainFin):
 
 def test_a_plant_that_gives_nan_is_named_with_the_row(tmp_path):
     with pytest.raises(PlantError, match=r"log train/0000, row \d+: the plant's force is nan; every reading must be"):
-        collect(Broken(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
+        collect_logs(Broken(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
     assert not any(tmp_path.iterdir())
 
 
 def test_a_plant_whose_clock_is_wrong_is_refused(tmp_path):
     with pytest.raises(PlantError, match=r"row 0: the plant's time is 0.0033 s, must be 0.01 s"):
-        collect(Late(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
+        collect_logs(Late(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
 
 
 def test_the_first_command_is_met_at_rest(dataset):

@@ -12,7 +12,7 @@ import pytest
 from softfin.core.errors import ArtifactError, ConfigurationError, RigError, SafetyStop
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
-from softfin.data.collect import CollectConfig, collect
+from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.recordings import open_logs
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.rig.epos2.protocol import State
@@ -138,7 +138,7 @@ def test_a_log_through_the_emulators_is_the_tanks_own(tmp_path):
     config = CollectConfig(logs=1, test_logs=0, rows=400, seed=5)
     with emulated(tank) as (_, robot):
         live = collect_live(robot, tmp_path / "live", config, yes)
-    alone = collect(tank, config, tmp_path / "alone")
+    alone = collect_logs(tank, config, tmp_path / "alone")
     through, planned = (next(iter(data.load(data.train))) for data in (live, alone))
     # The commands are the same at the same rows, and nothing is ever late.
     for sent, meant in zip(through.command, planned.command, strict=True):

@@ -63,8 +63,6 @@ class TrainArguments(Configured):
     """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5), or map: all that the fin can make (--map)."""
     map: Annotated[Path, folder_of("map")] | None = None
     """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
-    refine: int = 0
-    """Split the worst cells of a grid until there are so many more, and train these on, always in this process."""
     steps: int | None = None
     """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
     seed: int = 0
@@ -89,7 +87,7 @@ class TrainArguments(Configured):
             read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
-        trained = ("algorithm", "seeds", "steps", "resume", "refine", "engine", "split", "cluster")
+        trained = ("algorithm", "seeds", "steps", "resume", "engine", "split", "cluster")
         useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
             raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
@@ -119,7 +117,7 @@ class TrainArguments(Configured):
                 f"{config.algorithm}"
             )
         self.stage(
-            train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds, refine=self.refine,
+            train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds,
             engine=self.engine, split=self.split, cluster=self.cluster, reason=reason, resume=self.resume,
         )  # fmt: skip
         return self._tell(seeds)

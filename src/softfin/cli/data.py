@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from softfin.cli.common import AnyPlant, Armed, Common, Configured, File, LogOptions, Logs, Out, folder_of
+from softfin.cli.common import AnyPlant, Armed, Common, Configured, File, LogOptions, Logs, Out
 from softfin.cli.options import Option
-from softfin.core.choices import Excitation
 from softfin.core.errors import ConfigurationError
 from softfin.data.issues import counted
 from softfin.storage.registry import is_live
@@ -21,16 +20,10 @@ class CollectArguments(Armed, Configured):
     plant: AnyPlant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
     one of these with :FILE."""
-    excitation: Excitation = "random"
-    """random: as the paper's; active: the motions whose force the ensemble in --surrogate is least sure of."""
-    surrogate: Annotated[Path, folder_of("surrogate")] | None = None
-    """Folder of the ensemble that chooses, fitted to logs of this fin, of --excitation active."""
-    extend: Annotated[Path, folder_of("dataset")] | None = None
-    """Folder of a dataset of this fin whose logs are taken over: the new one holds both."""
     logs: int | None = None
     """Training logs to record (the paper's 100)."""
     test_logs: int | None = None
-    """Test logs to record, in perturbed tanks (the paper's 3; none with --extend)."""
+    """Test logs to record, in perturbed tanks (the paper's 3)."""
     rows: int | None = None
     """Readings a log at 100 Hz (the paper's 20,000)."""
     seed: int | None = None
@@ -42,13 +35,10 @@ class CollectArguments(Armed, Configured):
         """Refuse options that do not go with the plant."""
         super().check()
         if is_live(self.plant):
-            way = "a real fin; record random motions there"
-            asked = {"--extend": self.extend, "--excitation active": self.excitation == "active"}
-        else:
-            way = "simulated; leave it out, or give --plant rig"
-            asked = {"--arm": self.arm, "--resume": self.resume}
-        if wrong := [name for name, given in asked.items() if given]:
-            raise ConfigurationError(f"{wrong[0]}: {self.plant} is {way}")
+            return
+        for option, is_given in (("--arm", self.arm), ("--resume", self.resume)):
+            if is_given:
+                raise ConfigurationError(f"{option}: {self.plant} is simulated; leave it out, or give --plant rig")
 
     def __call__(self) -> None:
         from softfin.cli.driving import KeyboardStop, say
@@ -56,10 +46,8 @@ class CollectArguments(Armed, Configured):
         from softfin.rig.robot_setup import find_robot
         from softfin.stages.collect import collect
         from softfin.stages.live import collect_live
-        from softfin.surrogate.active import ActiveCollectConfig
 
-        kind = ActiveCollectConfig if self.excitation == "active" else CollectConfig
-        config = self.configured(kind() if self.extend is None else kind(test_logs=0))
+        config = self.configured(CollectConfig())
         if is_live(self.plant):
             robot = find_robot(self.plant)
             keys = KeyboardStop(self.confirm)
@@ -67,13 +55,11 @@ class CollectArguments(Armed, Configured):
                 collect_live, robot, self.out, config, keys.confirm, resume=self.resume, stop=keys.stop, warn=say
             )
         else:
-            chosen = {"surrogate": self.surrogate, "extend": self.extend}
-            data = self.stage(collect, self.plant, self.out, config, **chosen)
+            data = self.stage(collect, self.plant, self.out, config)
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
-        more = "" if self.extend is None else f", and those of {self.extend}"
         self.tell(
             {"dataset": str(self.out), **counts, "data_hash": data.data_hash},
-            f"{self.out}: {config.logs} + {config.test_logs} logs of {config.rows:,} rows{more}",
+            f"{self.out}: {config.logs} + {config.test_logs} logs of {config.rows:,} rows",
         )
 
 

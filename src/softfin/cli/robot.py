@@ -13,17 +13,14 @@ from softfin.core.errors import ConfigurationError
 class RobotArguments(Configured):
     """Check, evaluate or show a robot with several fins, or share wrenches among real ones as a ROS 2 node."""
 
-    action: Annotated[Literal["check", "evaluate", "view", "train", "ros2"], Option(positional=True)]
+    action: Annotated[Literal["check", "evaluate", "view", "ros2"], Option(positional=True)]
     """check: rank, singular values, reach and stability; evaluate: wrenches, holding and paths in simulation, as JSON,
-    figures and pages; view: one trial as a page in three dimensions; train: a policy that adds to the motion
-    controller; ros2: a node that takes wrenches and asks the fins' nodes for forces; it moves nothing by itself, Enter
-    or a topic stops it and the fins (docs/robot.md)."""
+    figures and pages; view: one trial as a page in three dimensions; ros2: a node that takes wrenches and asks the
+    fins' nodes for forces; it moves nothing by itself, Enter or a topic stops it and the fins (docs/robot.md)."""
     robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
     """The robot: ucat, or a YAML file."""
     out: Annotated[Path, Option("PATH")] | None = None
-    """Folder that evaluate (runs/robot) or train (runs/robot-policy) writes, or page that view writes (robot.html)."""
-    policy: Annotated[Path, Option("FOLDER")] | None = None
-    """With evaluate: policy that adds to the motion controller, as robot train writes one."""
+    """Folder that evaluate writes (runs/robot), or page that view writes (robot.html)."""
     wrenches: bool = False
     """With evaluate: mean wrenches on a body that is held. Without any task, all are evaluated."""
     hold: bool = False
@@ -51,10 +48,9 @@ class RobotArguments(Configured):
     def check(self) -> None:
         """Refuse tasks that do not go with the action."""
         super().check()
-        if self.action in ("check", "train", "ros2") and self._tasks():
+        if self.action in ("check", "ros2") and self._tasks():
             raise ConfigurationError(f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate")
         for option, actions in (
-            ("policy", ("evaluate",)),
             ("baselines", ("evaluate",)),
             ("dead", ("evaluate", "view")),
         ):
@@ -68,8 +64,7 @@ class RobotArguments(Configured):
         return tuple(name for name in names if getattr(self, name))
 
     def __call__(self) -> None:
-        actions = {"check": self._check, "evaluate": self._evaluate, "view": self._view, "train": self._train,
-                   "ros2": self._ros2}  # fmt: skip
+        actions = {"check": self._check, "evaluate": self._evaluate, "view": self._view, "ros2": self._ros2}
         actions[self.action]()
 
     def _check(self) -> None:
@@ -100,7 +95,7 @@ class RobotArguments(Configured):
         config = self.configured(RobotEvaluateConfig(), tasks=self._tasks(), dead=self.dead or None,
                                  baselines=self.baselines or None)  # fmt: skip
         out = self.out or Path("runs/robot")
-        found = self.stage(evaluate, self.robot, out, config, policy=self.policy)
+        found = self.stage(evaluate, self.robot, out, config)
         self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
 
     def _view(self) -> None:
@@ -112,15 +107,6 @@ class RobotArguments(Configured):
         self.tell(
             row, f"{out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open it in a browser"
         )
-
-    def _train(self) -> None:
-        from softfin.robot.train import RobotTrainConfig
-        from softfin.stages.robot import train
-
-        out = self.out or Path("runs/robot-policy")
-        row = self.stage(train, self.robot, out, self.configured(RobotTrainConfig()))
-        self.tell(row, f"{out}: off by {100 * row['position_rms_m']:.1f} cm rms in training; next: softfin robot "
-                       f"evaluate {self.robot} --policy {out}")  # fmt: skip
 
     def _ros2(self) -> None:
         from softfin.cli.driving import say, typed

@@ -14,7 +14,7 @@ from softfin.core.printable import printable
 from softfin.data.issues import counted
 
 if TYPE_CHECKING:
-    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+    from softfin.surrogate import FitConfig, StreamingConfig
 
 VELOCITY_RANGE = Option("LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
 HORIZONS = Option("SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30"))
@@ -28,8 +28,7 @@ class FitArguments(LogOptions, Configured):
     out: Out
     """Folder of the surrogate to write."""
     model: ModelName = "streaming"
-    """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet; auto: both, of which the
-    best on held-out logs is kept."""
+    """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet."""
     ignore_errors: bool = False
     """Take logs with errors, too."""
     epochs: int | None = None
@@ -42,12 +41,13 @@ class FitArguments(LogOptions, Configured):
     def check(self) -> None:
         """Refuse options that do not go with the model."""
         if self.epochs is not None and self.model != "paper":
-            raise ConfigurationError(f"--epochs with --model {self.model}: only --model paper counts in epochs; see "
-                                     "--set force_updates=N, or --set paper.epochs=N of --model auto")  # fmt: skip
+            raise ConfigurationError(
+                f"--epochs with --model {self.model}: only --model paper counts in epochs; see --set force_updates=N"
+            )
         super().check()
 
     def __call__(self) -> None:
-        from softfin.cli.tables import aligned, table_one
+        from softfin.cli.tables import table_one
         from softfin.stages.surrogates import fit
 
         result = self.stage(
@@ -57,24 +57,16 @@ class FitArguments(LogOptions, Configured):
         notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
         sys.stderr.write(printable(notes, "\n"))
         parts = [table_one(result["table_i"])]
-        if found := result["candidates"]:
-            rows = [["free-running on held-out logs", "force RMSE [N]", "angle RMSE [rad]", "scored [s]", ""]]
-            for name, row in found["held_out"].items():
-                scores = [f"{row['force_rmse_n']:.4f}", f"{row['angle_rmse_rad']:.4f}", f"{row['seconds']:.1f}"]
-                rows.append([name, *scores, "<- chosen" if name == found["chosen"] else ""])
-            parts.append("\n".join(aligned(rows, (0, 4))))
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
 
 
-def defaults(model: ModelName) -> "StreamingConfig | FitConfig | AutoConfig":
+def defaults(model: ModelName) -> "StreamingConfig | FitConfig":
     """Return the configuration that a model is fitted with unless it is changed."""
-    from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig
+    from softfin.surrogate import FitConfig, StreamingConfig
 
-    if model == "streaming":
-        return StreamingConfig()
-    return FitConfig() if model == "paper" else AutoConfig()
+    return StreamingConfig() if model == "streaming" else FitConfig()
 
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:

@@ -9,10 +9,9 @@ MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
 ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
 
-Excitation: TypeAlias = Literal["random", "active"]
 """How the motions of a dataset are chosen."""
 
-ModelName: TypeAlias = Literal["streaming", "paper", "auto"]
+ModelName: TypeAlias = Literal["streaming", "paper"]
 """Kinds of surrogate that are fitted; auto keeps the best on held-out logs."""
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]

@@ -1,11 +1,11 @@
-"""Collect a dataset: random or given commands to a plant, many logs in one program (paper Sec. III-A).
+"""Collect a dataset: random commands to a plant, many logs in one program (paper Sec. III-A).
 
 A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws everything from the key
 ``collect/PART/i``, so it does not depend on what is simulated beside it.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,12 @@ import numpy as np
 import pydantic
 
 from softfin.core.configuration import Configuration
-from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.core.randomness import key_of
-from softfin.data.excitation import Commands, ExcitationConfig
+from softfin.data.excitation import ExcitationConfig
 from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
@@ -42,79 +42,42 @@ class CollectConfig(Configuration):
     """The random commands."""
 
 
-def collect(
+def collect_logs(
     plant: Plant,
     config: CollectConfig,
     out: Path,
     test_plants: Sequence[Plant] | None = None,
     progress: Progress | None = None,
     metadata: dict[str, Any] | None = None,
-    commands: Commands | None = None,
-    before: Dataset | None = None,
     overwrite: bool = False,
 ) -> Dataset:
-    """Record `plant` into the new dataset folder `out`; `metadata`, such as its name, goes into ``dataset.json``.
+    """Record random motions of `plant` into the new dataset folder `out`.
 
-    `test_plants` are for the test logs, one for each; without them these are recorded from `plant`, too. `commands` are
-    for the training logs, instead of random ones; test logs are always under random ones.
-
-    `before` is a dataset whose logs are taken over. The new logs are numbered on from them, so that the same seed gives
-    others, but the new training logs stand first: a fit holds out the last ones, so the same ones stay held out.
+    `test_plants` are the plants of the test logs, by default `plant`. `metadata`, such as the plant's name, goes into
+    ``dataset.json``.
     """
-    train, test = [plant] * config.logs, list(test_plants or [plant] * config.test_logs)
-    all_rows, done = (config.logs + config.test_logs) * config.rows, 0
+    plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
+    keys = [key_of(config.seed, f"collect/train/{index}") for index in range(config.logs)]
+    keys += [key_of(config.seed, f"collect/test/{index}") for index in range(config.test_logs)]
+    total_rows = len(plants) * config.rows
+    finished_rows = 0
 
     def report(rows: int) -> None:
-        nonlocal done
-        done += rows
+        nonlocal finished_rows
+        finished_rows += rows
         if progress:
-            progress("collect", done / all_rows, f"{done:,} of {all_rows:,} rows")
+            progress("collect", finished_rows / total_rows, f"{finished_rows:,} of {total_rows:,} rows")
 
-    first, first_test = (0, 0) if before is None else (len(before.train), len(before.test))
-    train_keys = [key_of(config.seed, f"collect/train/{first + index}") for index in range(config.logs)]
-    test_keys = [key_of(config.seed, f"collect/test/{first_test + index}") for index in range(config.test_logs)]
-    random = config.excitation
-    if commands in (None, random):
-        # One program for all.
-        logs = test_logs = simulate(train + test, train_keys + test_keys, config.rows, random, config.batch, report)
-    else:
-        logs = simulate(train, train_keys, config.rows, commands, config.batch, report)
-        test_logs = simulate(test, test_keys, config.rows, random, config.batch, report)
-    new_train, new_test = _with_exact_time(islice(logs, len(train)), "train"), _with_exact_time(test_logs, "test")
+    logs = simulate(plants, keys, config.rows, config.excitation, config.batch, report)
     description = {
         "configuration": config.model_dump(),
         "plant": type(plant).__name__,
         "provenance": artifacts.provenance(seed=config.seed),
+        **(metadata or {}),
     }
-    if before is not None:
-        new_train, new_test = chain(new_train, before.load(before.train)), chain(before.load(before.test), new_test)
-        earlier = {name: value for name, value in before.description.items() if name not in ("files", "data_hash")}
-        counts = {"logs": len(before.train), "test_logs": len(before.test)}
-        extends = {"dataset": str(before.path), "data_hash": before.data_hash, **counts, "description": earlier}
-        description["extends"] = extends
-    return write_dataset(out, new_train, new_test, description | (metadata or {}), overwrite)
-
-
-def open_to_extend(path: Path, metadata: dict[str, Any], *earlier: str) -> Dataset:
-    """Open a dataset to which logs are added of the plant with the ``plant`` and ``plant_identity`` in `metadata`.
-
-    `earlier` are identities that earlier versions wrote for it.
-
-    Raises:
-        ArtifactError: it is not a dataset, or damaged.
-        ConfigurationError: it is of another plant, or its plant is not known.
-    """
-    before = Dataset.open(path)
-    recorded = {name: before.description.get(name) for name in ("plant", "plant_identity")}
-    # Names may differ for one plant, and one name, as that of a file, may come to stand for another.
-    decisive = "plant" if recorded["plant_identity"] is None else "plant_identity"
-    if recorded[decisive] not in (metadata[decisive], *earlier):
-        now = str(metadata["plant"])
-        raise ConfigurationError(
-            f"{path}: recorded of {recorded['plant'] or 'a plant without a name'}, not of {now} as it is now; logs of "
-            f'two plants do not mix: collect anew (or, if its dataset.json has no name, write "plant": "{now}" into it)'
-        )
-    return before
+    train = _with_exact_time(islice(logs, config.logs), "train")
+    test = _with_exact_time(logs, "test")
+    return write_dataset(out, train, test, description, overwrite)
 
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:

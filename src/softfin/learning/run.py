@@ -124,8 +124,8 @@ class TrainingRun:
         self.compiled = config.model_copy(update={"cells": ()})
         self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))
 
-    def start(self, policies: Policy | None = None) -> RunState:
-        """New agents; or agents that go on from policies ``(seeds, cells, ...)``, which count as the best so far."""
+    def start(self) -> RunState:
+        """Return new agents, none of which has an evaluation yet."""
         # The key of an agent depends on its seed and cell alone, not on the agents beside it.
         keys = jnp.stack([key_of(seed, f"train/{cell}") for seed, cell in self.agents])
         boxes = stack_references([cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable)
@@ -133,9 +133,6 @@ class TrainingRun:
         if self.force_map is not None and self.config.begins_as_gaits:
             table = self.force_map.gaits.table
         agents = _init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
-        if policies is not None:
-            agents = agents._replace(policy=jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), policies))
-            return RunState(agents, agents.policy, self.evaluate(agents.policy, 0))
         worst = np.full(self.references.shape, np.inf, np.float32)
         outside = worst[..., 0] if isinstance(self.plant, EnsemblePlant) else None
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))

@@ -16,23 +16,19 @@ from uuid import uuid4
 
 import jax
 import numpy as np
-from jaxtyping import Float
 
 from softfin.core.choices import EngineName, Split
-from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import empty_map, map_forces
 from softfin.gaits.gait import ForceMap
-from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.engine import Engine
-from softfin.learning.policy import Policy
 from softfin.learning.run import BestPolicies, TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
 from softfin.storage.artifact import write_file
 from softfin.storage.run_directory import RunDirectory
-from softfin.task.references import lattice
 
 TOKEN = "here"
 """File by which a worker recognises the driver's folder, and not one of the same name."""
@@ -128,15 +124,13 @@ def train(
     run_directory: RunDirectory,
     progress: Progress | None,
     force_map: ForceMap | None,
-    start: Policy | None = None,
 ) -> BestPolicies:
     """Train a policy for every seed and cell; continue from the checkpoint in run_directory if there is one.
 
-    Agents that `start` from policies, leaves ``(seeds, cells, ...)``, never end with a greater error than these.
     Raises RunError where a loss is no longer finite; the last good checkpoint is left in the run_directory.
     """
     run = TrainingRun(plant, config, tuple(seeds), force_map)
-    state, done, steps_per_update = run.start(start), 0, config.learning.steps_per_update
+    state, done, steps_per_update = run.start(), 0, config.learning.steps_per_update
     if (resumed := run_directory.load(without_keys(state))) is not None:
         state, done = with_keys(resumed[0], state), resumed[1]["updates"]
     state = state._replace(agents=run.over_devices(state.agents))
@@ -176,50 +170,3 @@ def find_map(
     found = map_forces(plant, settings, None if progress is None else partial(progress, "map"))
     part.save(found, {})
     return found
-
-
-def check_refinable(config: TrainConfig, more: int) -> None:
-    """Raise ConfigurationError unless the run's grid can have `more` cells more."""
-    if more and (config.controller != "grid" or config.algorithm != "gradient"):
-        raise ConfigurationError(
-            f"--refine {more}: only a grid that is trained by gradients is refined, not {config.controller} by "
-            f"{config.algorithm}; leave it out, or give --controller grid --algorithm gradient"
-        )
-    if not 0 <= more <= 3 * len(config.cells):
-        raise ConfigurationError(
-            f"--refine {more}: {len(config.cells)} cells are split once, into four each, so 0 .. "
-            f"{3 * len(config.cells)} can be added; give as many, or more --cells"
-        )
-
-
-def train_refined(
-    plant: Plant, trained: TrainingResult, more: int, run_directory: RunDirectory, progress: Progress | None
-) -> tuple[TrainingResult, list[int]]:
-    """Train a finer grid, in this process and with the same budget a policy; and the index of each cell's parent.
-
-    No cell ends with a greater error than its parent's policy had in it.
-    """
-    cells, parents = refine(trained.config.cells, np.asarray(trained.evaluation.error).mean(axis=(0, 2)), more)
-    config = trained.config.model_copy(update={"cells": cells})
-    start = jax.tree.map(lambda leaf: leaf[:, np.asarray(parents)], trained.policies)
-    policies, evaluation = train(plant, config, trained.seeds, run_directory, progress, trained.force_map, start)
-    return trained._replace(config=config, policies=policies, evaluation=evaluation), parents
-
-
-def refine(
-    cells: Sequence[Cell], errors: Float[np.ndarray, "cells 2"], more: int
-) -> tuple[tuple[Cell, ...], list[int]]:
-    """Add up to `more` cells; return all in their order, parts where their cell stood, and the index of each's parent.
-
-    Those with the greatest mean errors [N] are split first, into four each. Where fewer than three are left to add, a
-    cell is split in two across the axis of its greater error, as a policy for a shorter range errs less along it.
-    """
-    parts: list[tuple[Cell, ...]] = [(cell,) for cell in cells]
-    for index in np.argsort(-errors.mean(axis=1), kind="stable").tolist():
-        if more == 0:
-            break
-        two = (1, 2) if np.argmax(errors[index]) else (2, 1)
-        parts[index] = lattice(*((2, 2) if more >= 3 else two), cells[index])
-        more -= len(parts[index]) - 1
-    parents = [index for index, part in enumerate(parts) for _ in part]
-    return tuple(cell for part in parts for cell in part), parents

@@ -21,7 +21,6 @@ from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.robot.noise import NoiseConfig
 from softfin.robot.paths import hold, lemniscate, lissajous
-from softfin.robot.residual_policy import ResidualPolicy
 from softfin.robot.simulation import Orders, RobotSimulation
 from softfin.robot.trial import Disturbances, Record, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
@@ -96,9 +95,8 @@ class RobotEvaluation(NamedTuple):
 
 def evaluate_robot(
     robot: RobotConfig, tanks: Sequence[Tank], config: RobotEvaluateConfig, report: Report = lambda *_: None,
-    policy: ResidualPolicy | None = None,
 ) -> RobotEvaluation:  # fmt: skip
-    """Evaluate a robot with these tanks as fins, in simulation; a policy adds to its motion controller."""
+    """Evaluate a robot with these tanks as fins, in simulation."""
     report(0.0, "gaits of the fins")
     gaits, simulation = gaits_of(tanks), RobotSimulation(robot, tanks)
     drivers = drivers_of(robot, gaits)
@@ -115,7 +113,7 @@ def evaluate_robot(
         rows = []
         for seed in range(config.seeds):
             report(done / total, f"{task}, seed {seed}")
-            record, row = trial(simulation, drivers["whole"], task, config, config.seed + seed, policy)
+            record, row = trial(simulation, drivers["whole"], task, config, config.seed + seed)
             rows.append(row)
             records.setdefault(task, record)
             done += 1
@@ -147,7 +145,6 @@ def trial(
     task: RobotTask,
     config: RobotEvaluateConfig,
     seed: int,
-    policy: ResidualPolicy | None = None,
 ) -> tuple[Record, dict[str, Any]]:
     """Run one trial of a task, and score it."""
     random = generator_of(seed, f"robot/{task}")
@@ -173,7 +170,7 @@ def trial(
         trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
         settled_from_s = at + config.settled_s
         told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
-    record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed, policy)
+    record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
     # The record's own ticks: a trial is of whole actions, a little longer or shorter than `seconds`.
     ticks = np.arange(len(record.time))
     counted = ticks >= settled_from_s * RATE_HZ

@@ -18,13 +18,10 @@ from jaxtyping import Float
 
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.errors import RunError
-from softfin.core.operations import operations_of
-from softfin.core.quantities import AnyArray
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import Dynamics, SixVector
 from softfin.robot.paths import PathPoint, error_of, twist_of
-from softfin.robot.residual_policy import ResidualPolicy
 from softfin.robot.rotation import cross, from_euler, matrix, multiply, normalized
 
 ACTION_S = 1 / ACTION_RATE_HZ
@@ -108,8 +105,8 @@ class ControlState(NamedTuple):
 class MotionController:
     """Follows a path, or holds a place, by wrenches."""
 
-    def __init__(self, robot: RobotConfig, policy: ResidualPolicy | None = None) -> None:
-        config, self.policy = robot.control, policy
+    def __init__(self, robot: RobotConfig) -> None:
+        config = robot.control
         self._config = config
         self.sway_reach_n = np.inf
         """Greatest force to the side that the fins make once one is dead [N]; with all fins the heading is kept."""
@@ -131,13 +128,11 @@ class MotionController:
 
     def act(
         self, state: ControlState, seen: Sequence[np.ndarray], middle: PathPoint, now: PathPoint, ahead: PathPoint,
-        later: Sequence[PathPoint] = (),
     ) -> tuple[ControlState, np.ndarray]:  # fmt: skip
         """Return the wrench in body axes for the next action [N, N m].
 
         `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of the last two actions;
-        the targets are those in the middle of these, now, and in the middle of the action that begins; a policy needs
-        `later` ones, too: `LATER_S` after now.
+        the targets are those in the middle of these, now, and in the middle of the action that begins.
 
         Raises:
             RunError: a number of the robot's state is not finite.
@@ -147,34 +142,30 @@ class MotionController:
         middle, now, ahead = (_turned(target, state.heading) for target in (middle, now, ahead))
         estimate = np.asarray(self.observed(state.estimate, state.accelerations, seen, middle))
         correction = self.corrected(estimate, state.accelerations)
-        if self.policy is not None:
-            later = [_turned(target, state.heading) for target in later]
-            correction = correction + self.policy.act(estimate, state.accelerations, [now, *later])
         surge_n, side, heading = self._weathervane(state, estimate, now)
         state = state._replace(estimate=estimate, surge_n=surge_n, side=side, heading=heading)
         return state, np.asarray(self.needed(ahead) + self.dynamics.inertia @ correction)
 
     def observed(
-        self, estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"], seen: Sequence[AnyArray],
+        self, estimate: Float[np.ndarray, "6 3"], accelerations: Float[np.ndarray, "2 6"], seen: Sequence[np.ndarray],
         middle: PathPoint,
-    ) -> Float[AnyArray, "6 3"]:  # fmt: skip
-        """Return the estimate after two actions were seen; NumPy, or JAX where a policy is trained."""
-        xp = operations_of(estimate, *seen).xp
+    ) -> Float[np.ndarray, "6 3"]:  # fmt: skip
+        """Return the estimate after two actions were seen."""
         position, twist = seen[0].mean(axis=0), seen[2].mean(axis=0)
         # Near one another, so that their mean is theirs but for its length.
-        attitude = normalized((seen[1] * xp.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
-        measured = xp.stack([error_of(middle, position, attitude), twist - twist_of(middle)], axis=1)
+        attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
+        measured = np.stack([error_of(middle, position, attitude), twist - twist_of(middle)], axis=1)
         f = self._filter
         acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
-        guess = xp.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted
-        expected = xp.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
-        updated: Float[AnyArray, "6 3"] = guess + xp.einsum("aij,aj->ai", f.gain, measured - expected)
+        guess = np.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted
+        expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
+        updated: Float[np.ndarray, "6 3"] = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
         return updated
 
-    def corrected(self, estimate: Float[AnyArray, "6 3"], accelerations: Float[AnyArray, "2 6"]) -> SixVector:
+    def corrected(self, estimate: Float[np.ndarray, "6 3"], accelerations: Float[np.ndarray, "2 6"]) -> SixVector:
         """Return the acceleration that corrects an error [m/s2, rad/s2]."""
-        xp, f = operations_of(estimate).xp, self._filter
-        then = xp.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * accelerations[0][:, None]
+        f = self._filter
+        then = np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * accelerations[0][:, None]
         correction: SixVector = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
         return correction
 
@@ -218,8 +209,7 @@ class MotionController:
         """Return the wrench that keeps the body on the path in still water, upright."""
         axes, twist = matrix(target.attitude), twist_of(target)
         velocity, turn = twist[:3], twist[3:]
-        xp = operations_of(*target).xp
-        acceleration = xp.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
+        acceleration = np.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
         d = self.dynamics
         needed: SixVector = (
             d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)

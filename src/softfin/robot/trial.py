@@ -19,7 +19,6 @@ from softfin.robot.fin_driver import fin_command
 from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
 from softfin.robot.noise import NoiseConfig, estimated
 from softfin.robot.paths import Path, twist_of
-from softfin.robot.residual_policy import LATER_S, ResidualPolicy
 from softfin.robot.simulation import Ambient, Orders, RobotSimulation
 from softfin.robot.wrench_driver import WrenchDriver
 
@@ -72,11 +71,10 @@ class Record(NamedTuple):
 def run_trial(
     simulation: RobotSimulation, driver: WrenchDriver, path: Path, seconds: float | int,
     disturbances: Disturbances | None = None, noise: NoiseConfig | None = None, seed: int = 0,
-    policy: ResidualPolicy | None = None,
 ) -> Record:  # fmt: skip
     """Run a trial from rest at the path's beginning."""
     trouble, noise = disturbances or Disturbances(), noise or NoiseConfig()
-    controller, random = MotionController(simulation.robot, policy), generator_of(seed, "robot/noise")
+    controller, random = MotionController(simulation.robot), generator_of(seed, "robot/noise")
     start = path(0.0)
     state = simulation.init(jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6)))
     deviation, (kept, new) = np.zeros((1, 12)), noise.decay(TICK_S)
@@ -94,8 +92,7 @@ def run_trial(
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
         middle = time - (len(last[0]) - 1) * TICK_S / 2
         ahead = path(time + ticks * TICK_S / 2)
-        seen_later = [path(time + later) for later in LATER_S] if policy is not None else []
-        control, wrench = controller.act(control, last, path(middle), path(time), ahead, seen_later)
+        control, wrench = controller.act(control, last, path(middle), path(time), ahead)
         driving, driven = driver.act(driving, wrench, np.asarray(twist_of(ahead)))
         control = controller.acknowledge(control, driven.wrench, ahead)
         commands = commands_of(driven.commands)

@@ -16,9 +16,9 @@ from softfin.gaits.force_map import MapConfig, check_star, load_force_map, save_
 from softfin.gaits.force_map import map_forces as _map_forces
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
-from softfin.learning.controllers import REFINED, save_controller, write_learning
+from softfin.learning.controllers import save_controller, write_learning
 from softfin.learning.engine import find_engine
-from softfin.learning.train import check_refinable, default_split, train_jobs, train_refined
+from softfin.learning.train import default_split, train_jobs
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant, name_of
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
@@ -78,7 +78,7 @@ def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[s
 
 def train(
     plant: str | Plant, out: Path, config: TrainConfig | None = None, *,
-    force_map: Path | None = None, seeds: Sequence[int] = (0,), refine: int = 0,
+    force_map: Path | None = None, seeds: Sequence[int] = (0,),
     engine: EngineName = "local", split: Split | None = None, cluster: str | None = None, reason: str | None = None,
     resume: bool = False, overwrite: bool = False, progress: Progress = silent,
 ) -> None:  # fmt: skip
@@ -88,15 +88,13 @@ def train(
     a map of the plant, `force_map`, says what the fin can do and saves the search for gaits; without, only training by
     gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
     One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
-    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`. A grid's
-    worst cells are split until there are `refine` more, whose policies go on from their cell's, in this process.
+    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`.
     The `reason` for the algorithm is kept with the controller.
     """
     working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
     moving = find_plant(plant)
     if config is None:
         config, reason = choose_preset(moving)
-    check_refinable(config, refine)
     can = None if force_map is None else load_force_map(force_map, moving, name_of(plant)).force_map
     origin, learnt = _origin(plant, moving, force_map), learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
@@ -105,7 +103,6 @@ def train(
         "seeds": list(seeds),
         "plant": identity(moving, computed=True),
         "split": split,
-        "refine": refine,
         "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
@@ -115,9 +112,6 @@ def train(
     if reason is not None:
         progress("algorithm", 1.0, reason)
     trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
-    if refine:
-        trained, parents = train_refined(moving, trained, refine, run_directory.part(REFINED), progress)
-        origin |= {"refined_from": [cell.model_dump(mode="json") for cell in config.cells], "parents": list(parents)}
 
     def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
         save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)

@@ -13,9 +13,7 @@ from softfin.robot.check import check_robot
 from softfin.robot.description import RobotConfig, load_robot
 from softfin.robot.evaluate import RobotEvaluateConfig, evaluate_robot, gaits_of, trial
 from softfin.robot.figures import draw_trials
-from softfin.robot.residual_policy import ResidualPolicy
 from softfin.robot.simulation import RobotSimulation
-from softfin.robot.train import RobotTrainConfig, train_policy
 from softfin.robot.view.page import write_page
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
@@ -31,18 +29,18 @@ def check(robot: str) -> dict[str, Any]:
 
 
 def evaluate(
-    robot: str, out: Path, config: RobotEvaluateConfig | None = None, *, policy: Path | None = None,
-    overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Evaluate a robot in simulation; writes ``robot.json``, figures and a page for each task to `out`.
-
-    The `policy` of a folder adds to the motion controller.
-    """
+    robot: str,
+    out: Path,
+    config: RobotEvaluateConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Evaluate a robot in simulation; writes ``robot.json``, figures and a page for each task to `out`."""
     artifacts.check_vacant(out, overwrite)
     config = config or RobotEvaluateConfig()
     body = load_robot(robot)
-    added = None if policy is None else ResidualPolicy.load(policy, body)
-    found = evaluate_robot(body, tanks_of(body), config, lambda done, note: progress("robot", done, note), policy=added)
+    found = evaluate_robot(body, tanks_of(body), config, lambda done, note: progress("robot", done, note))
     result = {**artifacts.head("robot"), **found.figures, "configuration": config.model_dump(mode="json")}
 
     def write(folder: Path) -> None:
@@ -53,21 +51,6 @@ def evaluate(
 
     artifacts.write_folder(out, write, overwrite)
     return result
-
-
-def train(
-    robot: str, out: Path, config: RobotTrainConfig | None = None, *, overwrite: bool = False,
-    progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Train a policy that adds to a robot's motion controller; returns the last row of its training."""
-    artifacts.check_vacant(out, overwrite)
-    config = config or RobotTrainConfig()
-    body = load_robot(robot)
-    progress("train", 0.0, "gaits of the fins")
-    gaits = gaits_of(tanks_of(body))
-    policy, rows = train_policy(body, gaits, config, lambda done, note: progress("train", done, note))
-    policy.save(out, body, {"configuration": config.model_dump(mode="json"), "training": rows}, overwrite)
-    return rows[-1]
 
 
 VIEWED = RobotEvaluateConfig(tasks=("hold",), hold_s=60, settled_s=15, path_s=100)

@@ -14,14 +14,16 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, name_of
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate import AutoConfig, FitConfig, StreamingConfig, Surrogate, load_surrogate, save_surrogate
+from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
 from softfin.surrogate.channels import SKIPPED, ranges
 from softfin.surrogate.compare.compare import CompareConfig, candidates
 from softfin.surrogate.compare.compare import compare as _compare
 from softfin.surrogate.compare.report import write_comparison
 from softfin.surrogate.compare.scores import measured_ranges, table_one
-from softfin.surrogate.selection import fit_any
+from softfin.surrogate.paper.fit import fit as fit_paper
+from softfin.surrogate.store import AnySurrogate
+from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.training import check_lengths
 from softfin.tank.calibration.calibrate import calibrate as _calibrate
 from softfin.tank.calibration.config import CalibrateConfig
@@ -29,13 +31,13 @@ from softfin.tank.calibration.model import material
 
 
 def fit(
-    dataset: Path, out: Path, config: FitConfig | StreamingConfig | AutoConfig | None = None, *,
+    dataset: Path, out: Path, config: FitConfig | StreamingConfig | None = None, *,
     logs: ImportConfig | None = None, ignore_errors: bool = False,
     seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
 ) -> dict[str, Any]:  # fmt: skip
     """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
 
-    The kind of configuration selects the model: the paper's networks, streaming networks, or the best on held-out logs.
+    The kind of configuration selects the model: the paper's networks or streaming networks.
     `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
     have errors, unless these are ignored, now or when the dataset was imported.
     """
@@ -58,7 +60,11 @@ def fit(
         check_lengths(test, SKIPPED, "test")
         if test:
             measured_ranges(test)
-        fitted, evidence = fit_any(opened.train, config, seed, run_directory, progress)
+        fitted: AnySurrogate
+        if isinstance(config, FitConfig):
+            fitted = fit_paper(opened.train, config, seed, run_directory, progress)
+        else:
+            fitted = fit_streaming(opened.train, config, seed, run_directory, progress)
         # A dataset's own folder has its metadata.
         own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own)
@@ -66,7 +72,6 @@ def fit(
             out, fitted, table_one(fitted, test) if test else None, provenance,
             extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
             training_range=ranges(opened.train), fin=description.get("fin"),
-            **({} if evidence is None else {"candidates": evidence}),
         )  # fmt: skip
     run_directory.finish()
     written, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
@@ -74,7 +79,6 @@ def fit(
     return {
         "model": surrogate.model,
         "table_i": written["scores"],
-        "candidates": written.get("candidates"),
         "issues": summary["counts"],
         "columns": summary["columns"],
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,

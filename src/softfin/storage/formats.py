@@ -36,7 +36,6 @@ FOLDERS: Mapping[str, Format] = MappingProxyType({
     "calibration": Format(),
     "reproduction": Format(),
     "robot": Format(),
-    "robot-policy": Format(),
     "example": Format(),
 })  # fmt: skip
 """Folders by their kind, which is described by its ``KIND.json``."""

@@ -3,14 +3,12 @@
 from softfin.surrogate.paper.fit import FitConfig
 from softfin.surrogate.paper.keras import import_keras
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.selection import AutoConfig
 from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
 from softfin.surrogate.streaming.fit import StreamingConfig
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
 __all__ = [
     "AnySurrogate",
-    "AutoConfig",
     "FitConfig",
     "StreamingConfig",
     "StreamingSurrogate",

@@ -8,7 +8,7 @@ import yaml
 
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError, PlantError
-from softfin.data.collect import CollectConfig, collect
+from softfin.data.collect import CollectConfig, collect_logs
 from softfin.stages.surrogates import calibrate as calibrate_stage
 from softfin.storage.artifact import dump_json
 from softfin.storage.dataset import write_dataset
@@ -35,7 +35,7 @@ def dataset(tmp_path_factory):
     """Its logs, written as by one whose commands are larger than what the drive is told."""
     folder = tmp_path_factory.mktemp("calibrate")
     # Over ten seeds the root mean square of error over standard error is 0.7 to 1.2; seed 0 has one of 3.4.
-    plain = collect(Tank(truth()), CollectConfig(logs=6, test_logs=2, rows=600, seed=1), folder / "plain")
+    plain = collect_logs(Tank(truth()), CollectConfig(logs=6, test_logs=2, rows=600, seed=1), folder / "plain")
     gain = TRUTH["recording.angle_gain"]
 
     def rewritten(paths):
