@@ -60,15 +60,10 @@ def test_can_interfaces_are_listed_with_what_brings_one_up(net):
     )
 
 
-def test_the_cache_of_compiled_programs_is_measured(tmp_path, monkeypatch):
+def test_the_folder_of_compiled_programs_is_checked(tmp_path, monkeypatch):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("SOFTFIN_CACHE", str(tmp_path / "programs"))
-    assert "programs: 0 programs, 0 of" in results()["compile cache"].text
-    (tmp_path / "programs").mkdir()
-    (tmp_path / "programs" / "a.program").write_bytes(bytes(3 * 2**20))
-    # As if another softfin took it away between listing and looking.
-    (tmp_path / "programs" / "b.program").symlink_to(tmp_path / "gone")
-    assert "programs: 1 programs, 3 of at most 1,024 MiB" in results()["compile cache"].text
+    assert results()["compile cache"] == CheckResult("compile cache", "well", str(tmp_path / "programs"))
     monkeypatch.setenv("SOFTFIN_CACHE", "off")
     assert results()["compile cache"].state == "note"
     (tmp_path / "file").touch()

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key, PRNGKeyArray, PyTree
 
-from softfin.core.compilation import briefly_used, used_once
+from softfin.core.compilation import jit
 from softfin.core.plant import Plant, State, roll
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command, Limits, Log, Reading
@@ -58,7 +58,7 @@ class _Fleet(NamedTuple):
     axis: int | None
 
 
-@used_once
+@jit("none")
 def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands) -> tuple[State, Command]:
     """States and all commands of a batch."""
 
@@ -71,7 +71,7 @@ def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Command
     return begun
 
 
-@briefly_used
+@jit("low")
 def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
     """One piece of a batch."""
 

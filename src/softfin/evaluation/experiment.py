@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from softfin.control.controller import Controller, ControllerState, Measured
 from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
-from softfin.core.compilation import briefly_used
+from softfin.core.compilation import jit
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, Ticks, counted, hold_action_with_true_force, mean_of
 from softfin.core.plant_identity import jit_argument
@@ -136,7 +136,7 @@ Recorded: TypeAlias = tuple[Command, Reading, Array | None]
 """Commands, readings and, if the plant knows it, the true force of a series of ticks."""
 
 
-@briefly_used
+@jit("low")
 def _program(
     parties: tuple[Controller, Plant], references: Float[Array, "references actions 2"], keys: Key[Array, "seeds"]
 ) -> Recorded:

@@ -13,7 +13,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Int, Key, PRNGKeyArray
 
-from softfin.core.compilation import used_once
+from softfin.core.compilation import jit
 from softfin.core.errors import RunError
 from softfin.core.plant import EnsemblePlant, Plant, State
 from softfin.core.plant_identity import jit_argument
@@ -94,7 +94,7 @@ def _learner(config: TrainConfig, plant: Plant, table: GaitTable | None) -> PPO 
     return Gradient(task, config.gradient, config.policy, config.num_updates, table)
 
 
-@used_once
+@jit("none")
 def _init(
     config: TrainConfig, plant: Plant, table: GaitTable | None, keys: Key[Array, "agents"], boxes: References
 ) -> AgentState:

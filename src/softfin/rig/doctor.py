@@ -3,7 +3,6 @@
 Nothing moves, nothing is written but files that are removed at once. The lines are made to be pasted into an issue.
 """
 
-import contextlib
 import os
 import platform
 import sys
@@ -11,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from softfin.core.errors import SoftfinError, one_line
-from softfin.core.program_cache import JAX_VARIABLE, LARGEST_BYTES, SUFFIX, VARIABLE, cache_folder
+from softfin.core.program_cache import SOFTFIN_VARIABLE, cache_folder
 from softfin.installation import EXTRAS, how_to_add, missing_from, origin, requirements_of, version_of
 from softfin.rig.check import CheckResult, check_disk, check_rig
 from softfin.rig.config import load_rig
@@ -143,24 +142,15 @@ def _devices() -> CheckResult:
 
 
 def _cache() -> CheckResult:
-    if given := os.environ.get(JAX_VARIABLE):
-        return CheckResult("compile cache", "well", f"{given} ({JAX_VARIABLE}), which JAX keeps itself")
     folder = cache_folder()
     if folder is None:
-        return CheckResult(
-            "compile cache", "note", f"off: every command compiles anew; {VARIABLE}=FOLDER keeps programs"
-        )
-    sizes = []
-    for path in folder.glob(f"*{SUFFIX}"):
-        # Others write and take away programs meanwhile.
-        with contextlib.suppress(FileNotFoundError):
-            sizes.append(path.stat().st_size)
+        advice = f"off: every command compiles anew; {SOFTFIN_VARIABLE}=FOLDER keeps programs"
+        return CheckResult("compile cache", "note", advice)
     try:
-        check_writable(folder / "program", f"{VARIABLE}=FOLDER")
+        check_writable(folder / "program", f"{SOFTFIN_VARIABLE}=FOLDER")
     except SoftfinError as error:
         return CheckResult("compile cache", "wrong", str(error))
-    text = f"{folder}: {len(sizes)} programs, {sum(sizes) / 2**20:,.0f} of at most {LARGEST_BYTES / 2**20:,.0f} MiB"
-    return CheckResult("compile cache", "well", text)
+    return CheckResult("compile cache", "well", str(folder))
 
 
 def _can() -> CheckResult:

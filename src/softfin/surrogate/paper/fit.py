@@ -14,7 +14,7 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
-from softfin.core.compilation import used_once
+from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
@@ -109,7 +109,7 @@ class PaperLearner:
         self.optimiser = optax.adam(schedule)
         self.run = eqx.filter_jit(self._run)
 
-    @used_once
+    @jit("none")
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
         configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)

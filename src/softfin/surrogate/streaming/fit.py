@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import WINDOW
-from softfin.core.compilation import sooner_compiled, used_once
+from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
@@ -93,7 +93,7 @@ class StreamingLearner:
         rate = config.learning_rate
         schedule = optax.warmup_cosine_decay_schedule(0.0, rate, min(WARM_UP, updates // 4), updates, rate / 100)
         self.optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
-        self.run = sooner_compiled(self._run)
+        self.run = jit("high")(self._run)
 
     def start(self, nets: Any) -> TrainingState:
         """State before the first update."""
@@ -166,7 +166,7 @@ def fit_streaming(
 ) -> StreamingSurrogate:
     """Fit an ensemble to the training logs; continue from the checkpoint in run_directory if there is one."""
     training, holding, scales, table = split_streaming(logs, config)
-    start = used_once(ensemble)
+    start = jit("none")(ensemble)
     members = start(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
     losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
