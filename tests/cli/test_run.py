@@ -152,6 +152,16 @@ def test_signals_stop_the_fin(name, controller, elsewhere, tmp_path):
     assert "stopped: emergency_stop" in events_of(tmp_path / "a.mcap")[-1]
 
 
+def test_a_word_that_was_typed_before_the_question_is_no_answer(controller, elsewhere, tmp_path):
+    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
+        terminal.type("move\n")
+        terminal.wait_for("Type 'move' and Enter: ")
+        terminal.type("no\n")
+        assert terminal.ended() == 2
+        assert "not confirmed with 'move'; nothing moved" in terminal.said
+    assert elsewhere.fin.now().angle == 0.0
+
+
 @pytest.mark.parametrize("answer", ["no\n", None])
 def test_without_the_word_nothing_moves(answer, controller, elsewhere, tmp_path):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:

@@ -1,4 +1,5 @@
 import json
+import math
 
 import pytest
 
@@ -56,6 +57,23 @@ def test_a_zero_that_is_never_set_is_an_error_and_leaves_no_record(bench):
     losing(behind, 3)
     with pytest.raises(DeviceError, match=r"force is \(\+5\.00, \+1\.00, \+0\.00\) N after its zero was set 3 times"):
         zero_force(config, 0.2, behind.clock)
+    assert not record_file(config.file).exists()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, axis):
+    behind, config = bench
+    still = behind.fin.now
+
+    def swinging():
+        state = still()
+        wrench = list(state.wrench)
+        wrench[axis] += 5.0 * math.sin(2 * math.pi * behind.clock())
+        return state._replace(wrench=tuple(wrench))
+
+    behind.fin.now = swinging
+    with pytest.raises(DeviceError, match=r"force varies by \d\.\d\d N \(deviation\): at most .*; let the water rest"):
+        zero_force(config, 2.0, behind.clock)
     assert not record_file(config.file).exists()
 
 

@@ -69,6 +69,17 @@ def test_a_fault_stops_the_fin_before_the_loop_looks():
         machine.close()
 
 
+def test_one_heartbeat_is_sent_every_four_ticks(monkeypatch):
+    with emulated() as (_, robot):
+        machine = robot.machine
+        machine.open()
+        beats = []
+        monkeypatch.setattr(machine.drive, "send_heartbeat", lambda: beats.append(machine.clock()))
+        ticks(machine, 40)
+        assert len(beats) == 10
+        machine.close()
+
+
 def test_counters_are_whole_numbers_by_name_after_close_too():
     with emulated() as (_, robot):
         robot.machine.open()

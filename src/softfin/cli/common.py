@@ -1,5 +1,6 @@
 """Parts that commands share: kinds of options, configuration, arming, progress on stderr, results on stdout; no JAX."""
 
+import contextlib
 import sys
 import threading
 import time
@@ -163,6 +164,16 @@ def on_terminal() -> bool:
     return given is not None and given.isatty()
 
 
+def discard_typed_ahead() -> None:
+    """Discard what was typed before a question was asked, if a terminal is there."""
+    with contextlib.suppress(ImportError, OSError):
+        # Imported here: there is none on Windows.
+        import termios
+
+        with contextlib.suppress(termios.error):
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
 class Armed(Configuration):
     """Options of every command that may move a real fin."""
 
@@ -196,6 +207,7 @@ class Armed(Configuration):
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
             f"{limits.velocity_max:.2f} rad/s"
         )
+        discard_typed_ahead()
         sys.stderr.write(f"{printable(name)}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: ")
         sys.stderr.flush()
         if sys.stdin.readline().strip() != WORD:

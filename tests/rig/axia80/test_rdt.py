@@ -16,6 +16,7 @@ from softfin.rig.axia80.rdt import (
     decode_status,
     encode_record,
     encode_request,
+    wrapped_step,
 )
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 2_000
@@ -85,12 +86,24 @@ def test_any_bytes_are_records_or_refused():
         (0x90000000, ["its status 0x90000000 has unspecified bits"], ["its forces are simulated"]),
         (0x80000200, ["its status 0x80000200 has unspecified bits"], []),
         (0x00000200, [], ["its status 0x00000200 has unspecified bits"]),
+        (0x00010000, [], ["one of its own thresholds was passed"]),
+        (0x80000020, ["it reports an unspecified error"], []),
+        (0x80000080, ["its calibration cannot be read"], []),
+        (0x80000004, ["a gage is broken"], []),
     ],
 )
 def test_a_status_of_the_manual_says_what_it_means(status, errors, notes):
     found = decode_status(status)
     assert [bit.name for bit in found if bit.is_error] == errors
     assert [bit.name for bit in found if not bit.is_error] == notes
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "step"),
+    [(5, 8, 3), (8, 5, -3), (2**32 - 1, 0, 1), (0, 2**32 - 1, -1), (2**31, 2**32 - 1, 2**31 - 1), (0, 2**31, -(2**31))],
+)
+def test_a_step_of_a_counter_is_the_short_way_round(before, after, step):
+    assert wrapped_step(before, after) == step
 
 
 @settings(deadline=None)

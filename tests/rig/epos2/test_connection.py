@@ -59,3 +59,20 @@ def test_every_abort_has_its_number_a_name_and_a_way_out_in_one_line(code: int) 
     assert line.startswith(f"0x{code:08X}, ")
     assert ": " in line
     assert "\n" not in line
+
+
+def test_a_bus_that_cannot_be_read_is_counted_and_told_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench() as made:
+        made.drive.connect()
+        bus = made.drive.connection._bus
+        receive, failures = bus.recv, [OSError("no such device"), OSError("no such device")]
+
+        def fail_twice(timeout_s: float) -> object:
+            if failures:
+                raise failures.pop()
+            return receive(timeout_s)
+
+        monkeypatch.setattr(bus, "recv", fail_twice)
+        made.clock.sleep(1.0)
+        assert made.drive.connection.counters["receiving errors"] == 2
+        assert any("cannot be read (no such device); look at the adapter and cable" in line for line in made.faults)

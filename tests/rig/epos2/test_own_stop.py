@@ -30,6 +30,15 @@ def test_the_time_to_its_own_stop_is_measured_without_a_zero_and_without_motion(
         assert made.faults == []
 
 
+def test_it_is_proved_again_after_a_stop_and_only_on_an_open_drive() -> None:
+    with bench() as made:
+        with pytest.raises(DeviceError, match="drive is not open; open it first"):
+            made.drive.prove_stop()
+        made.drive.open()
+        made.drive.stop()
+        assert made.drive.prove_stop() > 0
+
+
 def test_a_drive_that_ignores_the_loss_is_told_and_stopped() -> None:
     with bench(traits=IGNORES) as made:
         made.drive.open()

@@ -78,3 +78,15 @@ def test_no_single_controlword_enables_from_a_state_without_power(state: State, 
 def test_quick_stop_and_disabled_voltage_lead_out_of_motion_from_any_state(state: State, before: int) -> None:
     assert next_state(state, protocol.QUICK_STOP, before) not in protocol.ENABLING
     assert next_state(state, protocol.DISABLE_VOLTAGE, before) not in protocol.ENABLING | {State.QUICK_STOP_ACTIVE}
+
+
+@pytest.mark.parametrize(
+    ("code", "is_value"),
+    [(0x0609002F, False), (0x06090030, True), (0x06090031, True), (0x06090036, True), (0x06090037, False)],
+)
+def test_a_value_that_the_drive_refuses_is_to_be_changed_in_the_rigs_file(code: int, is_value: bool) -> None:
+    assert ("change the value in the rig's file" in protocol.abort_line(code)) == is_value
+
+
+def test_only_a_host_sends_its_heartbeat_and_its_sync() -> None:
+    assert protocol.host_cob_ids(126) == {0x77E, 0xFE}
