@@ -50,5 +50,19 @@ def efficiency(out: str, *runs: str) -> None:
     script["draw"](script["gathered"](Path(out)), Path(out) / "data_efficiency.png")
 
 
+def recurrent(plant: str, out: str, seed: str, steps: str = "30000", seconds: str = "30") -> None:
+    """Write baselines.json with the scores of RecurrentPPO, trained and evaluated in a plant."""
+    from benchmarks.recurrent import evaluate_recurrent
+
+    from softfin.evaluation.baselines.baselines import BaselinesConfig, write_baselines
+    from softfin.storage.registry import find_plant
+
+    config = BaselinesConfig(seed=int(seed), seconds=int(seconds))
+    evaluation = evaluate_recurrent(find_plant(plant), config, int(steps))
+    write_baselines({"baselines": {"recurrent_ppo": evaluation.summary()}, "left_out": {}}, Path(out))
+
+
 if __name__ == "__main__":
-    {"as-test": as_test, "tank-r2": tank_r2, "efficiency": efficiency}[sys.argv[1]](*sys.argv[2:])
+    {"as-test": as_test, "tank-r2": tank_r2, "efficiency": efficiency, "recurrent": recurrent}[sys.argv[1]](
+        *sys.argv[2:]
+    )

@@ -15,18 +15,14 @@ if version("jaxlib") == "0.10.2":
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 os.environ.setdefault("SOFTFIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 
-import jaxtyping
+from softfin.core.program_cache import use_program_cache
 
-# First of all, so that it checks every module of softfin.
-jaxtyping.install_import_hook("softfin", "beartype.beartype")
-
-from softfin.core.program_cache import use_program_cache  # noqa: E402
-
-# JAX reads the settings when it is imported.
+# JAX reads the settings when it is imported, which the type checks of the next softfin module do.
 use_program_cache()
 
 import hypothesis  # noqa: E402
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
 
 from tests import needs  # noqa: E402
@@ -43,6 +39,7 @@ from tests.budget import (  # noqa: E402, F401  # pytest finds hooks here
 signal.signal(signal.SIGINT, signal.default_int_handler)
 # As in the command line: tracing makes millions of small objects.
 gc.set_threshold(50_000, 20, 10)
+jaxtyping.install_import_hook("softfin", "beartype.beartype")
 # Hypothesis fails examples that take longer than 200 ms, or whose data are drawn slowly: no matter of the code but of
 # the computer and of what else runs on it.
 hypothesis.settings.register_profile("softfin", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])

@@ -186,8 +186,11 @@ def _means(work: Work, plant: str, seeds: Sequence[int]) -> Figures:
 
 def recurrent(seeds: Sequence[int]) -> Part:
     """RecurrentPPO with the library's defaults."""
-    command, tiny = "softfin baselines --plant published --recurrent 30000 --seed", "--seconds 6 --recurrent 128"
-    steps = [step(f"baselines-recurrent-{seed}", f"{command} {seed}", 12, seed, tiny, "sb3_contrib") for seed in seeds]
+    steps = []
+    for seed in seeds:
+        name = f"baselines-recurrent-{seed}"
+        command = f"python -m results.scripts recurrent published {name} {seed}"
+        steps.append(step(name, command, 12, seed, "128 6", "sb3_contrib"))
 
     def read(work: Work) -> Figures:
         return {"single.error": _means(work, "recurrent", seeds)["recurrent_ppo"]}

@@ -143,14 +143,12 @@ class BaselinesArguments(Configured):
     """Repetitions (5)."""
     seed: int | None = None
     """Seed of the plant's noise and of the random gaits (0)."""
-    recurrent: int | None = None
-    """Actions that RecurrentPPO (extra sb3) learns from; the paper's 30,000 take minutes (0: left out)."""
 
     def __call__(self) -> None:
         from softfin.evaluation.baselines.baselines import BaselinesConfig
         from softfin.stages.evaluation import baselines
 
-        config = self.configured(BaselinesConfig(), recurrent_steps=self.recurrent)
+        config = self.configured(BaselinesConfig())
         result = self.stage(baselines, self.plant, self.out, config, surrogate=self.surrogate)
         self.tell(result, baselines_table(result["baselines"], result["left_out"]))
 
@@ -174,7 +172,7 @@ class ViewArguments(Configured):
     """Show a fin in motion: its shape, the force on its mount, and the traces of both."""
 
     out: File
-    """File to write: a film as .gif or .mp4, a page that plays it as .html, its last frame as .png."""
+    """File to write: a film as .gif, a page that plays it as .html, its last frame as .png."""
     plant: Plant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     seconds: float | None = None

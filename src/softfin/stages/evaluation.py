@@ -95,7 +95,7 @@ def view(
     plant: str | Plant, out: Path, config: ViewConfig | None = None, *, controller: Path | None = None,
     reference: tuple[float, float] | None = None, overwrite: bool = False, progress: Progress = silent,
 ) -> dict[str, Any]:  # fmt: skip
-    """Show a plant in motion as .gif, .mp4, .html or .png, in a simple gait or under a controller."""
+    """Show a plant in motion as .gif, .html or .png, in a simple gait or under a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)
     moving = find_plant(plant)
@@ -115,12 +115,11 @@ def view(
     progress("view", 0.0, "")
     footage = footage_of(moving, config, holding, reference)
     draw(footage, out, title, config, lambda done: progress("view", done, ""))
-    films = out.suffix in (".gif", ".mp4")
     return {
         "view": str(out),
         "title": title,
         "seconds": config.seconds,
-        "frames": len(ticks_of(len(footage.shape), config.frames_per_second)) if films else None,
+        "frames": len(ticks_of(len(footage.shape), config.frames_per_second)) if out.suffix == ".gif" else None,
         "mean_force_n": [round(float(force), 4) for force in footage.force.mean(axis=0)],
         "force": "reading" if footage.true_force is None else "true force",
         "shape_known": footage.shape_known,

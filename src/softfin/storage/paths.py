@@ -1,6 +1,5 @@
 """Files and folders that a user names, looked at before any work; without NumPy and JAX, so a slip is told at once."""
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +11,7 @@ PARQUET = (".parquet",)
 DATASET_PARTS = {"train": 4, "test": 3}
 """The sub-folders of a dataset, and the digits in the names of their logs."""
 
-VIEWS = (".gif", ".mp4", ".html", ".png")
+VIEWS = (".gif", ".html", ".png")
 """Formats of a view."""
 
 RIG_FILE = Path("rig.yaml")
@@ -76,15 +75,3 @@ def check_view(path: Path, overwrite: bool) -> None:
     if path.suffix not in VIEWS:
         raise ConfigurationError(f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so")
     artifacts.check_file(path, overwrite)
-    if path.suffix == ".mp4":
-        find_ffmpeg(path)
-
-
-def find_ffmpeg(path: Path) -> str:
-    """The program that writes the film `path`; raises ConfigurationError where there is none."""
-    if program := shutil.which("ffmpeg"):
-        return program
-    raise ConfigurationError(
-        f"{path}: MP4 takes the program ffmpeg, which is not on PATH; install it, or write --out "
-        f"{path.with_suffix('.gif').name} or {path.with_suffix('.html').name}"
-    )

@@ -144,15 +144,6 @@ def test_a_fin_that_pulls_is_left_out_in_words():
     assert "against the zero direction" in left_out["recalibrated_1_hz"]
 
 
-def test_recurrent_ppo_is_not_trained_where_it_would_learn_what_the_plant_does_not_take():
-    class Slow(AnalyticFin):
-        limits = PAPER_LIMITS._replace(velocity_max=2.0)
-
-    config = CONFIG.changed(["inverse_frequencies_hz=[1.0]", "recurrent_steps=128"])
-    left_out = evaluate_baselines(Slow(), AnalyticFin(), config)["left_out"]
-    assert "it would learn commands that the plant does not take" in left_out["recurrent_ppo"]
-
-
 def test_commands_are_those_that_both_plants_take():
     limits = shared_limits(Limits(-1, 1.5, 0, 2), Limits(-1.5, 1.2, 1, 7))
     assert limits == Limits(-1, 1.2, 1, 2)

@@ -4,10 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from benchmarks.recurrent import run_recurrent, train_recurrent
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import PAPER_LIMITS, command_of
-from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE

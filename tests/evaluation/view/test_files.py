@@ -1,13 +1,11 @@
 import itertools
-import os
 
 import jax
 import numpy as np
 import PIL.Image
 import pytest
 
-from softfin.core.errors import ConfigurationError, RunError
-from softfin.evaluation.view.files import ticks_of, write_gif, write_mp4, write_png
+from softfin.evaluation.view.files import ticks_of, write_gif, write_png
 from softfin.evaluation.view.footage import scale_of
 from softfin.evaluation.view.picture import BLUE, FIN, Picture
 from tests.evaluation.view.fins import BendingFin, OffsetSensor, beating
@@ -18,10 +16,6 @@ DPI = 50
 @pytest.fixture(scope="module")
 def picture():
     return Picture(beating(BendingFin(), 220, reference=(2.0, -1.0)), "a fin", DPI)
-
-
-def silent(done):
-    pass
 
 
 def rgb(colour):
@@ -171,44 +165,6 @@ def test_the_last_tick_is_always_shown(rate):
         shown = ticks_of(ticks, rate)
         assert shown[-1] == ticks - 1
         assert len(shown) == -(-ticks * rate // 100)
-
-
-@pytest.fixture
-def ffmpeg(tmp_path, monkeypatch):
-    """A stand-in on PATH, of the given shell script."""
-
-    def put(script):
-        program = tmp_path / "bin" / "ffmpeg"
-        program.parent.mkdir()
-        program.write_text("#!/bin/sh\n" + script)
-        program.chmod(0o755)
-        monkeypatch.setenv("PATH", f"{program.parent}{os.pathsep}{os.environ['PATH']}")
-
-    return put
-
-
-def test_an_mp4_gets_every_frame_as_raw_pixels(picture, tmp_path, ffmpeg):
-    ffmpeg('echo "$@" >"$(dirname "$0")/words"; for last; do :; done; cat >"$last"')
-    out = tmp_path / "films" / "fin.mp4"
-    write_mp4(out, picture, 10, silent)
-    frames = np.frombuffer(out.read_bytes(), np.uint8).reshape(22, 260, 480, 3)
-    np.testing.assert_array_equal(frames[-1], picture.frame(219))
-    assert "-s 480x260 -r 10 -i -" in (tmp_path / "bin" / "words").read_text()
-    assert [path.name for path in out.parent.iterdir()] == ["fin.mp4"]
-
-
-def test_an_ffmpeg_that_fails_is_one_line_and_nothing_is_left(picture, tmp_path, ffmpeg):
-    ffmpeg('for last; do :; done; echo half >"$last"; echo "no such\n  encoder" >&2; exit 1')
-    out = tmp_path / "films" / "fin.mp4"
-    with pytest.raises(RunError, match=r"fin.mp4: ffmpeg failed \(no such encoder\); write a .gif or .html instead$"):
-        write_mp4(out, picture, 10, silent)
-    assert not list(tmp_path.rglob("*.mp4"))
-
-
-def test_without_ffmpeg_the_ways_out_are_named(picture, tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ConfigurationError, match=r"not on PATH; install it, or write --out fin\.gif or fin\.html"):
-        write_mp4(tmp_path / "fin.mp4", picture, 10, silent)
 
 
 def test_the_arrows_colour_is_that_of_the_force_traces(picture):

@@ -6,7 +6,6 @@
 ``inverse_F_hz``      the analytic inverse model of the U-CAT robots, a sine of F Hz
 ``recalibrated_F_hz`` the same with its one constant fitted to a few sines
 ``random_search``     the best of some random gaits of six actions, for each reference
-``recurrent_ppo``     sb3-contrib's RecurrentPPO, one for all references, where it is asked for
 ===================== =============================================================================================
 
 All but the last are open loop. The search plant, as a rule a surrogate of the fin, is all that they learn from.
@@ -20,19 +19,16 @@ import jax
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from softfin.core.errors import ConfigurationError, PlantError, RunError
+from softfin.core.errors import PlantError, RunError
 from softfin.core.plant import Plant, rest_command
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.evaluation.baselines import open_loop
 from softfin.evaluation.baselines.open_loop import ShaftSine, inverse
-from softfin.evaluation.baselines.recurrent import run_recurrent, train_recurrent
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, ExperimentsConfig, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.inverse_model import InverseConfig
-from softfin.gaits.reachable import Cell, bounding_box
 from softfin.storage import artifact as artifacts
-from softfin.task.task import TaskConfig
 
 BASELINES_KIND = "baselines"
 
@@ -47,8 +43,6 @@ class BaselinesConfig(ExperimentsConfig):
     inverse_frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(2.1, 1.1, 1.0), min_length=1)
     """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1 Hz, whose periods
     fill the window of 2 s: those of the other two leave a ripple in its mean that is not the model's error."""
-    recurrent_steps: int = Field(default=0, ge=0)
-    """Actions that RecurrentPPO learns from; the paper's 30,000 take minutes, so 0 leaves it out."""
 
     @property
     def experiments(self) -> EvaluateConfig:
@@ -107,12 +101,6 @@ def evaluate_baselines(
     add_commands("random_search", open_loop.repeated(gaits, seconds), rows)
     report(0.5, "sines")
     add_sines("sine", search.best_sines(references), nothing)
-    if config.recurrent_steps:
-        report(0.6, "RecurrentPPO")
-        try:
-            add("recurrent_ppo", _evaluate_recurrent(plant, limits, search_in, config), nothing)
-        except (ConfigurationError, PlantError) as error:
-            left_out["recurrent_ppo"] = str(error)
     report(1.0, "")
     return {BASELINES_KIND: summaries, "left_out": left_out}
 
@@ -124,18 +112,6 @@ def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -
     issued = Command(*(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands))
     recording = ExperimentRecording(np.asarray(config.references, np.float32), issued, reading, true_force)
     return score_experiments(recording, plant, config)
-
-
-def _evaluate_recurrent(plant: Plant, limits: Limits, search_in: Plant, config: BaselinesConfig) -> Evaluation:
-    learnt, task = Limits(*search_in.limits), TaskConfig()
-    if not np.allclose(learnt, limits, rtol=0, atol=1e-3):
-        raise PlantError(
-            f"it would learn commands that the plant does not take, {learnt.to_dict()}; let it learn in a surrogate "
-            "of the fin itself"
-        )
-    box = bounding_box([Cell.around(reference, 0.0) for reference in config.references])
-    model = train_recurrent(search_in, config.recurrent_steps, config.seed, task, box)
-    return score_experiments(run_recurrent(model, task, learnt, plant, config), plant, config.experiments)
 
 
 def shared_limits(one: Limits, other: Limits) -> Limits:

@@ -17,7 +17,7 @@ from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.data.excitation import ExcitationConfig
 from softfin.evaluation import experiment
-from softfin.evaluation.view.files import write_gif, write_mp4, write_page, write_png
+from softfin.evaluation.view.files import write_gif, write_page, write_png
 from softfin.evaluation.view.footage import Footage, film
 from softfin.evaluation.view.picture import Picture
 from softfin.storage.figures import with_minus_signs
@@ -54,9 +54,9 @@ class ViewConfig(Configuration):
     seconds: float = Field(10.0, ge=0.1, le=60)
     """Length in the plant's time, from rest [s]; ten show the mean over 2 s settle."""
     frames_per_second: Literal[10, 20, 25, 50] = 25
-    """Frames of GIF and MP4, in real time [1/s]: whole numbers of 10 ms apart, as GIF counts."""
+    """Frames of a GIF, in real time [1/s]: whole numbers of 10 ms apart, as GIF counts."""
     dots_per_inch: int = Field(100, ge=50, le=300, multiple_of=10)
-    """Resolution of GIF, MP4 and PNG, which are 9.6 by 5.2 inch [1/in]; films are even numbers of pixels wide."""
+    """Resolution of GIF and PNG, which are 9.6 by 5.2 inch [1/in]."""
     seed: int = Field(0, ge=0)
     """Seed of the plant's noise and of random commands."""
     gait: StrokeGaitConfig = StrokeGaitConfig()
@@ -97,7 +97,7 @@ def footage_of(
 
 
 def draw(footage: Footage, out: Path, title: str, config: ViewConfig, report: Callable[[float], None]) -> None:
-    """Draw the footage as what the name asks for: .gif, .mp4, .html, or its last frame as .png."""
+    """Draw the footage as a .gif, a .html page or, its last frame, as .png, by the name of `out`."""
     if out.suffix == ".html":
         write_page(out, footage, title)
         return
@@ -105,8 +105,7 @@ def draw(footage: Footage, out: Path, title: str, config: ViewConfig, report: Ca
     if out.suffix == ".png":
         write_png(out, picture)
     else:
-        write = {".gif": write_gif, ".mp4": write_mp4}[out.suffix]
-        write(out, picture, config.frames_per_second, report)
+        write_gif(out, picture, config.frames_per_second, report)
 
 
 def title_of(plant: str, config: ViewConfig, reference: Reference | None) -> str:

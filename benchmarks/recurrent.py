@@ -1,4 +1,4 @@
-"""RecurrentPPO of sb3-contrib (extra ``sb3``), another LSTM-PPO than softfin's, evaluated as controllers are.
+"""RecurrentPPO of sb3-contrib (extra ``sb3``), an LSTM-PPO other than softfin's, evaluated as controllers are.
 
 It learns through the Gymnasium environment with the library's defaults: two LSTMs of 256 units, 128 actions a rollout,
 10 epochs. It lives outside JAX, so all experiments go through it in lock step, action by action.
@@ -17,9 +17,10 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
 from softfin.core.quantities import Limits, command_of
-from softfin.evaluation.evaluate import ExperimentsConfig
+from softfin.evaluation.baselines.baselines import BaselinesConfig
+from softfin.evaluation.evaluate import Evaluation, ExperimentsConfig, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording, Recorded
-from softfin.gaits.reachable import Cell
+from softfin.gaits.reachable import Cell, bounding_box
 from softfin.installation import how_to_add
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
 
@@ -74,3 +75,12 @@ def run_recurrent(
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
     return ExperimentRecording(np.asarray(config.references, np.float32), *jax.tree.map(together, *kept))
+
+
+def evaluate_recurrent(plant: Plant, config: BaselinesConfig, steps: int) -> Evaluation:
+    """Train RecurrentPPO for all references of `config` in a plant, and evaluate it there."""
+    task = TaskConfig()
+    box = bounding_box([Cell.around(reference, 0.0) for reference in config.references])
+    model = train_recurrent(plant, steps, config.seed, task, box)
+    recording = run_recurrent(model, task, Limits(*plant.limits), plant, config)
+    return score_experiments(recording, plant, config.experiments)
