@@ -7,6 +7,7 @@ from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import VECTOR
+from softfin.rig.ros2.inputs import OnceReporter
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.stop import StopRequest
 from tests.rig.ros2_memory import MemoryTransport
@@ -240,3 +241,12 @@ def test_what_cannot_go_out_is_counted_and_does_not_stop_the_loop():
 def test_two_topics_of_one_name_are_refused():
     with pytest.raises(ConfigurationError, match="/fin/wrench is the name of two topics"):
         NodeConfig.build({"reference_topic": "/fin/wrench"})
+
+
+def test_twenty_different_remarks_are_reported_once_each_and_no_more():
+    reported = []
+    once = OnceReporter(reported.append)
+    for _ in range(2):
+        for number in range(30):
+            once(f"remark {number}")
+    assert reported == [f"remark {number}" for number in range(20)]

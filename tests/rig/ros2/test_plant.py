@@ -86,6 +86,14 @@ def test_a_sample_is_the_newest_of_both_topics_in_softfins_axes(rig):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(("best_effort", "quality"), [(True, "best_effort"), (False, "reliable")])
+def test_readings_are_asked_for_with_the_configured_quality(best_effort, quality):
+    rig = Rig(best_effort=best_effort)
+    rig.machine.open()
+    for topic in ("/joint", "/wrench"):
+        assert [asked for _, asked in rig.transport.asked[topic]] == [quality]
+
+
 def test_a_driver_that_counts_the_other_way_is_turned_round():
     rig = Rig(negate_angle=True)
     rig.machine.open()
