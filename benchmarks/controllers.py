@@ -16,7 +16,7 @@ from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
 from softfin.gaits.force_map import MapConfig, map_forces
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
-from softfin.learning.train import train_jobs
+from softfin.learning.train import train
 from softfin.stages.surrogates import import_keras
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate import Surrogate
@@ -36,7 +36,7 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
 
     with tempfile.TemporaryDirectory() as folder:
         run_directory = RunDirectory(Path(folder) / "controller", {})
-        train_jobs(plant, config, (0,), run_directory, note)
+        train(plant, config, (0,), run_directory, note)
         log = read_log(run_directory.folder / LOG)
     whole = config.num_updates * config.learning.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}

@@ -1,10 +1,10 @@
-"""Twelve cells as jobs on Ray: nodes of one core each, as if of as many machines (extra ray; docs/scaling.md).
+"""Twelve cells as tasks on Ray: nodes of one core each, as if of as many machines (extra ray; docs/scaling.md).
 
 Needs a network of its own, because Ray listens more widely than it is told. Each cell takes eight updates of the
 default LSTM-PPO in a surrogate of the published layout. The first run on a cluster starts its workers and compiles
 their programs, or loads them; the second finds both there. Where others load the machine, the ratio of processor times
-tells what that of wall-clock times would be without them: the one node's over that of the busier of two. `local` is the
-twelve jobs one after another in this process, `one program` all cells side by side in it; both use every core.
+tells what that of wall-clock times would be without them: the one node's over that of the busier of two. `one program` is
+all cells side by side in this process, on every core.
 """
 
 import contextlib
@@ -19,10 +19,9 @@ from typing import Any
 
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
-from softfin.core.choices import Split
 from softfin.learning.configuration import GRID
-from softfin.learning.engine import Engine, find_engine
-from softfin.learning.train import train_jobs
+from softfin.learning.ray_training import train_on_ray
+from softfin.learning.train import train
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import PAPER_RANGE, lattice
 
@@ -59,13 +58,17 @@ def nodes(count: int) -> Iterator[Callable[[], list[float]]]:
         yield processor_s
 
 
-def trained(engine: Engine, split: Split = "cell") -> float:
-    """Wall-clock time of all twelve cells [s]."""
+def trained(cluster: str | None) -> float:
+    """Wall-clock time of all twelve cells, on a cluster or in this process [s]."""
     steps = UPDATES * GRID.ppo.steps_per_update
     config = GRID.model_copy(update={"cells": lattice(4, 3, PAPER_RANGE), "steps": steps, "num_evaluations": 1})
     with tempfile.TemporaryDirectory() as folder:
+        run_directory = RunDirectory(Path(folder) / "out", {})
         begin = time.perf_counter()
-        train_jobs(published_layout(), config, (0,), RunDirectory(Path(folder) / "out", {}), engine=engine, split=split)
+        if cluster is None:
+            train(published_layout(), config, (0,), run_directory)
+        else:
+            train_on_ray(published_layout(), config, (0,), run_directory, cluster=cluster)
         return time.perf_counter() - begin
 
 
@@ -75,15 +78,14 @@ def main() -> list[dict[str, Any]]:
     busiest: dict[int, float] = {}
     for count in (1, 2):
         with nodes(count) as processor_s:
-            details[f"first_run_on_{count}_s"] = trained(find_engine("ray", ADDRESS))
+            details[f"first_run_on_{count}_s"] = trained(ADDRESS)
             before = processor_s()
-            wall[count] = details[f"second_run_on_{count}_s"] = trained(find_engine("ray", ADDRESS))
+            wall[count] = details[f"second_run_on_{count}_s"] = trained(ADDRESS)
             busy = [after - begun for after, begun in zip(processor_s(), before, strict=True)]
             busiest[count] = max(busy)
             details[f"second_run_on_{count}_processor_s"] = [round(part, 1) for part in busy]
-    for name, split in (("local", "cell"), ("one_program", "none")):
-        for run in ("first", "second"):
-            details[f"{run}_run_{name}_s"] = trained(find_engine("local"), split)
+    for run in ("first", "second"):
+        details[f"{run}_run_one_program_s"] = trained(None)
     details["load_after"] = os.getloadavg()[0]
     return [
         entry("12 cells, one worker / two workers, time", wall[1] / wall[2], "ratio", 1.6, **details),

@@ -22,11 +22,11 @@ import numpy as np
 from softfin.core.errors import RunError, SoftfinError
 from softfin.gaits.reachable import Cell
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.engine import RayEngine, find_engine
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
+from softfin.learning.ray_training import split_into_tasks, train_on_ray
 from softfin.learning.run import TrainingResult
-from softfin.learning.train import train_jobs
+from softfin.learning.train import train
 from softfin.storage.artifact import WEIGHTS
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.task.task import TaskConfig
@@ -78,12 +78,12 @@ def within(case: str, folder: Path) -> dict[str, Any]:
 
 
 class Deadly(RunDirectory):
-    """Kills the process that saves the second checkpoint of one job, once."""
+    """Kills the process that saves the second checkpoint of one task, once."""
 
     def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         super().save(tree, metadata)
         deaths = len(list(self.folder.glob("death-*")))
-        if self.folder.name == "seed-1-cell-0" and metadata["updates"] == 2 and not deaths:
+        if self.folder.name == "seed-1" and metadata["updates"] == 2 and not deaths:
             (self.folder / f"death-{deaths}").touch()
             os.kill(os.getpid(), signal.SIGKILL)
 
@@ -95,33 +95,59 @@ class Deadly(RunDirectory):
         return found
 
 
+class Failing(RunDirectory):
+    """Fails in one task at its first checkpoint, in the way that the folder's name says."""
+
+    def save(self, tree: Any, metadata: dict[str, Any]) -> None:
+        super().save(tree, metadata)
+        if self.folder.name != "seed-0":
+            return
+        way = self.folder.parents[1].name
+        if way == "refuse":
+            raise RunError("seed-0: out of water")
+        if way == "fail":
+            raise IndexError("no such fin")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def task_by_task(folder: Path, seeds: tuple[int, ...]) -> TrainingResult:
+    """What a run on Ray should give, in this process."""
+    results = []
+    for task in split_into_tasks(SMALL, seeds):
+        trained = train(AnalyticFin(), task.config, task.seeds, run_directory(folder / task.name))
+        results.append((trained.policies, trained.evaluation))
+    policies, evaluation = jax.tree.map(
+        lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]), *results
+    )
+    return TrainingResult.of_plant(AnalyticFin(), SMALL, seeds, policies, evaluation, None)
+
+
 def own(folder: Path) -> dict[str, Any]:
-    """A cluster that the engine starts and ends."""
+    """A cluster that softfin starts and ends."""
     said: list[Any] = []
-    squares = RayEngine().map("square", _squared, {str(i): i for i in range(4)}, lambda *note: said.append(note))
+    theirs = train_on_ray(
+        AnalyticFin(), SMALL, (0,), run_directory(folder, seeds=(0,)), lambda *note: said.append(note)
+    )
+    alike(theirs, task_by_task(folder / "here", (0,)))
     import psutil
     import ray
 
     left = [process.name() for process in psutil.process_iter() if process.pid != os.getpid()]
     return {
-        "squares": squares,
         "said": said,
         "left": left,
         "connected": ray.is_initialized(),
-        "pid": os.getpid(),
         "home": [path.name for path in folder.glob(".ray*")],
     }
 
 
 def cells(folder: Path) -> dict[str, Any]:
-    """Cells on a cluster of two nodes, as on the local engine; the worker of one is killed in the middle."""
+    """Seeds on a cluster of two nodes, as in this process; the worker of one is killed in the middle."""
     said: list[Any] = []
-    ours = train_jobs(AnalyticFin(), SMALL, SEEDS, run_directory(folder / "local"), split="cell")
     space = run_directory(folder / "ray", kind=Deadly)
-    theirs = train_jobs(AnalyticFin(), SMALL, SEEDS, space, lambda *note: said.append(note),
-                        engine=find_engine("ray", _two_nodes()), split="cell")  # fmt: skip
-    alike(theirs, ours)
-    lost = space.folder / "seed-1-cell-0"
+    theirs = train_on_ray(AnalyticFin(), SMALL, SEEDS, space, lambda *note: said.append(note), cluster=_two_nodes())
+    alike(theirs, task_by_task(folder / "here", SEEDS))
+    lost = space.folder / "seed-1"
     return {
         "said": said,
         "deaths": len(list(space.folder.rglob("death-*"))),
@@ -131,58 +157,29 @@ def cells(folder: Path) -> dict[str, Any]:
 
 
 def failures(folder: Path) -> dict[str, Any]:
-    """What goes wrong for good, while the part beside it is done."""
-    engine = RayEngine(_two_nodes())
-    engine.attempts = 2
-    told: dict[str, Any] = {work.__name__: _failure(engine, work, folder) for work in (_refuse, _fail, _die)}
-    told["finished"] = sorted(path.name for path in folder.glob("*-other"))
+    """What goes wrong for good, while the task beside it is done."""
+    cluster = _two_nodes()
+    told: dict[str, Any] = {}
+    for way in ("refuse", "fail", "die"):
+        space = run_directory(folder / way, kind=Failing)
+        try:
+            train_on_ray(AnalyticFin(), SMALL, SEEDS, space, cluster=cluster)
+        except SoftfinError as error:
+            told[way] = [type(error).__name__, str(error)]
+        finished = read_log(space.folder / "seed-1" / LOG)[-1]["step"]
+        told[way].append(finished)
     return told
 
 
 def commands(folder: Path) -> dict[str, Any]:
-    """``softfin train`` in this process, on Ray of this machine, and on a cluster that was there before it."""
+    """``softfin train`` on Ray of this machine, and on a cluster that was there before it."""
     (folder / "train.yaml").write_text(json.dumps(GRADIENT | {"cells": [cell.model_dump() for cell in SMALL.cells]}))
     common = ("train", "tests.plants:AnalyticFin", "--controller", "grid", "--config", str(folder / "train.yaml"))
-    engines = {
-        "local": ("--split", "cell"),
-        "own": ("--engine", "ray"),
-        "cluster": ("--engine", "ray", "--cluster", _two_nodes()),
-    }
+    engines = {"own": ("--engine", "ray"), "cluster": ("--engine", "ray", "--cluster", _two_nodes())}
     for name, options in engines.items():
         command = [sys.executable, "-m", "softfin.cli", *common, *options]
         subprocess.run([*command, "--out", str(folder / name)], check=True)
     return {name: sha256((folder / name / WEIGHTS).read_bytes()).hexdigest() for name in engines}
-
-
-def _failure(engine: RayEngine, work: Any, folder: Path) -> list[Any]:
-    said: list[Any] = []
-    try:
-        engine.map("try", work, {"part": (folder, 0), "other": (folder, 1)}, lambda *note: said.append(note))
-    except SoftfinError as error:
-        return [type(error).__name__, str(error), said]
-    return []
-
-
-def _squared(item: int, _: Any) -> tuple[int, int]:
-    return os.getpid(), item**2
-
-
-def _refuse(item: tuple[Path, int], _: Any) -> None:
-    if item[1] == 0:
-        raise RunError("part: out of water")
-    (item[0] / "refused-other").touch()
-
-
-def _fail(item: tuple[Path, int], _: Any) -> None:
-    if item[1] == 0:
-        raise IndexError("no such fin")
-    (item[0] / "failed-other").touch()
-
-
-def _die(item: tuple[Path, int], _: Any) -> None:
-    if item[1] == 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    (item[0] / "dead-other").touch()
 
 
 def _two_nodes() -> str:

@@ -25,7 +25,7 @@ from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, EnvState
 from softfin.learning.run import TrainingResult, TrainingRun
-from softfin.learning.train import train_jobs
+from softfin.learning.train import train
 from softfin.stages.reproduce_config import PRESETS
 from softfin.storage.run_directory import RunDirectory
 from softfin.task.references import References, stack_references
@@ -272,7 +272,7 @@ def test_the_gradient_is_compiled_once_for_all_who_ask() -> None:
 
 def trained(folder: Path, resume: bool = False, progress: Any = None) -> TrainingResult:
     run_directory = RunDirectory(folder / "out", {"of": "this"}, resume=resume)
-    return train_jobs(StrokeFin(), QUICK, SEEDS, run_directory, progress)
+    return train(StrokeFin(), QUICK, SEEDS, run_directory, progress)
 
 
 @pytest.fixture(scope="module")
@@ -410,6 +410,6 @@ def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(tmp_path: Pa
     assert isinstance(Twins(), EnsemblePlant)
     assert isinstance(jit_argument(Twins()), EnsemblePlant)
     config = QUICK.changed(("ensemble=each", "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
-    result = train_jobs(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
+    result = train(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
     assert np.isfinite(result.evaluation.error).all()
     np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

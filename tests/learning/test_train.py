@@ -18,7 +18,7 @@ from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult, TrainingRun
-from softfin.learning.train import train_jobs
+from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
@@ -41,7 +41,7 @@ class Cut(Exception):
 def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> TrainingResult:
     metadata = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
     run_directory = RunDirectory(folder / "out", metadata, resume=options.pop("resume", False))
-    return train_jobs(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
+    return train(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
 
 
 def log_of(folder: Path) -> list[dict[str, Any]]:

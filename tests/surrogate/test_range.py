@@ -63,16 +63,16 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     logs = [small.recorded(300, seed) for seed in range(4)]
     write_dataset(tmp_path / "dataset", logs[:3], logs[3:], {"fin": "blue, 2 mm"})
 
-    def fit_any(logs, config, seed, run_directory, progress):
+    def fit_streaming(logs, config, seed, run_directory, progress):
         run_directory.log().close()
-        return small.surrogate(), None
+        return small.surrogate()
 
-    def train_jobs(plant, config, seeds, run_directory, progress, **options):
+    def train_in_process(plant, config, seeds, run_directory, progress, force_map):
         run_directory.log().close()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
-    monkeypatch.setattr("softfin.stages.surrogates.fit_any", fit_any)
-    monkeypatch.setattr("softfin.stages.controllers.train_jobs", train_jobs)
+    monkeypatch.setattr("softfin.stages.surrogates.fit_streaming", fit_streaming)
+    monkeypatch.setattr("softfin.stages.controllers.train_in_process", train_in_process)
     monkeypatch.setattr("softfin.stages.controllers.write_learning", lambda folder: None)
     monkeypatch.setattr("softfin.stages.controllers._map_forces", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from softfin.cli.common import Common, Configured, Controller, File, Out, folder_of, plant
 from softfin.cli.options import Option
-from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName, Split
+from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName
 from softfin.core.errors import ConfigurationError
 from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
@@ -71,8 +71,6 @@ class TrainArguments(Configured):
     """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such as --seeds=0,1,2."""
     engine: EngineName = "local"
     """Engine of training: this process, or tasks of Ray (extra ray), for many machines."""
-    split: Split | None = None
-    """Into jobs: none, one a seed, or one a cell of each seed (local: none; Ray: seed of several, cell of one)."""
     cluster: Annotated[str, Option("HOST:PORT")] | None = None
     """Address HOST:PORT of the Ray cluster; by default one is started on this machine for the run."""
     resume: bool = False
@@ -87,7 +85,7 @@ class TrainArguments(Configured):
             read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
-        trained = ("algorithm", "seeds", "steps", "resume", "engine", "split", "cluster")
+        trained = ("algorithm", "seeds", "steps", "resume", "engine", "cluster")
         useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
             raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
@@ -118,7 +116,7 @@ class TrainArguments(Configured):
             )
         self.stage(
             train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds,
-            engine=self.engine, split=self.split, cluster=self.cluster, reason=reason, resume=self.resume,
+            engine=self.engine, cluster=self.cluster, reason=reason, resume=self.resume,
         )  # fmt: skip
         return self._tell(seeds)
 

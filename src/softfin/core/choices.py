@@ -25,8 +25,6 @@ AlgorithmOption: TypeAlias = Literal["auto", AlgorithmPreset]
 """How policies are trained; auto: by gradients if the plant has them, else by LSTM-PPO with hindsight relabelling."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
-Split: TypeAlias = Literal["none", "seed", "cell"]
-"""All lanes in one training job; one job for every seed; one for every cell of every seed."""
 
 RobotTask: TypeAlias = Literal["wrenches", "hold", "lemniscate", "lissajous"]
 """Tasks by which a robot is evaluated."""

@@ -3,6 +3,7 @@
 Seeds x cells are the agents. Agents need no data of each other, so devices do not communicate.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
@@ -56,6 +57,20 @@ class TrainingResult(NamedTuple):
     """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
     force_map: ForceMap | None = None
     """Map of the fin, where there is one."""
+
+    @classmethod
+    def of_plant(
+        cls,
+        plant: Plant,
+        config: TrainConfig,
+        seeds: Sequence[int],
+        policies: Policy,
+        evaluation: PolicyEvaluation,
+        force_map: ForceMap | None,
+    ) -> "TrainingResult":
+        """Build the result of a run in a plant, whose limits are those of its policies."""
+        limits = Limits(*map(float, plant.limits))
+        return cls(config, limits, tuple(seeds), policies, evaluation, force_map)
 
 
 class OneMember(eqx.Module):

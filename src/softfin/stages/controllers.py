@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from softfin.control.store import save_gaits
-from softfin.core.choices import EngineName, Split
+from softfin.core.choices import EngineName
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
@@ -17,8 +17,8 @@ from softfin.gaits.force_map import map_forces as _map_forces
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
 from softfin.learning.controllers import save_controller, write_learning
-from softfin.learning.engine import find_engine
-from softfin.learning.train import default_split, train_jobs
+from softfin.learning.ray_training import check_cluster, train_on_ray
+from softfin.learning.train import train as train_in_process
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant, name_of
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
@@ -79,7 +79,7 @@ def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[s
 def train(
     plant: str | Plant, out: Path, config: TrainConfig | None = None, *,
     force_map: Path | None = None, seeds: Sequence[int] = (0,),
-    engine: EngineName = "local", split: Split | None = None, cluster: str | None = None, reason: str | None = None,
+    engine: EngineName = "local", cluster: str | None = None, reason: str | None = None,
     resume: bool = False, overwrite: bool = False, progress: Progress = silent,
 ) -> None:  # fmt: skip
     """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
@@ -87,11 +87,14 @@ def train(
     Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
     a map of the plant, `force_map`, says what the fin can do and saves the search for gaits; without, only training by
     gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
-    One seed writes the controller's folder `out`; several are written as ``out/seed-N``. All is one program, unless
-    it is `split` into jobs; the `engine` does these one after the other, or all at once on a Ray `cluster`.
+    One seed writes the controller's folder `out`; several are written as ``out/seed-N``. The `engine` trains all of it in
+    this process, as one program, or in parts on a Ray `cluster`.
     The `reason` for the algorithm is kept with the controller.
     """
-    working, split = find_engine(engine, cluster), split or default_split(engine, seeds)
+    if engine == "ray":
+        check_cluster(cluster)
+    elif cluster is not None:
+        raise ConfigurationError(f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster")
     moving = find_plant(plant)
     if config is None:
         config, reason = choose_preset(moving)
@@ -102,7 +105,6 @@ def train(
         "configuration": config.model_dump(mode="json"),
         "seeds": list(seeds),
         "plant": identity(moving, computed=True),
-        "split": split,
         "map": None if can is None else can.to_dict(),
     }
     check(moving, config, seeds, can)
@@ -111,7 +113,10 @@ def train(
         return run_directory.finish()
     if reason is not None:
         progress("algorithm", 1.0, reason)
-    trained = train_jobs(moving, config, seeds, run_directory, progress, engine=working, split=split, force_map=can)
+    if engine == "ray":
+        trained = train_on_ray(moving, config, seeds, run_directory, progress, can, cluster)
+    else:
+        trained = train_in_process(moving, config, seeds, run_directory, progress, can)
 
     def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
         save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)
