@@ -2,14 +2,16 @@ import itertools
 
 import pytest
 
+from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError, RigError, SafetyStop
+from softfin.rig.config import load_rig
 from softfin.rig.epos2.protocol import State
 from softfin.rig.machine import Machine, Target
-from softfin.rig.rig import zero_angle, zero_force
+from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.safety import Guard
 from softfin.rig.session import Session
 from tests.rig.conformance import check_machine
-from tests.rig.rigs import emulated
+from tests.rig.rigs import config_of, emulated, filed, simulated
 
 
 def ticks(machine, count):
@@ -78,6 +80,16 @@ def test_one_heartbeat_is_sent_every_four_ticks(monkeypatch):
         ticks(machine, 40)
         assert len(beats) == 10
         machine.close()
+
+
+def test_a_rig_has_the_clock_that_it_is_given_or_the_one_of_its_emulation_or_the_real_one(tmp_path):
+    with simulated() as behind:
+        config = config_of(behind)
+        assert Rig(config).clock is REAL
+        with filed(behind, tmp_path / "rig.yaml") as file:
+            emulated_config = load_rig(file)
+            assert Rig(emulated_config).clock is behind.clock
+            assert Rig(emulated_config, REAL).clock is REAL
 
 
 def test_counters_are_whole_numbers_by_name_after_close_too():

@@ -677,6 +677,19 @@ def test_a_host_with_our_number_is_a_complaint_whenever_it_begins_to_send() -> N
         assert complaint(made, f"has the number {made.drive.config.host} of this one")
 
 
+def test_a_drive_is_not_enabled_if_its_bus_cannot_be_read_any_more() -> None:
+    with bench() as made:
+        made.drive.open()
+        made.drive.home_here()
+
+        def lose_the_bus() -> None:
+            made.drive.trouble = "bus cannot be read"
+
+        with pytest.raises(DeviceError, match="bus cannot be read"):
+            made.drive.enable(lose_the_bus)
+        assert made.emulated.state is State.SWITCH_ON_DISABLED
+
+
 def test_what_an_adapter_echoes_is_not_taken_for_another_host() -> None:
     with enabled() as made:
         heartbeat = protocol.HEARTBEAT + made.drive.config.host

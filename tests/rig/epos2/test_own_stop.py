@@ -4,9 +4,10 @@ import pytest
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.emulation.drive import DriveTraits
-from softfin.rig.epos2 import protocol
+from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.epos2.connection import CanConnection
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, State
+from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, drive_config, enabled
 
@@ -149,6 +150,23 @@ def test_a_drive_is_switched_off_although_its_program_goes_on_with_its_loop() ->
         # The first frame of it is the quick stop.
         words = [data[:2] for _, cob_id, data in sniffer.frames[began:] if cob_id == 0x200 + NODE]
         assert words[0] == b"\x02\x00"
+
+
+def test_a_shaft_that_does_not_come_to_rest_loses_its_voltage_after_the_time_of_braking(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    read = procedures.read_optional
+
+    def turning(connection: CanConnection, entry: Object) -> int | None:
+        return 1000 if entry is protocol.VELOCITY else read(connection, entry)
+
+    with enabled(traits=IGNORES) as made:
+        powered_by_a_dead_program(made, None)
+        monkeypatch.setattr(procedures, "read_optional", turning)
+        began = made.clock()
+        Epos2(made.bus, drive_config(), made.clock).switch_off()
+        assert made.clock() - began < 2.0
+        assert made.emulated.state is State.SWITCH_ON_DISABLED
 
 
 def test_a_drive_at_rest_may_be_switched_off_and_one_that_does_not_answer_is_told() -> None:

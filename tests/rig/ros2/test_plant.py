@@ -1,12 +1,14 @@
 import itertools
+import sys
+import types
 
 import numpy as np
 import pytest
 
 from softfin.core.errors import CommandError, ConfigurationError, DeviceError, RigError
 from softfin.rig.machine import Machine, Target
-from softfin.rig.ros2.config import Ros2PlantConfig
-from softfin.rig.ros2.plant import Ros2Machine
+from softfin.rig.ros2.config import Ros2PlantConfig, TransportConfig
+from softfin.rig.ros2.plant import Ros2Machine, open_transport
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.ros2_memory import MemoryTransport, Messages
 
@@ -92,6 +94,26 @@ def test_readings_are_asked_for_with_the_configured_quality(best_effort, quality
     rig.machine.open()
     for topic in ("/joint", "/wrench"):
         assert [asked for _, asked in rig.transport.asked[topic]] == [quality]
+
+
+@pytest.mark.parametrize(
+    ("transport", "is_installed", "opened"),
+    [
+        ("auto", False, "dds"),
+        ("auto", True, "rclpy"),
+        ("dds", True, "dds"),
+        ("dds", False, "dds"),
+        ("rclpy", True, "rclpy"),
+    ],
+)
+def test_the_transport_is_rclpy_if_it_is_installed_and_not_unwanted(monkeypatch, transport, is_installed, opened):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if is_installed else None)
+    made = {name: MemoryTransport(SimulatedClock()) for name in ("dds", "rclpy")}
+    dds = types.SimpleNamespace(DdsTransport=lambda *_: made["dds"])
+    rclpy = types.SimpleNamespace(RclpyTransport=lambda *_: made["rclpy"])
+    monkeypatch.setitem(sys.modules, "softfin.rig.ros2.dds", dds)
+    monkeypatch.setitem(sys.modules, "softfin.rig.ros2.rclpy", rclpy)
+    assert open_transport(TransportConfig(transport=transport)) is made[opened]
 
 
 def test_a_driver_that_counts_the_other_way_is_turned_round():
