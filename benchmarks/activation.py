@@ -1,9 +1,11 @@
-"""Activations after pauses in which nobody reads the force sensor, over real sockets, with several receive buffers.
+"""Activations after pauses in which nobody reads the force sensor, over real sockets, with several
+receive buffers.
 
-A person types "move" for up to a minute, or a log is written. By default Linux keeps the first 0.5 s of that, so a
-pause of 1 s is as bad as one of 60 s; the pauses here are 0 to 2 s. A buffer of 4 MiB is not full after them: it then
-holds the whole pause. Reported are the activations that failed and the oldest force on which the motor was powered.
-Options by environment: SOFTFIN_ACTIVATIONS in all (200).
+A person types "move" for up to a minute, or a log is written. By default Linux keeps the first 0.5
+s of that, so a pause of 1 s is as bad as one of 60 s; the pauses here are 0 to 2 s. A buffer of 4
+MiB is not full after them: it then holds the whole pause. Reported are the activations that failed
+and the oldest force on which the motor was powered. Options by environment: SOFTFIN_ACTIVATIONS in
+all (200).
 """
 
 import itertools
@@ -89,6 +91,21 @@ def _activate(config: RigConfig, room_bytes: int, count: int) -> list[dict[str, 
     name = f"activation, buffer of {room_bytes // 1024} KiB"
     oldest_ms = 1e3 * max(ages_s, default=0.0)
     return [
-        entry(f"{name}: failures", len(reasons), "", 0, at_least=False, count=attempts, reasons=reasons),
-        entry(f"{name}: oldest force at power-up", oldest_ms, "ms", 50, at_least=False, count=len(ages_s)),
+        entry(
+            f"{name}: failures",
+            len(reasons),
+            "",
+            0,
+            at_least=False,
+            count=attempts,
+            reasons=reasons,
+        ),
+        entry(
+            f"{name}: oldest force at power-up",
+            oldest_ms,
+            "ms",
+            50,
+            at_least=False,
+            count=len(ages_s),
+        ),
     ]

@@ -1,7 +1,8 @@
-"""Training time and memory against the number of cells: all are agents of one program, so many cost little each.
+"""Training time and memory against the number of cells: all are agents of one program, so many cost
+little each.
 
-Two updates of each grid with the default LSTM-PPO, after compilation and without scoring; a cell's share of the time
-of the largest grid is held against the time of a grid of one.
+Two updates of each grid with the default LSTM-PPO, after compilation and without scoring; a cell's
+share of the time of the largest grid is held against the time of a grid of one.
 """
 
 import time
@@ -43,20 +44,36 @@ def measured(plant: Plant, side: int) -> dict[str, Any]:
         return now
 
     taken = seconds(updates) / UPDATES
-    return {"cells": len(cells), "update_s": taken, "compile_s": compiled, **memory_of(agents.policy)}
+    return {
+        "cells": len(cells),
+        "update_s": taken,
+        "compile_s": compiled,
+        **memory_of(agents.policy),
+    }
 
 
 def main() -> list[dict[str, Any]]:
     plant = published_layout()
     rows = [measured(plant, side) for side in SIDES]
-    one, most = rows[0], rows[-1]
+    one = rows[0]
+    most = rows[-1]
     details: dict[str, Any] = {}
     for row in rows:
         details[f"update_s_{row['cells']}_cells"] = row["update_s"]
-    details |= {"compile_s": most["compile_s"], "weights_kb_a_cell": most["weights_bytes"] / 1e3,
-                "training_kb_a_cell": (most["weights_bytes"] + most["optimiser_bytes"]) / 1e3}  # fmt: skip
+    details |= {
+        "compile_s": most["compile_s"],
+        "weights_kb_a_cell": most["weights_bytes"] / 1e3,
+        "training_kb_a_cell": (most["weights_bytes"] + most["optimiser_bytes"]) / 1e3,
+    }
     share = most["update_s"] / most["cells"] / one["update_s"]
     return [
-        entry(f"a cell of {most['cells']} / a cell alone, time of an update", share, "ratio", 1.0, False, **details),
+        entry(
+            f"a cell of {most['cells']} / a cell alone, time of an update",
+            share,
+            "ratio",
+            1.0,
+            False,
+            **details,
+        ),
         entry("weights of a cell", most["weights_bytes"] / 1e3, "kB", 200, False),
     ]

@@ -22,7 +22,8 @@ PACKAGE = str(Path(softfin.__file__).parent)
 
 
 class Compilation:
-    """Counts from its making on; in each thread, what happens within another span is taken off that span."""
+    """Counts from its making on; in each thread, what happens within another span is taken off that
+    span."""
 
     def __init__(self) -> None:
         self.seconds_of: Counter[tuple[str, str]] = Counter()
@@ -37,9 +38,14 @@ class Compilation:
     def _note_span(self, event: str, seconds: float, **details: Any) -> None:
         if event not in (TRACE, LOWER, XLA):
             return
-        name = f"{str(details.get('fun_name', '?')).removeprefix('jit(').removesuffix(')')} {_caller()}"
+        name = (
+            f"{str(details.get('fun_name', '?')).removeprefix('jit(').removesuffix(')')} "
+            f"{_caller()}"
+        )
         end = time.perf_counter()
-        start, spans, own = end - seconds, self._threads.setdefault(threading.get_ident(), []), seconds
+        start = end - seconds
+        spans = self._threads.setdefault(threading.get_ident(), [])
+        own = seconds
         while spans and spans[-1][0] >= start:
             inner_start, inner_end = spans.pop()
             own -= inner_end - inner_start
@@ -58,7 +64,11 @@ class Compilation:
 
     def seconds(self, *events: str) -> float:
         """Of the given events, of all where none is given."""
-        return sum(seconds for (event, _), seconds in self.seconds_of.items() if not events or event in events)
+        return sum(
+            seconds
+            for (event, _), seconds in self.seconds_of.items()
+            if not events or event in events
+        )
 
 
 def _caller() -> str:

@@ -1,8 +1,10 @@
-"""What users wait for before anything runs: programs, seconds of tracing and of XLA, and their share of each stage.
+"""What users wait for before anything runs: programs, seconds of tracing and of XLA, and their
+share of each stage.
 
-Each stage is a command in a process of its own with a cache of its own, run twice: cold, and again (warm). Other work
-on the machine lengthens all seconds. With SOFTFIN_PUBLISHED the published surrogate is the authors' networks; otherwise
-networks of the same layout with random weights replace them, which make the same programs.
+Each stage is a command in a process of its own with a cache of its own, run twice: cold, and again
+(warm). Other work on the machine lengthens all seconds. With SOFTFIN_PUBLISHED the published
+surrogate is the authors' networks; otherwise networks of the same layout with random weights
+replace them, which make the same programs.
 """
 
 import json
@@ -43,7 +45,8 @@ class Stage(NamedTuple):
 
 def stages(surrogate: Path) -> list[Stage]:
     """In the order in which they need one another's results."""
-    demo, single = Path("demo"), Path("single")
+    demo = Path("demo")
+    single = Path("single")
     evaluations = {
         "the tank": (demo / "single" / "seed-0", "tank"),
         "the published surrogate": (single, str(surrogate)),
@@ -51,12 +54,30 @@ def stages(surrogate: Path) -> list[Stage]:
     }
     return [
         Stage("demo", ("reproduce", "--preset", "demo", "--plant", "tank", "--out", str(demo)), 35),
-        Stage("train single by gradients, published surrogate",
-              ("train", str(surrogate), "--controller", "single", "--algorithm", "gradient", "--out", str(single),
-               *(f"--set={change}" for change in TRAIN)), 25),
-        *(Stage(f"evaluate in {plant}", ("evaluate", str(controller), "--plant", where, "--out", "evaluation"), 8)
-          for plant, (controller, where) in evaluations.items()),
-    ]  # fmt: skip
+        Stage(
+            "train single by gradients, published surrogate",
+            (
+                "train",
+                str(surrogate),
+                "--controller",
+                "single",
+                "--algorithm",
+                "gradient",
+                "--out",
+                str(single),
+                *(f"--set={change}" for change in TRAIN),
+            ),
+            25,
+        ),
+        *(
+            Stage(
+                f"evaluate in {plant}",
+                ("evaluate", str(controller), "--plant", where, "--out", "evaluation"),
+                8,
+            )
+            for plant, (controller, where) in evaluations.items()
+        ),
+    ]
 
 
 def write_published(out: Path) -> None:
@@ -75,7 +96,10 @@ def child(words: Sequence[str]) -> None:
     softfin(words)
     wall_s = time.perf_counter() - start
     names = {name for _, name in compilation.seconds_of}
-    seconds = {name: [compilation.seconds_of[event, name] for event in (TRACE, LOWER, XLA)] for name in names}
+    seconds = {
+        name: [compilation.seconds_of[event, name] for event in (TRACE, LOWER, XLA)]
+        for name in names
+    }
     figures = {
         "programs": compilation.programs,
         "cache_hits": compilation.cache_hits,
@@ -97,8 +121,14 @@ def measure(words: Sequence[str], folder: Path, cache: Path) -> dict[str, Any]:
     paths = os.pathsep.join(str(Path(part).absolute()) for part in sys.path)
     environment = os.environ | {"SOFTFIN_CACHE": str(cache), "PYTHONPATH": paths}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)
-    done = subprocess.run([sys.executable, "-m", "benchmarks.compile", *words], cwd=folder, env=environment,
-                          stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.compile", *words],
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     if done.returncode:
         raise SystemExit(f"softfin {' '.join(words)}: {done.stderr[-2000:]}")
     figures: dict[str, Any] = json.loads((folder / "figures.json").read_text())

@@ -1,7 +1,9 @@
-"""One action of a controller on one core: NumPy alone, as on a robot, beside jax.jit and onnxruntime of the same step.
+"""One action of a controller on one core: NumPy alone, as on a robot, beside jax.jit and
+onnxruntime of the same step.
 
-`limit_us` is how long as many multiplications take over as many weights, read once from the cache, in one call without
-anything around it: no step with these weights can be quicker. Weights are random; speed does not depend on them.
+`limit_us` is how long as many multiplications take over as many weights, read once from the cache,
+in one call without anything around it: no step with these weights can be quicker. Weights are
+random; speed does not depend on them.
 """
 
 import os
@@ -31,9 +33,12 @@ from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
 from softfin.task.references import PAPER_RANGE, lattice
 
-WARM, STEPS = 300, 3000
+WARM = 300
+STEPS = 3000
 
-ANGLE, FORCE, REFERENCE = 0.3, (1.0, 0.0), (2.0, 0.3)
+ANGLE = 0.3
+FORCE = (1.0, 0.0)
+REFERENCE = (2.0, 0.3)
 
 
 @contextmanager
@@ -67,7 +72,9 @@ def write_policies(folder: Path, config: TrainConfig, units: int) -> None:
     size = PolicyConfig(units=units, width=units)
     config = config.model_copy(update={"policy": size})
     keys = jax.random.split(jax.random.key(0), (1, len(config.cells)))
-    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, size, config.task.observations)))(keys)
+    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, size, config.task.observations)))(
+        keys
+    )
     nothing = jnp.zeros((1, len(config.cells), config.lattice**2, 2))
     evaluation = PolicyEvaluation(nothing, nothing)
     save_controller(folder, TrainingResult(config, PAPER_LIMITS, (0,), policies, evaluation), 0, {})
@@ -78,18 +85,30 @@ def write_gaits(folder: Path) -> None:
     table = GaitTable.over(PAPER_RANGE, 0.5)
     nothing = np.zeros((*table.actions.shape[:2], 2), np.float32)
     reach = Reachable(np.zeros(2, np.float32), np.full(12, 9, np.float32))
-    save_gaits(folder, ForceMap(GaitSearchResult(table, nothing, nothing), reach), MapConfig(), PAPER_LIMITS, {})
+    save_gaits(
+        folder,
+        ForceMap(GaitSearchResult(table, nothing, nothing), reach),
+        MapConfig(),
+        PAPER_LIMITS,
+        {},
+    )
 
 
 def native(controller: LoadedController) -> tuple[float, float]:
     """As on a robot."""
-    return percentiles(lambda state: controller.act(state, Measured(ANGLE, FORCE), REFERENCE)[0], controller.init())
+    return percentiles(
+        lambda state: controller.act(state, Measured(ANGLE, FORCE), REFERENCE)[0], controller.init()
+    )
 
 
 def compiled(folder: Path) -> tuple[float, float]:
     """By jax.jit, measurements and commands being NumPy's, as a loop over devices has them."""
     controller: Any = load_controller(folder)
-    act = jax.jit(lambda state, angle, force, reference: controller.act(state, Measured(angle, force), reference))
+    act = jax.jit(
+        lambda state, angle, force, reference: controller.act(
+            state, Measured(angle, force), reference
+        )
+    )
 
     def step(state: Any) -> Any:
         now = (np.float32(ANGLE), np.array(FORCE, np.float32), np.array(REFERENCE, np.float32))
@@ -112,7 +131,9 @@ def exported(controller: LoadedController, file: Path) -> tuple[float, float]:
 
     def step(state: dict[str, Any]) -> dict[str, Any]:
         now = {"angle": ANGLE, "force": FORCE, "reference": REFERENCE}
-        found = session.run(None, {name: np.array(value, np.float32) for name, value in now.items()} | state)
+        found = session.run(
+            None, {name: np.array(value, np.float32) for name, value in now.items()} | state
+        )
         return dict(zip(state, found[2:], strict=True))
 
     return percentiles(step, start)
@@ -154,11 +175,22 @@ def main() -> list[dict[str, Any]]:
             folder = Path(out) / str(index)
             write(folder)
             controller = load_controller(folder)
-            (p50, p99), in_jax = native(controller), compiled(folder)
+            (p50, p99) = native(controller)
+            in_jax = compiled(folder)
             in_onnx = exported(controller, folder / "step.onnx")
             rows.append(
-                entry(f"action, {name}", p50, "us", bar, at_least=False, p99_us=p99, jax_us=in_jax[0],
-                      jax_p99_us=in_jax[1], onnxruntime_us=in_onnx[0], onnxruntime_p99_us=in_onnx[1],
-                      limit_us=limit(used(controller)))
-            )  # fmt: skip
+                entry(
+                    f"action, {name}",
+                    p50,
+                    "us",
+                    bar,
+                    at_least=False,
+                    p99_us=p99,
+                    jax_us=in_jax[0],
+                    jax_p99_us=in_jax[1],
+                    onnxruntime_us=in_onnx[0],
+                    onnxruntime_p99_us=in_onnx[1],
+                    limit_us=limit(used(controller)),
+                )
+            )
     return rows

@@ -1,7 +1,9 @@
-"""Every way to a controller, side by side: training steps a second, and the time until the mean error is under 0.3 N.
+"""Every way to a controller, side by side: training steps a second, and the time until the mean
+error is under 0.3 N.
 
-The time needs a real fin's surrogate: with SOFTFIN_PUBLISHED the folder of the authors' published networks; otherwise
-it is left out. Speeds are of surrogates with their layout. RecurrentPPO is in benchmarks/ppo.py, with the same actions.
+The time needs a real fin's surrogate: with SOFTFIN_PUBLISHED the folder of the authors' published
+networks; otherwise it is left out. Speeds are of surrogates with their layout. RecurrentPPO is in
+benchmarks/ppo.py, with the same actions.
 """
 
 import os
@@ -27,8 +29,10 @@ ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)
 
 
 def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
-    """Seconds to the first update, actions a second from then on, and seconds until the scored error is good."""
-    start, moments = time.perf_counter(), list[tuple[float, float]]()
+    """Seconds to the first update, actions a second from then on, and seconds until the scored
+    error is good."""
+    start = time.perf_counter()
+    moments = list[tuple[float, float]]()
 
     def note(stage: str, done: float, _: str) -> None:
         if stage.startswith("train"):
@@ -40,10 +44,13 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
         log = read_log(run_directory.folder / LOG)
     whole = config.num_updates * config.learning.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}
-    good = [e["step"] for e in log if max(e.get(f"seed0/score_{axis}_n", 9.0) for axis in "xy") < GOOD_N]
+    good = [
+        e["step"] for e in log if max(e.get(f"seed0/score_{axis}_n", 9.0) for axis in "xy") < GOOD_N
+    ]
     # The first scoring compiles too, so the clock starts behind it.
     first = min(len(moments) - 2, max(1, round(len(moments) / config.num_evaluations)))
-    (begin, before), (end, after) = moments[first], moments[-1]
+    (begin, before) = moments[first]
+    (end, after) = moments[-1]
     return {
         "before_first_s": moments[0][0],
         "steps_per_s": (after - before) * whole * len(config.cells) / (end - begin),
@@ -56,9 +63,15 @@ def scaling(plant: Plant) -> dict[str, float]:
     """Actions a second of LSTM-PPO with more and more fins side by side."""
     found = {}
     for count in ENVIRONMENTS:
-        settings = (f"ppo.num_envs={count}", f"ppo.num_minibatches={min(count, 8)}", "num_evaluations=1",
-                    f"steps={4 * count * TRAIN_PRESETS['ppo', 'single'].ppo.num_steps}")  # fmt: skip
-        found[str(count)] = run(plant, TRAIN_PRESETS["ppo", "single"].changed(settings))["steps_per_s"]
+        settings = (
+            f"ppo.num_envs={count}",
+            f"ppo.num_minibatches={min(count, 8)}",
+            "num_evaluations=1",
+            f"steps={4 * count * TRAIN_PRESETS['ppo', 'single'].ppo.num_steps}",
+        )
+        found[str(count)] = run(plant, TRAIN_PRESETS["ppo", "single"].changed(settings))[
+            "steps_per_s"
+        ]
     return found
 
 
@@ -70,7 +83,10 @@ def published() -> Surrogate | None:
     nets = Path(folder)
     with tempfile.TemporaryDirectory() as out:
         return import_keras(
-            nets / "cnn_pos_net.keras", nets / "lstm_force_net.keras", nets / "scalers.json", Path(out) / "published"
+            nets / "cnn_pos_net.keras",
+            nets / "lstm_force_net.keras",
+            nets / "scalers.json",
+            Path(out) / "published",
         )
 
 
@@ -80,11 +96,24 @@ def main() -> list[dict[str, Any]]:
     rows = []
     for (algorithm, kind), config in TRAIN_PRESETS.items():
         got = run(plant, config)
-        rows.append(_row(f"{algorithm} {kind}", got, 30 if algorithm == "ppo" else 240, known=fin is not None))
+        rows.append(
+            _row(
+                f"{algorithm} {kind}", got, 30 if algorithm == "ppo" else 240, known=fin is not None
+            )
+        )
     start = time.perf_counter()
     map_forces(plant, MapConfig(box=PAPER_RANGE))
-    rows.append(entry("gaits, 7 x 7: found in", time.perf_counter() - start, "s", 120, at_least=False))
-    rows.append({"figure": "LSTM-PPO against environments", "value": None, "unit": "actions/s", **scaling(plant)})
+    rows.append(
+        entry("gaits, 7 x 7: found in", time.perf_counter() - start, "s", 120, at_least=False)
+    )
+    rows.append(
+        {
+            "figure": "LSTM-PPO against environments",
+            "value": None,
+            "unit": "actions/s",
+            **scaling(plant),
+        }
+    )
     return rows
 
 

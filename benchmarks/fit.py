@@ -1,7 +1,9 @@
-"""Fitting, of the paper's networks and of streaming ones: samples a second, share of the matrix-product rate.
+"""Fitting, of the paper's networks and of streaming ones: samples a second, share of the
+matrix-product rate.
 
-A streaming network goes through its stretches tick by tick, with products of a few dozen rows and columns: that, and
-the functions between them, keep it far from the rate of large products. What counts there is the time of a whole fit.
+A streaming network goes through its stretches tick by tick, with products of a few dozen rows and
+columns: that, and the functions between them, keep it far from the rate of large products. What
+counts there is the time of a whole fit.
 """
 
 from collections.abc import Callable
@@ -22,14 +24,17 @@ from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
 from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales, Table
 
-ROWS, UPDATES = 400_000, 25
+ROWS = 400_000
+UPDATES = 25
 
 
 def training_flops(config: NetworkConfig) -> int:
-    """Forward, gradient of the weights and of the inputs, one matrix product each; none of the first layer's inputs."""
+    """Forward, gradient of the weights and of the inputs, one matrix product each; none of the
+    first layer's inputs."""
     first = config.model_copy(update={"layers": config.layers[:1]}).flops()
     if config.layers[0].kind == "lstm":
-        # Of an LSTM only the products with the data have no gradient to pass on; those with its own past do.
+        # Of an LSTM only the products with the data have no gradient to pass on; those with its own
+        # past do.
         steps, features = config.examples()[0]
         first = 2 * config.layers[0].units * features * (3 + 4 * (steps - 1))
     return 3 * config.flops() - first
@@ -43,22 +48,41 @@ def main() -> list[dict[str, Any]]:
     batches = jnp.asarray(random.integers(0, ROWS - 101, (UPDATES, config.batch)), jnp.int32)
     state = learner.start(jax.random.key(0))
     product, flops = matmul()
-    call, square = interleaved([lambda: learner.run(state, table, batches, jax.random.key(1)), product])
+    call, square = interleaved(
+        [lambda: learner.run(state, table, batches, jax.random.key(1)), product]
+    )
     streaming, ticks, per_tick = streaming_updates(random)
     stepped, square_then = interleaved([streaming, product], repeats=3)
-    rate, samples = flops / square, UPDATES * config.batch / call
+    rate = flops / square
+    samples = UPDATES * config.batch / call
     each = training_flops(config.posnet) + training_flops(config.forcenet)
     return [
-        entry("fit, share of the matmul rate", samples * each / rate, "-", 0.5,
-              samples_per_s=samples, flops_per_sample=each, batch=config.batch, matmul_gflop_s=rate / 1e9),
-        entry("streaming fit, force nets, minutes for all updates", StreamingConfig().force_updates * stepped / 60,
-              "min", 20, at_least=False, member_ticks_per_s=ticks / stepped, flops_per_member_tick=per_tick,
-              share_of_matmul=ticks * per_tick / stepped / (flops / square_then)),
-    ]  # fmt: skip
+        entry(
+            "fit, share of the matmul rate",
+            samples * each / rate,
+            "-",
+            0.5,
+            samples_per_s=samples,
+            flops_per_sample=each,
+            batch=config.batch,
+            matmul_gflop_s=rate / 1e9,
+        ),
+        entry(
+            "streaming fit, force nets, minutes for all updates",
+            StreamingConfig().force_updates * stepped / 60,
+            "min",
+            20,
+            at_least=False,
+            member_ticks_per_s=ticks / stepped,
+            flops_per_member_tick=per_tick,
+            share_of_matmul=ticks * per_tick / stepped / (flops / square_then),
+        ),
+    ]
 
 
 def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], int, int]:
-    """A call of one update of the force networks; member-ticks of it, and FLOPs of each: forward, weights, inputs."""
+    """A call of one update of the force networks; member-ticks of it, and FLOPs of each: forward,
+    weights, inputs."""
     config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
     members = ensemble(config.members, config.drive, config.force, scales, jax.random.key(0))
@@ -71,4 +95,8 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     state = learner.start(members.force)
     ticks = config.members * config.batch * config.ticks
     per_tick = 3 * 2 * products(single(members).force)
-    return lambda: learner.run(state, table, foretold, jnp.int32(0), 1, jax.random.key(1)), ticks, per_tick
+    return (
+        lambda: learner.run(state, table, foretold, jnp.int32(0), 1, jax.random.key(1)),
+        ticks,
+        per_tick,
+    )

@@ -20,7 +20,8 @@ def seconds(call: Callable[[], Any]) -> float:
 
 
 def interleaved(calls: Sequence[Callable[[], Any]], repeats: int = 9) -> list[float]:
-    """Median time of each call, taken in turn so that a drift of the machine's speed meets them all."""
+    """Median time of each call, taken in turn so that a drift of the machine's speed meets them
+    all."""
     for call in calls:
         seconds(call)
     rounds = [[seconds(call) for call in calls] for _ in range(repeats)]
@@ -34,12 +35,21 @@ def matmul() -> tuple[Callable[[], Any], int]:
     return lambda: product(square), 2 * MATMUL**3
 
 
-def entry(figure: str, value: float, unit: str, bar: float, at_least: bool = True, **details: Any) -> dict[str, Any]:
+def entry(
+    figure: str, value: float, unit: str, bar: float, at_least: bool = True, **details: Any
+) -> dict[str, Any]:
     """One figure against its bar."""
     met = value >= bar if at_least else value <= bar
     sign = ">=" if at_least else "<="
-    return {"figure": figure, "value": _three(value), "unit": unit, "bar": f"{sign} {bar:g}", "met": met} | {
-        name: _three(detail) if isinstance(detail, float) else detail for name, detail in details.items()
+    return {
+        "figure": figure,
+        "value": _three(value),
+        "unit": unit,
+        "bar": f"{sign} {bar:g}",
+        "met": met,
+    } | {
+        name: _three(detail) if isinstance(detail, float) else detail
+        for name, detail in details.items()
     }
 
 

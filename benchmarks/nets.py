@@ -1,4 +1,5 @@
-"""A surrogate with the published layout (two LSTM layers, 144,258 + 113,601 parameters) and random weights.
+"""A surrogate with the published layout (two LSTM layers, 144,258 + 113,601 parameters) and random
+weights.
 
 Speed does not depend on the weights' values, and the published files are not part of softfin.
 """
@@ -22,11 +23,18 @@ PUBLISHED_FORCENET = NetworkConfig(
     ),
 )
 
-RANGES = {ANGLE: 1.6, COMMAND_COLUMNS[0]: 1.6, COMMAND_COLUMNS[1]: 1.6, FORCES[0]: 18.0, FORCES[1]: 18.0}
+RANGES = {
+    ANGLE: 1.6,
+    COMMAND_COLUMNS[0]: 1.6,
+    COMMAND_COLUMNS[1]: 1.6,
+    FORCES[0]: 18.0,
+    FORCES[1]: 18.0,
+}
 
 
 def paper_layout(forcenet: NetworkConfig) -> Surrogate:
-    """PosNet and a ForceNet: Table I's, as `softfin fit --model paper` makes it, or the published one."""
+    """PosNet and a ForceNet: Table I's, as `softfin fit --model paper` makes it, or the published
+    one."""
     scaling = Scaling(
         channels={
             name: ChannelScaling(scale=0.5 / reach, offset=0.5, data_min=-reach, data_max=reach)

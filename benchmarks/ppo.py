@@ -1,8 +1,10 @@
-"""LSTM-PPO with its updates in the published surrogate, against sb3-contrib's RecurrentPPO on the same task.
+"""LSTM-PPO with its updates in the published surrogate, against sb3-contrib's RecurrentPPO on the
+same task.
 
-Both learn the same Gymnasium task with their own defaults; RecurrentPPO's are the paper's (two LSTMs of 256 units,
-128 actions a rollout, 10 epochs). A second row of RecurrentPPO has softfin's 64 units, so that the size of the networks
-does not decide. Compilation is not counted: it is paid once, and its time is stated.
+Both learn the same Gymnasium task with their own defaults; RecurrentPPO's are the paper's (two
+LSTMs of 256 units, 128 actions a rollout, 10 epochs). A second row of RecurrentPPO has softfin's 64
+units, so that the size of the networks does not decide. Compilation is not counted: it is paid
+once, and its time is stated.
 """
 
 import time
@@ -25,7 +27,9 @@ def peer_speed(plant: Surrogate, units: int) -> float:
 
     register()
     environment = gymnasium.make("softfin/ForceTracking-v0", plant=plant)
-    model = RecurrentPPO("MlpLstmPolicy", environment, device="cpu", policy_kwargs={"lstm_hidden_size": units})
+    model = RecurrentPPO(
+        "MlpLstmPolicy", environment, device="cpu", policy_kwargs={"lstm_hidden_size": units}
+    )
     model.learn(model.n_steps)
     start = time.perf_counter()
     model.learn(PEER_STEPS, reset_num_timesteps=False)
@@ -34,7 +38,8 @@ def peer_speed(plant: Surrogate, units: int) -> float:
 
 def main() -> list[dict[str, Any]]:
     plant = published_layout()
-    grid, single = run(plant, GRID), run(plant, SINGLE)
+    grid = run(plant, GRID)
+    single = run(plant, SINGLE)
     details: dict[str, Any] = {
         "grid_steps_per_s": grid["steps_per_s"],
         "single_steps_per_s": single["steps_per_s"],
@@ -46,9 +51,17 @@ def main() -> list[dict[str, Any]]:
     except ImportError:
         note = "sb3-contrib is not installed: no ratio; uv sync --extra sb3"
         return [
-            {"figure": "LSTM-PPO / RecurrentPPO", "value": None, "bar": ">= 15", "met": None, "note": note, **details}
+            {
+                "figure": "LSTM-PPO / RecurrentPPO",
+                "value": None,
+                "bar": ">= 15",
+                "met": None,
+                "note": note,
+                **details,
+            }
         ]
-    paper, small = peer_speed(plant, 256), peer_speed(plant, 64)
+    paper = peer_speed(plant, 256)
+    small = peer_speed(plant, 64)
     details |= {"recurrent_ppo_steps_per_s": paper, "recurrent_ppo_64_units_steps_per_s": small}
     return [
         entry("LSTM-PPO grid / RecurrentPPO", grid["steps_per_s"] / paper, "ratio", 15, **details),

@@ -1,7 +1,8 @@
-"""Messages a second that the recorder takes to the disk, against the need; and what handing a row in costs the loop.
+"""Messages a second that the recorder takes to the disk, against the need; and what handing a row
+in costs the loop.
 
-Beside them, in turn with the recorder: how fast the same disk takes the same bytes in one plain write with a
-synchronisation, and how many messages a second that would be.
+Beside them, in turn with the recorder: how fast the same disk takes the same bytes in one plain
+write with a synchronisation, and how many messages a second that would be.
 """
 
 import os
@@ -31,7 +32,8 @@ REPEATS = 5
 def main() -> list[dict[str, Any]]:
     assert 4 * ROWS < BACKLOG
     with tempfile.TemporaryDirectory(dir=os.environ.get("SOFTFIN_BENCHMARK_DISK")) as folder:
-        recorded, plain = [], []
+        recorded = []
+        plain = []
         for number in range(REPEATS):
             path = Path(folder) / f"{number}.mcap"
             recorded.append(_record(path))
@@ -41,13 +43,33 @@ def main() -> list[dict[str, Any]]:
     rate = 4 * ROWS / statistics.median(recorded)
     disk = size / statistics.median(plain)
     return [
-        entry("recording, messages to the disk", rate / NEED, "x the need", 50,
-              messages_per_s=rate, need_per_s=NEED, bytes_per_message=size / (4 * ROWS)),
-        entry("plain write of the same bytes", disk / (size / (4 * ROWS)) / NEED, "x the need", 50,
-              disk_mb_per_s=disk / 1e6, recorder_mb_per_s=size / statistics.median(recorded) / 1e6),
-        entry("row handed in by the loop, p99", 1e6 * _quantile(hand_in, 0.99), "us", 200, at_least=False,
-              median_us=1e6 * statistics.median(hand_in), worst_us=1e6 * max(hand_in)),
-    ]  # fmt: skip
+        entry(
+            "recording, messages to the disk",
+            rate / NEED,
+            "x the need",
+            50,
+            messages_per_s=rate,
+            need_per_s=NEED,
+            bytes_per_message=size / (4 * ROWS),
+        ),
+        entry(
+            "plain write of the same bytes",
+            disk / (size / (4 * ROWS)) / NEED,
+            "x the need",
+            50,
+            disk_mb_per_s=disk / 1e6,
+            recorder_mb_per_s=size / statistics.median(recorded) / 1e6,
+        ),
+        entry(
+            "row handed in by the loop, p99",
+            1e6 * _quantile(hand_in, 0.99),
+            "us",
+            200,
+            at_least=False,
+            median_us=1e6 * statistics.median(hand_in),
+            worst_us=1e6 * max(hand_in),
+        ),
+    ]
 
 
 def _record(path: Path) -> float:

@@ -1,7 +1,9 @@
-"""RecurrentPPO of sb3-contrib (extra ``sb3``), an LSTM-PPO other than softfin's, evaluated as controllers are.
+"""RecurrentPPO of sb3-contrib (extra ``sb3``), an LSTM-PPO other than softfin's, evaluated as
+controllers are.
 
-It learns through the Gymnasium environment with the library's defaults: two LSTMs of 256 units, 128 actions a rollout,
-10 epochs. It lives outside JAX, so all experiments go through it in lock step, action by action.
+It learns through the Gymnasium environment with the library's defaults: two LSTMs of 256 units, 128
+actions a rollout, 10 epochs. It lives outside JAX, so all experiments go through it in lock step,
+action by action.
 """
 
 from typing import Any
@@ -26,7 +28,8 @@ from softfin.task.task import TaskConfig, observation, remember, rest_actions
 
 
 def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, references: Cell) -> Any:
-    """Train a RecurrentPPO for `steps` actions in a plant, or a little more: its rollouts are whole.
+    """Train a RecurrentPPO for `steps` actions in a plant, or a little more: its rollouts are
+    whole.
 
     Raises ConfigurationError where sb3-contrib is not installed.
     """
@@ -42,39 +45,55 @@ def train_recurrent(plant: Plant, steps: int, seed: int, task: TaskConfig, refer
 def run_recurrent(
     model: Any, task: TaskConfig, limits: Limits, plant: Plant, config: ExperimentsConfig
 ) -> ExperimentRecording:
-    """Run the experiments of `config` with the model's mean actions, in the units of the `limits` that it learnt in."""
+    """Run the experiments of `config` with the model's mean actions, in the units of the `limits`
+    that it learnt in."""
     references = np.repeat(np.asarray(config.references, np.float32), config.seeds, axis=0)
     count = len(references)
 
     @jax.jit
-    def observe(angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"], age: Int[Array, ""]) -> Array:
+    def observe(
+        angle: Float[Array, "runs"], actions: Float[Array, "runs remembered 2"], age: Int[Array, ""]
+    ) -> Array:
         ages = jnp.full(count, age)
-        return jax.vmap(lambda *observed: observation(task, *observed))(angle, jnp.asarray(references), actions, ages)
+        return jax.vmap(lambda *observed: observation(task, *observed))(
+            angle, jnp.asarray(references), actions, ages
+        )
 
     def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, Recorded]:
         command = command_of(limits, action)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
-        return state, (jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command), reading, true_force)
+        return state, (
+            jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command),
+            reading,
+            true_force,
+        )
 
     advance = jax.jit(jax.vmap(hold, (0, 0, None)))
     state = jax.vmap(plant.init)(jnp.tile(config.keys(), len(config.references)))
-    angle, actions = jnp.zeros(count), jnp.tile(rest_actions(task, limits), (count, 1, 1))
-    memory, kept = None, []
+    angle = jnp.zeros(count)
+    actions = jnp.tile(rest_actions(task, limits), (count, 1, 1))
+    memory = None
+    kept = []
     held = ticks_of(config.seconds * len(ACTION_TICKS))
     for age, ticks in enumerate(held):
         observed = np.asarray(observe(angle, actions, jnp.int32(age)))
         starts = np.full(count, age == 0)
-        predicted, memory = model.predict(observed, state=memory, episode_start=starts, deterministic=True)
+        predicted, memory = model.predict(
+            observed, state=memory, episode_start=starts, deterministic=True
+        )
         action = jnp.asarray(predicted, jnp.float32)
         state, recorded = advance(state, action, ticks)
-        angle, actions = recorded[1].angle[:, ticks - 1], jax.vmap(remember)(actions, action)
+        angle = recorded[1].angle[:, ticks - 1]
+        actions = jax.vmap(remember)(actions, action)
         kept.append(jax.tree.map(np.asarray, recorded))
 
     def together(*parts: Any) -> Any:
         whole = np.concatenate(parts, axis=1)[:, rows_of(len(held))]
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
-    return ExperimentRecording(np.asarray(config.references, np.float32), *jax.tree.map(together, *kept))
+    return ExperimentRecording(
+        np.asarray(config.references, np.float32), *jax.tree.map(together, *kept)
+    )
 
 
 def evaluate_recurrent(plant: Plant, config: BaselinesConfig, steps: int) -> Evaluation:

@@ -1,7 +1,9 @@
-"""The rig's loop against emulators in another process, how soon a fault stops the drive, and what safety costs a tick.
+"""The rig's loop against emulators in another process, how soon a fault stops the drive, and what
+safety costs a tick.
 
-Beside them the physical limits: a tick is 10 ms, a CAN frame of 8 bytes takes 111 to 130 us at 1 Mbit/s. Options by
-environment: SOFTFIN_RIG_SECONDS of the loop (60), SOFTFIN_RIG_STOPS of each kind of fault (25).
+Beside them the physical limits: a tick is 10 ms, a CAN frame of 8 bytes takes 111 to 130 us at 1
+Mbit/s. Options by environment: SOFTFIN_RIG_SECONDS of the loop (60), SOFTFIN_RIG_STOPS of each kind
+of fault (25).
 """
 
 import contextlib
@@ -44,9 +46,15 @@ FRAME_MS = 0.13
 
 RECEIVE_PDO_1 = 0x200
 HEARTBEAT_OF_NODE_1 = 0x701
-STEPS, WARM = 5000, 500
+STEPS = 5000
+WARM = 500
 
-SAFETY = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "acceleration_rad_s2": 1e5, "training_margin": None}
+SAFETY = {
+    "current_peak_a": 20.0,
+    "current_sustained_a": 10.0,
+    "acceleration_rad_s2": 1e5,
+    "training_margin": None,
+}
 
 
 def main() -> list[dict[str, Any]]:
@@ -66,35 +74,63 @@ def _controller(folder: Path) -> LoadedController:
 
 
 def _loop(folder: Path, controller: LoadedController) -> list[dict[str, Any]]:
-    """100 Hz with recording and a controller; the emulated devices are another process, over sockets."""
+    """100 Hz with recording and a controller; the emulated devices are another process, over
+    sockets."""
     with emulators(folder / "rig.yaml") as config:
         rig = Rig(config)
-        with Session(rig, Guard(config.safety, rig.limits)) as session, session.recording(folder / "loop.mcap"):
+        with (
+            Session(rig, Guard(config.safety, rig.limits)) as session,
+            session.recording(folder / "loop.mcap"),
+        ):
             session.activate()
             # The first actions fill caches; the loop is judged as it goes on.
             list(run_controller(session, controller, lambda at: (1.0, 0.0), 3))
-            before, skipped = rig.counters(), session.pace.skipped
+            before = rig.counters()
+            skipped = session.pace.skipped
             late: list[float] = []
             wait = session.pace.wait
             session.pace.wait = lambda: late.append(wait()) or late[-1]  # type: ignore[method-assign, func-returns-value]
-            cpu, start = time.process_time(), time.monotonic()
+            cpu = time.process_time()
+            start = time.monotonic()
             list(run_controller(session, controller, lambda at: (1.0, 0.0), 3 * SECONDS))
             share = (time.process_time() - cpu) / (time.monotonic() - start)
             counted = {name: count - before.get(name, 0) for name, count in rig.counters().items()}
             session.deactivate()
-    lost = counted["sensor_lost"] + counted.get("drive_syncs_without_all_answers", 0) + session.pace.skipped - skipped
+    lost = (
+        counted["sensor_lost"]
+        + counted.get("drive_syncs_without_all_answers", 0)
+        + session.pace.skipped
+        - skipped
+    )
     return [
-        entry("100 Hz loop, lateness of a tick, p99", 1e3 * _quantile(late, 0.99), "ms", 2, at_least=False,
-              p50_ms=1e3 * statistics.median(late), worst_ms=1e3 * max(late), tick_ms=TICK_MS, seconds=SECONDS),
-        entry("100 Hz loop, readings lost", lost, "of both devices", 0, at_least=False, ticks=len(late),
-              force_records=counted["sensor_records"]),
+        entry(
+            "100 Hz loop, lateness of a tick, p99",
+            1e3 * _quantile(late, 0.99),
+            "ms",
+            2,
+            at_least=False,
+            p50_ms=1e3 * statistics.median(late),
+            worst_ms=1e3 * max(late),
+            tick_ms=TICK_MS,
+            seconds=SECONDS,
+        ),
+        entry(
+            "100 Hz loop, readings lost",
+            lost,
+            "of both devices",
+            0,
+            at_least=False,
+            ticks=len(late),
+            force_records=counted["sensor_records"],
+        ),
         entry("100 Hz loop with recording, one core's share", 100 * share, "%", 30, at_least=False),
-    ]  # fmt: skip
+    ]
 
 
 @contextlib.contextmanager
 def emulators(file: Path) -> Iterator[RigConfig]:
-    """`softfin rig emulate --real-time` until the end; a rig that waits longer for it than a person should."""
+    """`softfin rig emulate --real-time` until the end; a rig that waits longer for it than a person
+    should."""
     process = subprocess.Popen(
         [sys.executable, "-m", "softfin.cli", "rig", "emulate", "--real-time", "--rig", str(file)],
         stdout=subprocess.PIPE,
@@ -136,23 +172,49 @@ class PulledFin(SimpleFin):
 
 
 def _stops() -> list[dict[str, Any]]:
-    """From the moment of a fault to the quick-stop frame, as another listener on the bus gets it."""
-    rows, together = [], []
+    """From the moment of a fault to the quick-stop frame, as another listener on the bus gets
+    it."""
+    rows = []
+    together = []
     for name, provoke in FAULTS.items():
         times = [1e3 * _stop(name, provoke) for _ in range(STOPS)]
         filtered = {"filter_ms": 1e3 * _filter_delay()} if name == "force" else {}
         rows.append(
-            entry(f"stop after {name}, p99", _quantile(times, 0.99), "ms", 20, at_least=False, count=len(times),
-                  p50_ms=statistics.median(times), worst_ms=max(times), tick_ms=TICK_MS, frame_ms=FRAME_MS, **filtered)
-        )  # fmt: skip
+            entry(
+                f"stop after {name}, p99",
+                _quantile(times, 0.99),
+                "ms",
+                20,
+                at_least=False,
+                count=len(times),
+                p50_ms=statistics.median(times),
+                worst_ms=max(times),
+                tick_ms=TICK_MS,
+                frame_ms=FRAME_MS,
+                **filtered,
+            )
+        )
         together += times
-    return [entry("stop after any fault, p99", _quantile(together, 0.99), "ms", 20, at_least=False,
-                  count=len(together), p50_ms=statistics.median(together), worst_ms=max(together)), *rows]  # fmt: skip
+    return [
+        entry(
+            "stop after any fault, p99",
+            _quantile(together, 0.99),
+            "ms",
+            20,
+            at_least=False,
+            count=len(together),
+            p50_ms=statistics.median(together),
+            worst_ms=max(together),
+        ),
+        *rows,
+    ]
 
 
 def _stop(name: str, provoke: Callable[[EmulatedRig], None]) -> float:
     with EmulatedRig(fin=PulledFin(), clock=REAL) as emulated:
-        values = emulated.values(bus={"interface": "virtual", "channel": emulated.channel}, safety=SAFETY)
+        values = emulated.values(
+            bus={"interface": "virtual", "channel": emulated.channel}, safety=SAFETY
+        )
         values["drive"] |= {"zero_needed": False, "heartbeat_s": HEARTBEAT_S}
         rig = Rig(RigConfig.build(values, "emulated rig"))
         began: list[float] = []
@@ -219,7 +281,8 @@ def _step(controller: LoadedController) -> list[dict[str, Any]]:
     """All that safety looks at in a tick, and one action with its own check; one thread."""
     guard = Guard(SafetyConfig(current_peak_a=6.0, current_sustained_a=3.0), controller.limits)
     state = controller.init()
-    ticks, actions = [], []
+    ticks = []
+    actions = []
     for step in range(WARM + STEPS):
         now = step / 100
         sample = Sample(now, 0.3, 1.0, 0.5, 0.01, now - 0.02, (1.0, 0.5, 0.1, 0.01, 0.02, 0.03), ())
@@ -227,17 +290,36 @@ def _step(controller: LoadedController) -> list[dict[str, Any]]:
         assert guard.check(sample, now) is None
         middle = time.perf_counter()
         state, command = controller.act(state, Measured(0.3, (1.0, 0.5)), (1.0, 0.0))
-        assert check_target(Target(float(command.angle), float(command.velocity)), guard.limits) is None
+        assert (
+            check_target(Target(float(command.angle), float(command.velocity)), guard.limits)
+            is None
+        )
         end = time.perf_counter()
         if step >= WARM:
             ticks.append(1e3 * (middle - start))
             actions.append(1e3 * (end - start))
     return [
-        entry("safety's look at a tick, p99", _quantile(ticks, 0.99), "ms", 0.1, at_least=False,
-              p50_ms=statistics.median(ticks), worst_ms=max(ticks), tick_ms=TICK_MS),
-        entry("controller step with safety, LSTM 64, p99", _quantile(actions, 0.99), "ms", 0.2, at_least=False,
-              p50_ms=statistics.median(actions), worst_ms=max(actions), tick_ms=TICK_MS),
-    ]  # fmt: skip
+        entry(
+            "safety's look at a tick, p99",
+            _quantile(ticks, 0.99),
+            "ms",
+            0.1,
+            at_least=False,
+            p50_ms=statistics.median(ticks),
+            worst_ms=max(ticks),
+            tick_ms=TICK_MS,
+        ),
+        entry(
+            "controller step with safety, LSTM 64, p99",
+            _quantile(actions, 0.99),
+            "ms",
+            0.2,
+            at_least=False,
+            p50_ms=statistics.median(actions),
+            worst_ms=max(actions),
+            tick_ms=TICK_MS,
+        ),
+    ]
 
 
 def _quantile(values: list[float], share: float) -> float:

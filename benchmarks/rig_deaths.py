@@ -1,9 +1,11 @@
-"""Hosts that are killed or stopped and cables that are cut, at random moments: how soon each fin stands by itself.
+"""Hosts that are killed or stopped and cables that are cut, at random moments: how soon each fin
+stands by itself.
 
-In simulated time with one fin, and with four on one bus; in real time with hosts that are processes of their own, one
-fin, and two on one bus. The emulators are in this process, which also watches the fins. Options by environment:
-SOFTFIN_DEATHS trials of each kind in simulated time (100), SOFTFIN_DEATHS_REAL in real time (100), SOFTFIN_DEATHS_SEED
-of the first trial (0). What fails is printed with its seed; in simulated time the seed repeats it.
+In simulated time with one fin, and with four on one bus; in real time with hosts that are processes
+of their own, one fin, and two on one bus. The emulators are in this process, which also watches the
+fins. Options by environment: SOFTFIN_DEATHS trials of each kind in simulated time (100),
+SOFTFIN_DEATHS_REAL in real time (100), SOFTFIN_DEATHS_SEED of the first trial (0). What fails is
+printed with its seed; in simulated time the seed repeats it.
 """
 
 import contextlib
@@ -43,7 +45,8 @@ KILLED = "host killed (SIGKILL)"
 STOPPED = "host stopped (SIGSTOP)"
 
 SIMULATED_KINDS = ((1, HOST_DIES), (1, CABLE_CUT), (4, HOST_DIES), (4, CABLE_CUT), (4, BUS_CUT))
-# The frames of four fins would take more than one core of a bus that is served by Python, and arrive seconds late.
+# The frames of four fins would take more than one core of a bus that is served by Python, and
+# arrive seconds late.
 REAL_KINDS = tuple((count, kind) for count in (1, 2) for kind in (KILLED, STOPPED, CABLE_CUT))
 
 SIMULATED_HEARTBEAT_S = 0.2
@@ -51,9 +54,10 @@ REAL_HEARTBEAT_S = 0.5
 """More than the default, because hosts that live may be late by as much on a busy computer."""
 
 REAL_MARGIN_S = SIMULATED_MARGIN_S + 0.1
-"""The threads of the emulators share a process with the watcher and a computer with the hosts: a step of 5 ms may be
-late by tens of milliseconds. The row's look_worst_ms shows how late these threads are, its lag_worst_ms how late frames
-of a dead host came in, which the limit does not include."""
+"""The threads of the emulators share a process with the watcher and a computer with the hosts: a
+step of 5 ms may be late by tens of milliseconds. The row's look_worst_ms shows how late these
+threads are, its lag_worst_ms how late frames of a dead host came in, which the limit does not
+include."""
 
 RunTrial = Callable[[Trial], tuple[Outcome, float]]
 
@@ -64,10 +68,15 @@ def main() -> list[dict[str, Any]]:
         rows.append(_measure("simulated", count, kind, SIMULATED_TRIALS, _run_simulated_trial))
 
     context = multiprocessing.get_context("forkserver")
-    # A host that is forked from a process with everything imported moves its fin after one second instead of ten.
+    # A host that is forked from a process with everything imported moves its fin after one second
+    # instead of ten.
     context.set_forkserver_preload(["tests.rig.deaths"])
     for count, kind in REAL_KINDS:
-        rows.append(_measure("real time", count, kind, REAL_TRIALS, lambda trial: _run_real_trial(trial, context)))
+        rows.append(
+            _measure(
+                "real time", count, kind, REAL_TRIALS, lambda trial: _run_real_trial(trial, context)
+            )
+        )
     return rows
 
 
@@ -109,7 +118,10 @@ def _run_simulated_trial(trial: Trial) -> tuple[Outcome, float]:
 def _run_real_trial(trial: Trial, context: Any) -> tuple[Outcome, float]:
     """Return what was seen and the limit [s], in real time with hosts that are processes."""
     numbers = trial.numbers
-    with Fleet(trial.count, REAL_HEARTBEAT_S, REAL) as fleet, _hosts(fleet, numbers, context) as hosts:
+    with (
+        Fleet(trial.count, REAL_HEARTBEAT_S, REAL) as fleet,
+        _hosts(fleet, numbers, context) as hosts,
+    ):
         place = numbers.randrange(trial.count)
         victim = fleet.stations[place]
         fleet.await_swimming(victim)
@@ -132,7 +144,9 @@ def _hosts(fleet: Fleet, numbers: random.Random, context: Any) -> Iterator[list[
     hosts: list[BaseProcess] = []
     try:
         for station in fleet.stations:
-            host = context.Process(target=swim_by_values, args=(station.values, numbers.randrange(2**32)), daemon=True)
+            host = context.Process(
+                target=swim_by_values, args=(station.values, numbers.randrange(2**32)), daemon=True
+            )
             host.start()
             hosts.append(host)
         yield hosts

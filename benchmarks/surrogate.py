@@ -1,6 +1,8 @@
-"""Streaming surrogate against the paper's: FLOPs a tick, and task steps a second at a batch of 256, no learning.
+"""Streaming surrogate against the paper's: FLOPs a tick, and task steps a second at a batch of 256,
+no learning.
 
-Random weights: speed does not depend on their values. The streaming ensemble has its default size and is counted whole.
+Random weights: speed does not depend on their values. The streaming ensemble has its default size
+and is counted whole.
 """
 
 from typing import Any
@@ -18,7 +20,8 @@ from softfin.surrogate.streaming.ensemble import Familiarity, Interval, ensemble
 from softfin.surrogate.streaming.segments import Motion, Scales
 from softfin.task.task import ForceTracking, TaskConfig
 
-BATCH, CYCLES = 256, 8
+BATCH = 256
+CYCLES = 8
 
 
 def streaming_layout() -> StreamingSurrogate:
@@ -28,20 +31,41 @@ def streaming_layout() -> StreamingSurrogate:
     members = ensemble(config.members, config.drive, config.force, scales, jax.random.key(0))
     size = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
     interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1, logs=10)
-    return StreamingSurrogate(members, PAPER_LIMITS, interval, Familiarity(jnp.zeros(size), jnp.eye(size)))
+    return StreamingSurrogate(
+        members, PAPER_LIMITS, interval, Familiarity(jnp.zeros(size), jnp.eye(size))
+    )
 
 
 def main() -> list[dict[str, Any]]:
-    paper, streaming = paper_layout(FORCENET), streaming_layout()
+    paper = paper_layout(FORCENET)
+    streaming = streaming_layout()
     product, flops = matmul()
-    calls = [steps(ForceTracking(plant, TaskConfig()), BATCH, CYCLES) for plant in (paper, streaming)]
+    calls = [
+        steps(ForceTracking(plant, TaskConfig()), BATCH, CYCLES) for plant in (paper, streaming)
+    ]
     old, new, square = interleaved([*calls, product])
-    rate, actions, ticks = flops / square, 3 * CYCLES * BATCH, CYCLES * BATCH * TICKS
+    rate = flops / square
+    actions = 3 * CYCLES * BATCH
+    ticks = CYCLES * BATCH * TICKS
     return [
-        entry("surrogate, FLOPs a tick, streaming / paper", streaming.flops_per_tick() / paper.flops_per_tick(),
-              "ratio", 0.2, at_least=False, streaming=streaming.flops_per_tick(), paper=paper.flops_per_tick()),
-        entry("surrogate, task steps/s at batch 256, streaming / paper", old / new, "ratio", 2,
-              streaming_actions_per_s=actions / new, paper_actions_per_s=actions / old, matmul_gflop_s=rate / 1e9,
-              streaming_share_of_matmul=ticks * streaming.flops_per_tick() / new / rate,
-              paper_share_of_matmul=ticks * paper.flops_per_tick() / old / rate),
-    ]  # fmt: skip
+        entry(
+            "surrogate, FLOPs a tick, streaming / paper",
+            streaming.flops_per_tick() / paper.flops_per_tick(),
+            "ratio",
+            0.2,
+            at_least=False,
+            streaming=streaming.flops_per_tick(),
+            paper=paper.flops_per_tick(),
+        ),
+        entry(
+            "surrogate, task steps/s at batch 256, streaming / paper",
+            old / new,
+            "ratio",
+            2,
+            streaming_actions_per_s=actions / new,
+            paper_actions_per_s=actions / old,
+            matmul_gflop_s=rate / 1e9,
+            streaming_share_of_matmul=ticks * streaming.flops_per_tick() / new / rate,
+            paper_share_of_matmul=ticks * paper.flops_per_tick() / old / rate,
+        ),
+    ]

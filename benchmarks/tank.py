@@ -1,4 +1,5 @@
-"""Virtual tank: simulated seconds a second, against real time and the machine's matrix-product rate."""
+"""Virtual tank: simulated seconds a second, against real time and the machine's matrix-product
+rate."""
 
 import os
 import time
@@ -21,8 +22,10 @@ MORE = (8, 32, 512)
 
 
 def moving(tank: Tank, batch: int) -> Callable[[], Any]:
-    """A call that moves `batch` fins for `TICKS` ticks, each with a command of its own at every tick."""
-    low, high = tank.limits.velocity_min, tank.limits.velocity_max
+    """A call that moves `batch` fins for `TICKS` ticks, each with a command of its own at every
+    tick."""
+    low = tank.limits.velocity_min
+    high = tank.limits.velocity_max
     angle = jax.random.uniform(jax.random.key(1), (batch, TICKS // 50), minval=-1.5, maxval=1.5)
     velocity = jax.random.uniform(jax.random.key(2), (batch, TICKS // 50), minval=low, maxval=high)
     commands = Command(*(jnp.repeat(channel, 50, axis=1) for channel in (angle, velocity)))
@@ -60,18 +63,32 @@ def main() -> list[dict[str, Any]]:
     product, of_product = matmul()
     calls = [moving(tank, batch) for batch in (128, 1, *MORE)]
     many, one, *more, square = interleaved([*calls, product], repeats=5)
-    rate, per_tick = of_product / square, flops()
+    rate = of_product / square
+    per_tick = flops()
     achieved = per_tick * 128 * TICKS / many
     of_batches = {
-        f"batch_{batch}": batch * TICKS * TICK_S / each / cores for batch, each in zip(MORE, more, strict=True)
+        f"batch_{batch}": batch * TICKS * TICK_S / each / cores
+        for batch, each in zip(MORE, more, strict=True)
     }
     return [
-        entry("tank, 128 fins, simulated over real time, a core", 128 * TICKS * TICK_S / many / cores, "-", 150,
-              cores=cores, ticks_per_s=128 * TICKS / many, flops_per_tick=per_tick, achieved_gflop_s=achieved / 1e9,
-              matmul_gflop_s=rate / 1e9, share_of_matmul=achieved / rate, **of_batches),
+        entry(
+            "tank, 128 fins, simulated over real time, a core",
+            128 * TICKS * TICK_S / many / cores,
+            "-",
+            150,
+            cores=cores,
+            ticks_per_s=128 * TICKS / many,
+            flops_per_tick=per_tick,
+            achieved_gflop_s=achieved / 1e9,
+            matmul_gflop_s=rate / 1e9,
+            share_of_matmul=achieved / rate,
+            **of_batches,
+        ),
         entry("tank, one fin, simulated over real time", TICKS * TICK_S / one, "-", 20),
-        entry("tank, compile time of the collect program", compile_time(tank), "s", 20, at_least=False),
-    ]  # fmt: skip
+        entry(
+            "tank, compile time of the collect program", compile_time(tank), "s", 20, at_least=False
+        ),
+    ]
 
 
 def compile_time(tank: Tank) -> float:

@@ -1,10 +1,12 @@
-"""Twelve cells as tasks on Ray: nodes of one core each, as if of as many machines (extra ray; docs/scaling.md).
+"""Twelve cells as tasks on Ray: nodes of one core each, as if of as many machines (extra ray;
+docs/scaling.md).
 
-Needs a network of its own, because Ray listens more widely than it is told. Each cell takes eight updates of the
-default LSTM-PPO in a surrogate of the published layout. The first run on a cluster starts its workers and compiles
-their programs, or loads them; the second finds both there. Where others load the machine, the ratio of processor times
-tells what that of wall-clock times would be without them: the one node's over that of the busier of two. `one program` is
-all cells side by side in this process, on every core.
+Needs a network of its own, because Ray listens more widely than it is told. Each cell takes eight
+updates of the default LSTM-PPO in a surrogate of the published layout. The first run on a cluster
+starts its workers and compiles their programs, or loads them; the second finds both there. Where
+others load the machine, the ratio of processor times tells what that of wall-clock times would be
+without them: the one node's over that of the busier of two. `one program` is all cells side by side
+in this process, on every core.
 """
 
 import contextlib
@@ -31,9 +33,19 @@ ADDRESS = "127.0.0.1:6380"
 
 @contextlib.contextmanager
 def nodes(count: int) -> Iterator[Callable[[], list[float]]]:
-    """A cluster of nodes, each held to a core of its own; a function that tells the processor time of each so far."""
-    start = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", "--num-cpus=1", "--disable-usage-stats",
-             "--node-ip-address=127.0.0.1", "--object-store-memory=100000000"]  # fmt: skip
+    """A cluster of nodes, each held to a core of its own; a function that tells the processor time
+    of each so far."""
+    start = [
+        sys.executable,
+        "-m",
+        "ray.scripts.scripts",
+        "start",
+        "--block",
+        "--num-cpus=1",
+        "--disable-usage-stats",
+        "--node-ip-address=127.0.0.1",
+        "--object-store-memory=100000000",
+    ]
     import ray  # Brings psutil, too.
     from psutil import Process
 
@@ -45,8 +57,14 @@ def nodes(count: int) -> Iterator[Callable[[], list[float]]]:
 
     with contextlib.ExitStack() as stack:
         for index, core in enumerate(sorted(os.sched_getaffinity(0))[:count]):
-            join = [f"--address={ADDRESS}"] if index else ["--head", "--port=6380", "--include-dashboard=false"]
-            node = subprocess.Popen(["taskset", "-c", str(core), *start, *join], stdout=subprocess.DEVNULL)
+            join = (
+                [f"--address={ADDRESS}"]
+                if index
+                else ["--head", "--port=6380", "--include-dashboard=false"]
+            )
+            node = subprocess.Popen(
+                ["taskset", "-c", str(core), *start, *join], stdout=subprocess.DEVNULL
+            )
             stack.callback(node.wait)
             stack.callback(node.terminate)
             running.append(Process(node.pid))
@@ -61,7 +79,9 @@ def nodes(count: int) -> Iterator[Callable[[], list[float]]]:
 def trained(cluster: str | None) -> float:
     """Wall-clock time of all twelve cells, on a cluster or in this process [s]."""
     steps = UPDATES * GRID.ppo.steps_per_update
-    config = GRID.model_copy(update={"cells": lattice(4, 3, PAPER_RANGE), "steps": steps, "num_evaluations": 1})
+    config = GRID.model_copy(
+        update={"cells": lattice(4, 3, PAPER_RANGE), "steps": steps, "num_evaluations": 1}
+    )
     with tempfile.TemporaryDirectory() as folder:
         run_directory = RunDirectory(Path(folder) / "out", {})
         begin = time.perf_counter()
@@ -88,6 +108,10 @@ def main() -> list[dict[str, Any]]:
         details[f"{run}_run_one_program_s"] = trained(None)
     details["load_after"] = os.getloadavg()[0]
     return [
-        entry("12 cells, one worker / two workers, time", wall[1] / wall[2], "ratio", 1.6, **details),
-        entry("the same, processor time of the busier worker", busiest[1] / busiest[2], "ratio", 1.6),
+        entry(
+            "12 cells, one worker / two workers, time", wall[1] / wall[2], "ratio", 1.6, **details
+        ),
+        entry(
+            "the same, processor time of the busier worker", busiest[1] / busiest[2], "ratio", 1.6
+        ),
     ]

@@ -1,9 +1,11 @@
-"""What each part of the streaming surrogates is worth: the same fit with one thing changed at a time.
+"""What each part of the streaming surrogates is worth: the same fit with one thing changed at a
+time.
 
     python docs/ablation.py RUN --dataset dataset --minutes 10 --updates 800 --members 2 --batch 16
 
-Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown, and writes ablation.json.
-Each variant keeps its folder in RUN, so a stopped run goes on where it was. Without --dataset one is recorded first.
+Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown, and
+writes ablation.json. Each variant keeps its folder in RUN, so a stopped run goes on where it was.
+Without --dataset one is recorded first.
 """
 
 import argparse
@@ -46,13 +48,17 @@ class WithoutQuasiSteady(ForceNet):
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Array]:
         """Advance by one tick, with the core alone."""
         zero = jax.tree.map(jnp.zeros_like, (self.thrust, self.resistance))
-        return ForceNet.step(eqx.tree_at(lambda net: (net.thrust, net.resistance), self, zero), state, motion)
+        return ForceNet.step(
+            eqx.tree_at(lambda net: (net.thrust, net.resistance), self, zero), state, motion
+        )
 
 
 def shortened(dataset: Path, minutes: float, out: Path) -> Path:
     """The first minutes of a dataset's logs, with all of its test logs."""
     if not (out / "dataset.json").exists():
-        data, left, logs = Dataset.open(dataset), round(minutes * 60 * RATE_HZ), []
+        data = Dataset.open(dataset)
+        left = round(minutes * 60 * RATE_HZ)
+        logs = []
         for log in data.load(data.train):
             rows = min(left, len(log.reading.time))
             left -= rows
@@ -79,28 +85,51 @@ def main() -> None:
     if words.dataset is None:
         words.dataset = words.out / "recorded"
         if not (words.dataset / "dataset.json").exists():
-            collect("tank", words.dataset, CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000))
+            collect(
+                "tank",
+                words.dataset,
+                CollectConfig(logs=max(2, round(words.minutes / 3)), rows=18_000),
+            )
     data = shortened(words.dataset, words.minutes, words.out / f"{words.minutes:g}min")
     updates = (f"drive_updates={words.updates // 2}", f"force_updates={words.updates}")
     base = (f"members={words.members}", f"batch={words.batch}", *updates)
-    print("| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | FLOPs a tick |")
+    print(
+        "| variant | angle RMSE [rad] | force RMSE x, y [N] | mean force, mean error, 95% [N] | "
+        "FLOPs a tick |"
+    )
     print("| --- | --- | --- | --- | --- |")
     for name in words.only:
         ensemble.ForceNet = WithoutQuasiSteady if name == WITHOUT_QUASI_STEADY else ForceNet
         jax.clear_caches()
-        size = f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}-seed-{words.seed}"
+        size = (
+            f"{words.minutes:g}min-{words.members}x{words.batch}x{words.updates}-seed-{words.seed}"
+        )
         folder = words.out / f"{size}-{name.replace(' ', '-')}"
         if not (folder / "surrogate.json").exists():
             try:
-                fit(data, folder, StreamingConfig().changed((*base, *VARIANTS[name])), seed=words.seed, resume=True)
+                fit(
+                    data,
+                    folder,
+                    StreamingConfig().changed((*base, *VARIANTS[name])),
+                    seed=words.seed,
+                    resume=True,
+                )
             except SoftfinError as error:
                 raise SystemExit(f"{error}") from None
-        found = compare([folder], data, config=CompareConfig(horizons_s=(words.horizon,)))["groups"][0]
-        row = {key: value["mean"] for key, value in found["horizons"][0].items() if isinstance(value, dict)}
+        found = compare([folder], data, config=CompareConfig(horizons_s=(words.horizon,)))[
+            "groups"
+        ][0]
+        row = {
+            key: value["mean"]
+            for key, value in found["horizons"][0].items()
+            if isinstance(value, dict)
+        }
         written[name] = row | {"flops_per_tick": found["flops_per_tick"]}
         print(
-            f"| {name} | {row['angle_rmse_rad']:.4f} | {row['force_x_rmse_n']:.3f}, {row['force_y_rmse_n']:.3f} | "
-            f"{row['mean_force_mae_n']:.3f}, {row['mean_force_p95_n']:.3f} | {found['flops_per_tick']:,} |",
+            f"| {name} | {row['angle_rmse_rad']:.4f} | {row['force_x_rmse_n']:.3f}, "
+            f"{row['force_y_rmse_n']:.3f} | "
+            f"{row['mean_force_mae_n']:.3f}, {row['mean_force_p95_n']:.3f} | "
+            f"{found['flops_per_tick']:,} |",
             flush=True,
         )
     (words.out / "ablation.json").write_text(json.dumps(written))

@@ -24,11 +24,22 @@ from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.plant import hold
 from softfin.core.quantities import RATE_HZ, Command, command_of
 from softfin.gaits.force_map import load_map
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
+from softfin.storage.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    new_figure,
+    save_figure,
+    styled,
+)
 from softfin.tank import Tank
 
 EXAMPLE = Path(softfin.__file__).parent / "example"
-CENTRE_RAD, SWING_RAD, VELOCITY_RAD_S = 0.3, 0.5, 2.8
+CENTRE_RAD = 0.3
+SWING_RAD = 0.5
+VELOCITY_RAD_S = 2.8
 ACTIONS = 15
 WIDTH_IN = 7.2
 COLOURS = 64
@@ -45,7 +56,9 @@ def actions(count: int = ACTIONS) -> Command:
 def beat() -> Any:
     """The readings of the virtual tank under these commands."""
     tank = Tank()
-    return jax.tree.map(np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), actions()))()[1])
+    return jax.tree.map(
+        np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), actions()))()[1]
+    )
 
 
 def mean_force(force_n: np.ndarray) -> np.ndarray:
@@ -61,12 +74,21 @@ def without_axes(axes: Any) -> None:
 
 def frame(figure: Figure) -> None:
     """The robot's body, the shaft, the bent fin at an angle, and the directions of force."""
-    tank, angle_rad = Tank(), 0.8
+    tank = Tank()
+    angle_rad = 0.8
     bent, _ = jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), actions(9)))()
     figure.set_size_inches(WIDTH_IN, 4.4)
     axes = figure.subplots()
-    axes.add_patch(FancyBboxPatch(
-        (0.02, -0.06), 0.13, 0.12, boxstyle="round,pad=0.01", facecolor="#E8ECEF", edgecolor=GREY))  # fmt: skip
+    axes.add_patch(
+        FancyBboxPatch(
+            (0.02, -0.06),
+            0.13,
+            0.12,
+            boxstyle="round,pad=0.01",
+            facecolor="#E8ECEF",
+            edgecolor=GREY,
+        )
+    )
     axes.text(0.085, 0.045, "robot", ha="center", va="center", color=GREY)
     axes.plot([0, -0.22], [0, 0], ":", color=GREY, linewidth=1)
     rigid = 0.2 * np.array([-np.cos(angle_rad), np.sin(angle_rad)])
@@ -79,7 +101,9 @@ def frame(figure: Figure) -> None:
     axes.text(-0.215, -0.015, "θ = 0", color=GREY, ha="left", va="top")
     thrust = "+x: thrust, pushes\nthe robot forward"
     for tip, name, place in (((0.1, 0), thrust, (0.03, -0.105)), ((0, 0.1), "+y", (0.01, 0.1))):
-        axes.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 2})
+        axes.annotate(
+            "", tip, (0, 0), arrowprops={"arrowstyle": "-|>", "color": BLUE, "linewidth": 2}
+        )
         axes.text(*place, name, color=BLUE, va="center")
     axes.plot(0, 0, "o", markersize=9, markerfacecolor="white", markeredgecolor=BLACK)
     axes.text(0.0, -0.03, "shaft and\nforce sensor", ha="center", va="top", fontsize=8)
@@ -92,53 +116,92 @@ def plant(figure: Figure) -> None:
     figure.set_size_inches(WIDTH_IN, 2.6)
     axes = figure.subplots()
     arrow = {"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0}
-    boxes = ((2.0, "controller", "3 times a second", "#E5F1F8"), (6.4, "plant", "100 times a second", "#E3F3EE"))
+    boxes = (
+        (2.0, "controller", "3 times a second", "#E5F1F8"),
+        (6.4, "plant", "100 times a second", "#E3F3EE"),
+    )
     for x, name, rate, colour in boxes:
-        axes.add_patch(FancyBboxPatch(
-            (x, 1.5), 1.8, 1.1, boxstyle="round,pad=0.08", facecolor=colour, edgecolor=BLACK))  # fmt: skip
+        axes.add_patch(
+            FancyBboxPatch(
+                (x, 1.5), 1.8, 1.1, boxstyle="round,pad=0.08", facecolor=colour, edgecolor=BLACK
+            )
+        )
         axes.text(x + 0.9, 2.2, name, ha="center", va="center", weight="bold")
         axes.text(x + 0.9, 1.8, rate, ha="center", va="center", fontsize=8, color=GREY)
     axes.annotate("", (1.92, 2.05), (0.1, 2.05), arrowprops=arrow)
     axes.text(0.95, 2.15, "reference\nforce [N]", ha="center", va="bottom", color=RED)
     axes.annotate("", (6.32, 2.05), (3.88, 2.05), arrowprops=arrow)
-    axes.text(5.1, 2.15, "command: angle [rad],\nvelocity [rad/s]", ha="center", va="bottom", color=RED)
+    axes.text(
+        5.1, 2.15, "command: angle [rad],\nvelocity [rad/s]", ha="center", va="bottom", color=RED
+    )
     axes.annotate("", (9.9, 2.05), (8.28, 2.05), arrowprops=arrow)
     axes.text(9.1, 2.15, "readings", ha="center", va="bottom", color=BLUE)
     axes.plot([9.1, 9.1, 2.9], [2.05, 0.75, 0.75], color=BLACK, linewidth=1.4)
     axes.annotate("", (2.9, 1.42), (2.9, 0.74), arrowprops=arrow)
-    axes.text(6.0, 0.82, "angle [rad]; with --trim also force (x, y) [N]", ha="center", va="bottom", color=BLUE)
-    axes.text(5.0, 0.2, "A plant is the virtual tank, a surrogate, your own simulator, or the rig with the real fin.",
-              ha="center", va="center", color=GREY)  # fmt: skip
+    axes.text(
+        6.0,
+        0.82,
+        "angle [rad]; with --trim also force (x, y) [N]",
+        ha="center",
+        va="bottom",
+        color=BLUE,
+    )
+    axes.text(
+        5.0,
+        0.2,
+        "A plant is the virtual tank, a surrogate, your own simulator, or the rig with the real "
+        "fin.",
+        ha="center",
+        va="center",
+        color=GREY,
+    )
     axes.set(xlim=(0, 10), ylim=(0, 3))
     without_axes(axes)
 
 
 def window(figure: Figure) -> None:
-    """Commands held for 33, 33 and 34 ticks, and the mean force over six of them against the reference."""
-    reference_n, reading = 4.0, beat()
+    """Commands held for 33, 33 and 34 ticks, and the mean force over six of them against the
+    reference."""
+    reference_n = 4.0
+    reading = beat()
     ticks = [ACTION_TICKS[index % len(ACTION_TICKS)] for index in range(ACTIONS)]
     assert sum(ticks[:CYCLE_ACTIONS]) == WINDOW
     figure.set_size_inches(WIDTH_IN, 4.6)
     panels = figure.subplots(2, 1, sharex=True)
-    time, force_n = (np.arange(len(reading.angle)) + 1) / RATE_HZ, reading.force[:, 0]
+    time = (np.arange(len(reading.angle)) + 1) / RATE_HZ
+    force_n = reading.force[:, 0]
     end = len(time) - 20
-    start, mean = end - WINDOW, mean_force(force_n)
+    start = end - WINDOW
+    mean = mean_force(force_n)
     for axes in panels:
         axes.axvspan(start / RATE_HZ, end / RATE_HZ, color=GREEN, alpha=0.12, linewidth=0)
     commanded = np.repeat(np.asarray(actions().angle), ticks)
-    panels[0].step(time - 1 / RATE_HZ, commanded, where="post", color=ORANGE, label="command, held for one action")
+    panels[0].step(
+        time - 1 / RATE_HZ,
+        commanded,
+        where="post",
+        color=ORANGE,
+        label="command, held for one action",
+    )
     panels[0].plot(time, reading.angle, color=BLUE, label="angle")
     panels[0].set(xlim=(0, 5.4), ylabel="angle [rad]", ylim=(-0.5, 1.5))
     panels[0].legend(ncols=2, loc="upper left", fontsize=8)
     panels[1].plot(time, force_n, color=BLUE, linewidth=0.9, label="force x at 100 Hz")
-    panels[1].plot(time[WINDOW - 1 :], mean, color=BLACK, linewidth=2, label="mean of the last 200 samples")
+    panels[1].plot(
+        time[WINDOW - 1 :], mean, color=BLACK, linewidth=2, label="mean of the last 200 samples"
+    )
     panels[1].axhline(reference_n, color=ORANGE, linestyle="--", label="reference force")
     last = float(mean[end - WINDOW])
     arrow = {"arrowstyle": "<->", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
     panels[1].annotate("", (end / RATE_HZ, reference_n), (end / RATE_HZ, last), arrowprops=arrow)
     panels[1].text(end / RATE_HZ + 0.05, (reference_n + last) / 2, "error", va="center")
     panels[1].text(
-        (start + end) / 2 / RATE_HZ, -5, "window: six actions,\n200 samples, 2 s", ha="center", color=GREEN, fontsize=8
+        (start + end) / 2 / RATE_HZ,
+        -5,
+        "window: six actions,\n200 samples, 2 s",
+        ha="center",
+        color=GREEN,
+        fontsize=8,
     )
     panels[1].set(xlabel="time [s]", ylabel="force x [N]", ylim=(-6, 13))
     panels[1].legend(ncols=2, loc="upper left", fontsize=8)
@@ -146,11 +209,15 @@ def window(figure: Figure) -> None:
 
 def gait(figure: Figure) -> None:
     """A gait of the example, repeated three times in the tank without noise, and its mean force."""
-    table, reference_n, times = load_map(EXAMPLE / "map").force_map.gaits.table, (2.0, 0.0), 4
+    table = load_map(EXAMPLE / "map").force_map.gaits.table
+    reference_n = (2.0, 0.0)
+    times = 4
     scaled = np.tile(np.asarray(table.gait(np.asarray(reference_n, np.float32))), (times, 1))
     tank = Tank()
     command = command_of(load_controller(EXAMPLE / "gaits").limits, jnp.asarray(scaled.T))
-    reading = jax.tree.map(np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), command))()[1])
+    reading = jax.tree.map(
+        np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), command))()[1]
+    )
     time = (np.arange(len(reading.angle)) + 1) / RATE_HZ
     figure.set_size_inches(WIDTH_IN, 4.0)
     panels = figure.subplots(2, 1, sharex=True)
@@ -171,9 +238,15 @@ def gait(figure: Figure) -> None:
     panels[0].legend(ncols=2, loc="upper left", fontsize=8)
     panels[1].plot(time, reading.force[:, 0], color=BLUE, linewidth=0.9, label="force x at 100 Hz")
     panels[1].plot(
-        time[WINDOW - 1 :], mean_force(reading.force[:, 0]), color=BLACK, linewidth=2, label="its mean over 2 s"
+        time[WINDOW - 1 :],
+        mean_force(reading.force[:, 0]),
+        color=BLACK,
+        linewidth=2,
+        label="its mean over 2 s",
     )
-    panels[1].axhline(reference_n[0], color=ORANGE, linestyle="--", label="force that the gait is for")
+    panels[1].axhline(
+        reference_n[0], color=ORANGE, linestyle="--", label="force that the gait is for"
+    )
     top = 1.45 * float(reading.force[:, 0].max())
     panels[1].set(xlabel="time [s]", ylabel="force x [N]", ylim=(None, top))
     panels[1].legend(ncols=3, loc="upper left", fontsize=8)
@@ -181,40 +254,77 @@ def gait(figure: Figure) -> None:
 
 def force_map(figure: Figure) -> None:
     """What the fin of the example can make, the nodes of its map, and the cells of its grid."""
-    found, grid = load_map(EXAMPLE / "map").force_map, load_controller(EXAMPLE / "grid")
+    found = load_map(EXAMPLE / "map").force_map
+    grid = load_controller(EXAMPLE / "grid")
     figure.set_size_inches(WIDTH_IN, 5.0)
     axes = figure.subplots()
     axes.add_patch(Polygon(found.reachable.corners(), facecolor=BLUE, alpha=0.12))
     outline = np.concatenate([found.reachable.corners(), found.reachable.corners()[:1]])
-    axes.plot(*outline.T, color=BLUE, linewidth=1.6, label="edge of what the fin can make: the reachable forces")
+    axes.plot(
+        *outline.T,
+        color=BLUE,
+        linewidth=1.6,
+        label="edge of what the fin can make: the reachable forces",
+    )
     nodes = found.gaits.table.references()
     held = found.gaits.force_error() <= 0.1
     axes.plot(
-        *nodes[held].T, "o", color=BLACK, markersize=2.2, label="node of the map, with the gait that makes this force"
+        *nodes[held].T,
+        "o",
+        color=BLACK,
+        markersize=2.2,
+        label="node of the map, with the gait that makes this force",
     )
     for index, cell in enumerate(grid.cells):
-        (left, bottom), (right, top) = cell.low, cell.high
-        axes.add_patch(Rectangle((left, bottom), right - left, top - bottom, fill=False, edgecolor=RED, linewidth=1.8,
-                                 label="cell of a grid, with a policy of its own" if index == 0 else None))  # fmt: skip
-        axes.text(left + 0.06, top - 0.06, str(index + 1), ha="left", va="top", color=RED, fontsize=8,
-                  bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6})  # fmt: skip
+        (left, bottom) = cell.low
+        (right, top) = cell.high
+        axes.add_patch(
+            Rectangle(
+                (left, bottom),
+                right - left,
+                top - bottom,
+                fill=False,
+                edgecolor=RED,
+                linewidth=1.8,
+                label="cell of a grid, with a policy of its own" if index == 0 else None,
+            )
+        )
+        axes.text(
+            left + 0.06,
+            top - 0.06,
+            str(index + 1),
+            ha="left",
+            va="top",
+            color=RED,
+            fontsize=8,
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.6},
+        )
     axes.set(aspect="equal", xlabel="mean force x (thrust) [N]", ylabel="mean force y [N]")
     figure.legend(loc="outside lower center", fontsize=8)
 
 
 def trim(figure: Figure) -> None:
-    """The mean force that a controller of the example holds in the tank, with and without the outer loop."""
-    tank, reference_n, count = Tank(), np.array([2.0, 1.0]), 90
+    """The mean force that a controller of the example holds in the tank, with and without the outer
+    loop."""
+    tank = Tank()
+    reference_n = np.array([2.0, 1.0])
+    count = 90
     single = load_controller(EXAMPLE / "single")
-    steps = {ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
-             for ticks in set(ACTION_TICKS)}  # fmt: skip
+    steps = {
+        ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
+        for ticks in set(ACTION_TICKS)
+    }
 
     def run(controller: Any) -> np.ndarray:
-        state, memory, forces = tank.init(jax.random.key(0)), controller.init(), []
+        state = tank.init(jax.random.key(0))
+        memory = controller.init()
+        forces = []
         measured = Measured(0.0, np.zeros(2))
         for index in range(count):
             memory, command = controller.act(memory, measured, reference_n)
-            state, reading = steps[ACTION_TICKS[index % 3]](state, Command(*map(jnp.float32, command)))
+            state, reading = steps[ACTION_TICKS[index % 3]](
+                state, Command(*map(jnp.float32, command))
+            )
             forces.append(np.asarray(reading.force))
             measured = Measured(float(reading.angle[-1]), forces[-1].mean(axis=0))
         return np.concatenate(forces)
@@ -225,14 +335,30 @@ def trim(figure: Figure) -> None:
     for axis, axes in enumerate(panels):
         for name, force_n, colour in runs:
             mean = mean_force(force_n[:, axis])
-            axes.plot((np.arange(len(mean)) + WINDOW) / RATE_HZ, mean, color=colour, linewidth=1.6, label=name)
+            axes.plot(
+                (np.arange(len(mean)) + WINDOW) / RATE_HZ,
+                mean,
+                color=colour,
+                linewidth=1.6,
+                label=name,
+            )
         axes.axhline(reference_n[axis], color=ORANGE, linestyle="--", label="reference force")
-        axes.set(ylabel=f"mean force {'xy'[axis]} [N]", ylim=(reference_n[axis] - 0.35, reference_n[axis] + 0.35))
+        axes.set(
+            ylabel=f"mean force {'xy'[axis]} [N]",
+            ylim=(reference_n[axis] - 0.35, reference_n[axis] + 0.35),
+        )
     panels[0].legend(ncols=3, loc="upper right", fontsize=8)
     panels[1].set(xlabel="time [s]", xlim=(0, count / 3))
 
 
-FIGURES = {"frame": frame, "plant": plant, "window": window, "gait": gait, "map": force_map, "trim": trim}
+FIGURES = {
+    "frame": frame,
+    "plant": plant,
+    "window": window,
+    "gait": gait,
+    "map": force_map,
+    "trim": trim,
+}
 
 
 def main(paths: list[Path]) -> None:
@@ -240,7 +366,10 @@ def main(paths: list[Path]) -> None:
     for path in paths:
         name = path.stem.removeprefix("concept-")
         if name not in FIGURES or path.suffix != ".png":
-            sys.exit(f"{path}: no such figure; there are {', '.join(f'concept-{each}.png' for each in FIGURES)}")
+            sys.exit(
+                f"{path}: no such figure; there are "
+                f"{', '.join(f'concept-{each}.png' for each in FIGURES)}"
+            )
         with styled():
             figure = new_figure(WIDTH_IN, 4)
             FIGURES[name](figure)

@@ -12,9 +12,12 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE)]
 # Notebooks call softfin as a reader does.
 os.environ["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])])
+os.environ["PYTHONPATH"] = os.pathsep.join(
+    [str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])]
+)
 
-# A kernel that warns of nothing, as its connection never leaves this computer; and no line for each notebook.
+# A kernel that warns of nothing, as its connection never leaves this computer; and no line for each
+# notebook.
 os.environ["JUPYTER_PATH"] = str(HERE / "jupyter")
 logging.getLogger("traitlets").setLevel(logging.WARNING)
 
@@ -38,7 +41,8 @@ myst_heading_anchors = 3
 suppress_warnings = ["myst.header"]
 
 nb_execution_mode = "force"
-# Only ends a cell that hangs [s]: the slowest one takes minutes, and many more on a slow or busy computer.
+# Only ends a cell that hangs [s]: the slowest one takes minutes, and many more on a slow or busy
+# computer.
 nb_execution_timeout = 3600
 nb_execution_raise_on_error = True
 nb_execution_in_temp = True
@@ -52,7 +56,8 @@ python_use_unqualified_type_names = True
 
 
 def deal_out(app: Any, env: Any, pages: list[str]) -> None:
-    """Two processes read the pages; of neighbours, as the tutorials are, each gets every second one."""
+    """Two processes read the pages; of neighbours, as the tutorials are, each gets every second
+    one."""
     pages[:] = pages[::2] + pages[1::2]
 
 

@@ -3,9 +3,10 @@
     python docs/data_efficiency.py RUN                                            # all of it: hours on two cores
     python docs/data_efficiency.py RUN --minutes 2,5,10 --set members=3 --set force_updates=800
 
-Every recording, fit and score has a place of its own under RUN and is left out where it is there already: the same
-command goes on after a stop, and sizes, seeds and models can be added one after another. RUN/study.json and the table
-on standard output hold whatever is there by then; --figure draws it. A seed is other logs and other weights.
+Every recording, fit and score has a place of its own under RUN and is left out where it is there
+already: the same command goes on after a stop, and sizes, seeds and models can be added one after
+another. RUN/study.json and the table on standard output hold whatever is there by then; --figure
+draws it. A seed is other logs and other weights.
 """
 
 import json
@@ -31,7 +32,14 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
 from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
-from softfin.surrogate.compare.scores import free_run, measured_ranges, run_from_rest, score_segments, segments_of, take
+from softfin.surrogate.compare.scores import (
+    free_run,
+    measured_ranges,
+    run_from_rest,
+    score_segments,
+    segments_of,
+    take,
+)
 from softfin.tank import SensorConfig, Tank, TankConfig
 
 MINUTE = 60 * RATE_HZ
@@ -68,13 +76,16 @@ SETS = {
     "same": "the same tank",
     "other": "perturbed tanks",
 }
-"""What is tested on; the first under the commands of the second: what the fin does, and no sensor adds to."""
+"""What is tested on; the first under the commands of the second: what the fin does, and no sensor
+adds to."""
 
 LOOKS = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"))
 """Of the sets: colour, marker."""
 
 
-Numbers = Annotated[tuple[int, ...], Option("N,...", parse=lambda text, _: tuple(map(int, text.split(","))))]
+Numbers = Annotated[
+    tuple[int, ...], Option("N,...", parse=lambda text, _: tuple(map(int, text.split(","))))
+]
 
 
 class Options(Configuration):
@@ -91,7 +102,8 @@ class Options(Configuration):
     set: tuple[str, ...] = ()
     """Changes of the streaming networks' configuration: path=value."""
     logs: Path | None = None
-    """Dataset whose training logs are learnt from, cut into minutes; without it the tank is recorded."""
+    """Dataset whose training logs are learnt from, cut into minutes; without it the tank is
+    recorded."""
     same: Path | None = None
     """Dataset whose training logs are tested on as those of the same tank; recorded without it."""
     other: Path | None = None
@@ -118,10 +130,13 @@ def main(options: Options) -> None:
         draw(rows, options.figure)
 
 
-def study(options: Options, kind: str, minutes: int, seed: int, tests: dict[str, list[Log]]) -> None:
+def study(
+    options: Options, kind: str, minutes: int, seed: int, tests: dict[str, list[Log]]
+) -> None:
     """Record, fit and score one case, or whatever of it is not there yet."""
     name = f"{kind}-{minutes:03d}/seed-{seed}"
-    fitted, scores = options.run / "fits" / name, options.run / "scores" / f"{name}.json"
+    fitted = options.run / "fits" / name
+    scores = options.run / "scores" / f"{name}.json"
     if not artifacts.is_kind(fitted, "surrogate"):
         paper = kind == "paper"
         logs = learning_logs(options, minutes, seed)
@@ -139,7 +154,12 @@ def learning_logs(options: Options, minutes: int, seed: int) -> Path:
     if artifacts.is_kind(path, "dataset"):
         return path
     if options.logs is not None:
-        write_dataset(path, pieces(options.logs, minutes, seed), [], {"plant": "tank", "cut_from": str(options.logs)})
+        write_dataset(
+            path,
+            pieces(options.logs, minutes, seed),
+            [],
+            {"plant": "tank", "cut_from": str(options.logs)},
+        )
     else:
         config = CollectConfig(logs=minutes, test_logs=0, rows=MINUTE, seed=seed)
         collect("tank", path, config, progress=told(path.name))
@@ -147,17 +167,22 @@ def learning_logs(options: Options, minutes: int, seed: int) -> Path:
 
 
 def pieces(folder: Path, minutes: int, seed: int) -> list[Log]:
-    """Minutes of a dataset's training logs; every seed begins elsewhere. What is left of a log is not used."""
+    """Minutes of a dataset's training logs; every seed begins elsewhere. What is left of a log is
+    not used."""
     data = Dataset.open(folder)
     logs: list[Log] = []
     count = len(data.train)
     for index in range(count):
         (log,) = data.load([data.train[(index + seed * count // 3) % count]])
         starts = range(0, len(log.reading.time) - MINUTE + 1, MINUTE)
-        logs += [jax.tree.map(lambda x, start=start: x[start : start + MINUTE], log) for start in starts]
+        logs += [
+            jax.tree.map(lambda x, start=start: x[start : start + MINUTE], log) for start in starts
+        ]
         if len(logs) >= minutes:
             return logs[:minutes]
-    raise SystemExit(f"{folder}: {len(logs)} minutes, {minutes} are needed; record more, or leave --logs out")
+    raise SystemExit(
+        f"{folder}: {len(logs)} minutes, {minutes} are needed; record more, or leave --logs out"
+    )
 
 
 def test_logs(options: Options, name: str) -> list[Log]:
@@ -183,14 +208,19 @@ def scored(surrogate: Any, logs: Sequence[Log]) -> dict[str, float]:
 
 
 def offset_free(predicted: Reading, measured: Reading) -> dict[str, float]:
-    """Of the force error less its mean: what drift in the logs to learn from has no part in; both axes together [N]."""
+    """Of the force error less its mean: what drift in the logs to learn from has no part in; both
+    axes together [N]."""
     error = np.asarray(predicted.force, np.float64) - measured.force
     error -= error.mean(axis=(0, 1))
-    return {"force_sd_n": float(error.std()), "force_p999_n": float(np.quantile(np.abs(error), 0.999))}
+    return {
+        "force_sd_n": float(error.std()),
+        "force_p999_n": float(np.quantile(np.abs(error), 0.999)),
+    }
 
 
 def floor(run: Path, tests: dict[str, list[Log]]) -> None:
-    """The tank itself under the commands of the test logs, with other noise and drift, and with none."""
+    """The tank itself under the commands of the test logs, with other noise and drift, and with
+    none."""
     for kind, plant in {"again": Tank(), "silent": silent()}.items():
         path = run / "scores" / f"{kind}-000" / "seed-0.json"
         if path.exists():
@@ -198,8 +228,12 @@ def floor(run: Path, tests: dict[str, list[Log]]) -> None:
         found = {}
         for name, logs in tests.items():
             where = stretches(logs)
-            measured, second = (take(some, where, HORIZON).reading for some in (logs, again(plant, logs)))
-            scores = score_segments(take(logs, where, HORIZON), second, measured_ranges(logs)).scores
+            measured, second = (
+                take(some, where, HORIZON).reading for some in (logs, again(plant, logs))
+            )
+            scores = score_segments(
+                take(logs, where, HORIZON), second, measured_ranges(logs)
+            ).scores
             found[name] = scores | offset_free(second, measured)
         artifacts.write_file(path, artifacts.dump_json(found))
 
@@ -234,16 +268,30 @@ def gathered(run: Path) -> list[dict[str, Any]]:
     for folder in sorted((run / "scores").iterdir()):
         kind, minutes = folder.name.rsplit("-", 1)
         seeds = [json.loads(file.read_text()) for file in sorted(folder.glob("*.json"))]
-        sets = {name: {score: spread([seed[name].get(score) for seed in seeds]) for score in COLUMNS} for name in SETS}
+        sets = {
+            name: {score: spread([seed[name].get(score) for seed in seeds]) for score in COLUMNS}
+            for name in SETS
+        }
         rows.append({"kind": kind, "minutes": int(minutes), "seeds": len(seeds), **sets})
-    return sorted(rows, key=lambda row: (row["kind"] in KINDS, row["kind"] != "random", row["kind"], row["minutes"]))
+    return sorted(
+        rows,
+        key=lambda row: (
+            row["kind"] in KINDS,
+            row["kind"] != "random",
+            row["kind"],
+            row["minutes"],
+        ),
+    )
 
 
 def spread(values: list[float | None]) -> dict[str, float | None] | None:
     known = [value for value in values if value is not None]
     if not known:
         return None
-    return {"mean": statistics.mean(known), "sd": statistics.stdev(known) if len(known) > 1 else None}
+    return {
+        "mean": statistics.mean(known),
+        "sd": statistics.stdev(known) if len(known) > 1 else None,
+    }
 
 
 def table(rows: Sequence[dict[str, Any]], name: str) -> str:
@@ -251,9 +299,16 @@ def table(rows: Sequence[dict[str, Any]], name: str) -> str:
     titles = [f"on {SETS[name]}", "minutes", "seeds", *(title for title, _, _ in COLUMNS.values())]
     lines = [titles, ["---"] * len(titles)]
     for row in rows:
-        cells = [cell(row[name][score], factor, digits) for score, (_, factor, digits) in COLUMNS.items()]
+        cells = [
+            cell(row[name][score], factor, digits) for score, (_, factor, digits) in COLUMNS.items()
+        ]
         lines.append(
-            [KINDS.get(row["kind"], row["kind"]), str(row["minutes"] or "\N{EN DASH}"), str(row["seeds"]), *cells]
+            [
+                KINDS.get(row["kind"], row["kind"]),
+                str(row["minutes"] or "\N{EN DASH}"),
+                str(row["seeds"]),
+                *cells,
+            ]
         )
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
@@ -262,11 +317,16 @@ def cell(value: dict[str, float | None] | None, factor: float, digits: int) -> s
     if value is None:
         return "\N{EN DASH}"
     text = f"{value['mean'] * factor:.{digits}f}"
-    return text if value["sd"] is None else f"{text} \N{PLUS-MINUS SIGN} {value['sd'] * factor:.{digits}f}"
+    return (
+        text
+        if value["sd"] is None
+        else f"{text} \N{PLUS-MINUS SIGN} {value['sd'] * factor:.{digits}f}"
+    )
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Errors over minutes, both axes logarithmic; bars: a standard deviation over the seeds, either way.
+    """Errors over minutes, both axes logarithmic; bars: a standard deviation over the seeds, either
+    way.
 
     Dotted is the tank without noise and drift: a model cannot be better.
     """
@@ -276,8 +336,18 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         for axes, (score, (title, factor)) in zip(panels, PANELS.items(), strict=True):
             for (name, label), (colour, marker) in zip(SETS.items(), LOOKS, strict=True):
                 look = {"color": colour, "marker": marker, "markersize": 4, "capsize": 2}
-                curve(axes, [row for row in rows if row["kind"] == "random"], name, score, factor, label=label, **look)
-                level = next((row[name][score]["mean"] for row in rows if row["kind"] == "silent"), 0.0)
+                curve(
+                    axes,
+                    [row for row in rows if row["kind"] == "random"],
+                    name,
+                    score,
+                    factor,
+                    label=label,
+                    **look,
+                )
+                level = next(
+                    (row[name][score]["mean"] for row in rows if row["kind"] == "silent"), 0.0
+                )
                 # The tank itself has no error where nothing is added to it.
                 if level > 0:
                     axes.axhline(level * factor, color=colour, linestyle=":", linewidth=1.2)
@@ -293,7 +363,9 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     save_figure(figure, path.parent, path.stem, (path.suffix[1:],))
 
 
-def curve(axes: Any, rows: Sequence[dict[str, Any]], name: str, score: str, factor: float, **look: Any) -> None:
+def curve(
+    axes: Any, rows: Sequence[dict[str, Any]], name: str, score: str, factor: float, **look: Any
+) -> None:
     rows = sorted(rows, key=lambda row: row["minutes"])
     means = [row[name][score]["mean"] * factor for row in rows]
     deviations = [(row[name][score]["sd"] or 0.0) * factor for row in rows]

@@ -1,12 +1,14 @@
-"""How fast a controller can react: settling time against ripple, with other action rates and other windows.
+"""How fast a controller can react: settling time against ripple, with other action rates and other
+windows.
 
     python docs/faster_reaction.py surrogate RUN
 
-softfin acts 3 times a second and judges by the mean force over six actions, 2 s. Both are constants, in
-`softfin.core.action_clock`: every row here is trained and judged in processes in which they are others. Gaits are found
-by the mean over their six actions in each row; the policies add to them what they learn by the mean over the window.
-All are judged in the tank, each policy with the noise and drift of its own seed, gaits with those of the first seed.
-Writes faster_reaction.json.
+softfin acts 3 times a second and judges by the mean force over six actions, 2 s. Both are
+constants, in `softfin.core.action_clock`: every row here is trained and judged in processes in
+which they are others. Gaits are found by the mean over their six actions in each row; the policies
+add to them what they learn by the mean over the window. All are judged in the tank, each policy
+with the noise and drift of its own seed, gaits with those of the first seed. Writes
+faster_reaction.json.
 """
 
 import argparse
@@ -18,7 +20,8 @@ from typing import Any, NamedTuple
 
 
 class Clock(NamedTuple):
-    """Ticks of 10 ms that the actions of one second are held, and actions whose mean force counts."""
+    """Ticks of 10 ms that the actions of one second are held, and actions whose mean force
+    counts."""
 
     ticks: tuple[int, ...]
     window: int
@@ -29,11 +32,16 @@ class Clock(NamedTuple):
         return sum(self.ticks) * self.window // len(self.ticks)
 
 
-THREE, SIX = (33, 33, 34), (17, 16, 17, 17, 16, 17)
+THREE = (33, 33, 34)
+SIX = (17, 16, 17, 17, 16, 17)
 ROWS = {
     f"{kind}, {name}": (kind, clock)
     for kind in ("gaits", "single")
-    for name, clock in {"3 Hz, 2 s": Clock(THREE, 6), "3 Hz, 1 s": Clock(THREE, 3), "6 Hz, 1 s": Clock(SIX, 6)}.items()
+    for name, clock in {
+        "3 Hz, 2 s": Clock(THREE, 6),
+        "3 Hz, 1 s": Clock(THREE, 3),
+        "6 Hz, 1 s": Clock(SIX, 6),
+    }.items()
 }
 
 BOX = "{low: [0.4, -1.6], high: [3.6, 1.6]}"
@@ -54,9 +62,14 @@ def softfin(clock: Clock, *words: str) -> None:
     subprocess.run([sys.executable, "-c", UNDER.format(clock=tuple(clock)), *words], check=True)
 
 
-def judged(surrogate: Path, out: Path, kind: str, clock: Clock, seeds: range) -> list[dict[str, Any]]:
-    """Train and judge the controllers of a row; what is there from a run before is left as it is."""
-    whole, trained, force_map = clock._replace(window=6), out / "controllers", out.parent / f"map-{len(clock.ticks)}-hz"
+def judged(
+    surrogate: Path, out: Path, kind: str, clock: Clock, seeds: range
+) -> list[dict[str, Any]]:
+    """Train and judge the controllers of a row; what is there from a run before is left as it
+    is."""
+    whole = clock._replace(window=6)
+    trained = out / "controllers"
+    force_map = out.parent / f"map-{len(clock.ticks)}-hz"
     if kind == "gaits" and not trained.exists():
         softfin(whole, "train", str(surrogate), "--controller", "gaits", "--out", str(trained))
     if kind == "single" and not force_map.exists():
@@ -64,24 +77,58 @@ def judged(surrogate: Path, out: Path, kind: str, clock: Clock, seeds: range) ->
     if kind == "single" and not trained.exists():
         # The task's window is a multiple of 8 samples.
         window = f"task.window_samples={clock.samples // 8 * 8}"
-        softfin(clock, "train", str(surrogate), "--controller", "single", "--algorithm", "gradient", "--set", window,
-                "--seed", str(seeds[0]), "--seeds", str(len(seeds)), "--map", str(force_map),
-                "--out", str(trained))  # fmt: skip
+        softfin(
+            clock,
+            "train",
+            str(surrogate),
+            "--controller",
+            "single",
+            "--algorithm",
+            "gradient",
+            "--set",
+            window,
+            "--seed",
+            str(seeds[0]),
+            "--seeds",
+            str(len(seeds)),
+            "--map",
+            str(force_map),
+            "--out",
+            str(trained),
+        )
     if kind == "gaits" or len(seeds) == 1:
         controllers = {seeds[0]: trained}
     else:
         controllers = {seed: trained / f"seed-{seed}" for seed in seeds}
-    return [score(one, out / f"evaluation-{seed}", clock, seed) for seed, one in controllers.items()]
+    return [
+        score(one, out / f"evaluation-{seed}", clock, seed) for seed, one in controllers.items()
+    ]
 
 
 def score(controller: Path, out: Path, clock: Clock, seed: int) -> dict[str, Any]:
     """Error, ripple, and the longest settling time of four steps."""
     if not out.exists():
-        softfin(clock, "evaluate", str(controller), "--plant", "tank", "--seeds", "1", "--seed", str(seed),
-                "--moving", "step", "--out", str(out))  # fmt: skip
+        softfin(
+            clock,
+            "evaluate",
+            str(controller),
+            "--plant",
+            "tank",
+            "--seeds",
+            "1",
+            "--seed",
+            str(seed),
+            "--moving",
+            "step",
+            "--out",
+            str(out),
+        )
     found = json.loads((out / "evaluation.json").read_text())
     steps = [row["longest_settling_s"] for row in found["moving"]]
-    scores = {name: [found["mean"][axis][f"{name}_n"] for axis in "xy"] for name in ("error", "std", "raw_std")}
+    scores = {
+        name: [found["mean"][axis][f"{name}_n"] for axis in "xy"]
+        for name in ("error", "std", "raw_std")
+    }
     return {"seed": seed, **scores, "settling_s": None if None in steps else max(steps)}
 
 

@@ -1,10 +1,12 @@
-"""Make a run's figure small enough for the README: ``python docs/figure.py RUN/.../experiments.png docs/NAME.png``."""
+"""Make a run's figure small enough for the README: ``python docs/figure.py RUN/.../experiments.png
+docs/NAME.png``."""
 
 import sys
 
 from PIL import Image
 
-WIDTH, COLOURS = 1200, 128
+WIDTH = 1200
+COLOURS = 128
 
 source, target = sys.argv[1:]
 image = Image.open(source).convert("RGB")

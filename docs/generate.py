@@ -1,4 +1,5 @@
-"""Pages of the site that are written from softfin itself: command line, configuration, Python, errors, evidence.
+"""Pages of the site that are written from softfin itself: command line, configuration, Python,
+errors, evidence.
 
 Sphinx runs it before each build (conf.py); what it writes is not kept in git.
 """
@@ -30,13 +31,18 @@ ROOT = Path(__file__).parents[1]
 
 
 def pages(folder: Path) -> None:
-    """Write the parts that pages include, each only where it has changed, so that Sphinx reads no page twice."""
+    """Write the parts that pages include, each only where it has changed, so that Sphinx reads no
+    page twice."""
     folder.mkdir(exist_ok=True)
     for name, lines in {
-        "command-line": command_line(), "configuration": configuration(), "python": python(),
-        "errors": error_classes(), "evidence": evidence(),
-    }.items():  # fmt: skip
-        file, text = folder / f"{name}.md", "\n".join(lines) + "\n"
+        "command-line": command_line(),
+        "configuration": configuration(),
+        "python": python(),
+        "errors": error_classes(),
+        "evidence": evidence(),
+    }.items():
+        file = folder / f"{name}.md"
+        text = "\n".join(lines) + "\n"
         if not file.is_file() or file.read_text() != text:
             file.write_text(text)
 
@@ -47,8 +53,12 @@ def explorer(out: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         example = Path(folder) / "example"
         write_example(example)
-        controllers = [path for name in ("single", "grid", "gaits") if (path := example / name).is_dir()]
-        explore(controllers, out / "explorer.html", ("tank", str(example / "surrogate")), overwrite=True)
+        controllers = [
+            path for name in ("single", "grid", "gaits") if (path := example / name).is_dir()
+        ]
+        explore(
+            controllers, out / "explorer.html", ("tank", str(example / "surrogate")), overwrite=True
+        )
 
 
 def command_line() -> Iterator[str]:
@@ -80,7 +90,11 @@ def _fields(kind: type[Configuration], shown: set[type]) -> Iterator[str]:
     inner = []
     for name, info in kind.model_fields.items():
         inner += [each for each in _configurations(info.annotation) if each not in shown]
-        default = "required" if info.is_required() else _default(info.get_default(call_default_factory=True))
+        default = (
+            "required"
+            if info.is_required()
+            else _default(info.get_default(call_default_factory=True))
+        )
         text = " ".join((info.description or "").split()).replace("|", r"\|")
         yield f"| `{name}` | {_values(info)} | {default} | {text} |"
     yield ""
@@ -100,16 +114,34 @@ def _values(info: Any) -> str:
 
 
 def _limit(limit: Any) -> str:
-    signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<=", "min_length": "at least", "max_length": "at most"}
-    return ", ".join(f"{sign}\u00a0{getattr(limit, name):g}" for name, sign in signs.items()
-                     if getattr(limit, name, None) is not None)  # fmt: skip
+    signs = {
+        "gt": ">",
+        "ge": ">=",
+        "lt": "<",
+        "le": "<=",
+        "min_length": "at least",
+        "max_length": "at most",
+    }
+    return ", ".join(
+        f"{sign}\u00a0{getattr(limit, name):g}"
+        for name, sign in signs.items()
+        if getattr(limit, name, None) is not None
+    )
 
 
 def _kind(annotation: Any) -> str:
-    names = {int: "whole number", float: "number", str: "text", bool: "true or false", type(None): "none", Path: "path"}
+    names = {
+        int: "whole number",
+        float: "number",
+        str: "text",
+        bool: "true or false",
+        type(None): "none",
+        Path: "path",
+    }
     if annotation in names:
         return names[annotation]
-    origin, parts = get_origin(annotation), get_args(annotation)
+    origin = get_origin(annotation)
+    parts = get_args(annotation)
     if origin is Annotated:
         limits = [_limit(each) for each in parts[1:]]
         return " ".join([_kind(parts[0]), *filter(None, limits)])
@@ -139,7 +171,9 @@ def _plain(value: Any) -> Any:
 
 
 def python() -> Iterator[str]:
-    names = sorted(name for name in softfin.__all__ if name not in ("testing", "GRID", "SINGLE", "PRESETS"))
+    names = sorted(
+        name for name in softfin.__all__ if name not in ("testing", "GRID", "SINGLE", "PRESETS")
+    )
     stages = [name for name in names if inspect.isfunction(getattr(softfin, name))]
     classes = [name for name in names if inspect.isclass(getattr(softfin, name))]
     configurations = [name for name in classes if issubclass(getattr(softfin, name), Configuration)]
@@ -151,19 +185,40 @@ def python() -> Iterator[str]:
         for name in group:
             members = ["   :members:"] if kind == "autoclass" else []
             yield from ("```{eval-rst}", f".. {kind}:: softfin.{name}", *members, "```", "")
-    yield from ("## Configurations", "", "Their fields are those of [the command line's files](configuration.md): " +
-                ", ".join(f"`softfin.{name}`" for name in configurations) + "; `softfin.SINGLE`, `softfin.GRID` and "
-                "`softfin.PRESETS` are the paper's and softfin's own values.", "")  # fmt: skip
+    yield from (
+        "## Configurations",
+        "",
+        "Their fields are those of [the command line's files](configuration.md): "
+        + ", ".join(f"`softfin.{name}`" for name in configurations)
+        + "; `softfin.SINGLE`, `softfin.GRID` and "
+        "`softfin.PRESETS` are the paper's and softfin's own values.",
+        "",
+    )
     for module in ("softfin.testing", "softfin.gym"):
-        yield from (f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:", "```", "")
+        yield from (
+            f"## {module}",
+            "",
+            "```{eval-rst}",
+            f".. automodule:: {module}",
+            "   :members:",
+            "```",
+            "",
+        )
 
 
 def error_classes() -> Iterator[str]:
     yield from ("| error | exit code | |", "| --- | --- | --- |")
-    kinds = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issubclass(kind, errors.SoftfinError)]
+    kinds = [
+        kind
+        for _, kind in inspect.getmembers(errors, inspect.isclass)
+        if issubclass(kind, errors.SoftfinError)
+    ]
     for kind in sorted(kinds, key=lambda kind: (len(kind.__mro__), kind.exit_code)):
         base = "" if kind is errors.SoftfinError else f"; a `{kind.__bases__[0].__name__}`"
-        yield f"| `{kind.__name__}`{base} | {kind.exit_code} | {' '.join((kind.__doc__ or '').split())} |"
+        yield (
+            f"| `{kind.__name__}`{base} | {kind.exit_code} | "
+            f"{' '.join((kind.__doc__ or '').split())} |"
+        )
     found = messages.messages(Path(softfin.__file__).parent, [kind.__name__ for kind in kinds])
     for name, texts in sorted(found.items()):
         yield from ("", f"## {name}", "", *messages.table(texts))
@@ -172,22 +227,34 @@ def error_classes() -> Iterator[str]:
 def evidence() -> Iterator[str]:
     for file in sorted(FOLDER.glob("*.json")):
         record = load(file.stem)
-        yield from (f"## {record['title']}", "", f"{source(file.stem, record)}. {_versions(record)}", "")
+        yield from (
+            f"## {record['title']}",
+            "",
+            f"{source(file.stem, record)}. {_versions(record)}",
+            "",
+        )
         for name in PARTS[file.stem](SEEDS).pictures:
             yield from (f"![{record['title']}]({name.removeprefix('docs/')})", "")
         yield from ("| figure | value | seeds |", "| --- | --- | --- |")
         for name, figure in record["figures"].items():
-            value, unit = shown(figure, _form(figure)).replace("|", r"\|"), figure.get("unit", "")
+            value = shown(figure, _form(figure)).replace("|", r"\|")
+            unit = figure.get("unit", "")
             # A point between digits stays.
             title = re.sub(r"\.(?!\d)", ": ", name).replace("_", " ")
-            yield f"| {title}{f' [{unit}]' if unit and unit not in value else ''} | {value} | {_seeds(figure)} |"
+            yield (
+                f"| {title}{f' [{unit}]' if unit and unit not in value else ''} | {value} | "
+                f"{_seeds(figure)} |"
+            )
         yield ""
         yield from ("```text", *(step["command"] for step in record["steps"].values()), "```", "")
 
 
 def _form(figure: dict[str, Any]) -> str:
-    """Digits for the size of a figure: an angle of half a milliradian, and thousands of operations."""
-    numbers = np.abs(np.array([value for value in figure.get("values", ()) if value is not None], float))
+    """Digits for the size of a figure: an angle of half a milliradian, and thousands of
+    operations."""
+    numbers = np.abs(
+        np.array([value for value in figure.get("values", ()) if value is not None], float)
+    )
     if not numbers.size:
         return ".3f"
     if (numbers == numbers.round()).all() or numbers.max() >= 1000:
@@ -205,7 +272,10 @@ def _seeds(figure: dict[str, Any]) -> str:
 def _versions(record: dict[str, Any]) -> str:
     # Older files state the version of Python alone, with the machine.
     versions = record.get("versions") or {"python": record["machine"]["python"]}
-    return f"{record['machine']['system']}; {', '.join(f'{name} {number}' for name, number in versions.items())}."
+    return (
+        f"{record['machine']['system']}; "
+        f"{', '.join(f'{name} {number}' for name, number in versions.items())}."
+    )
 
 
 if __name__ == "__main__":

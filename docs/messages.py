@@ -1,4 +1,5 @@
-"""The messages of softfin's errors, as the code raises them; docs/generate.py writes them into the page of errors."""
+"""The messages of softfin's errors, as the code raises them; docs/generate.py writes them into the
+page of errors."""
 
 import ast
 import re
@@ -7,7 +8,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 GAP = "…"
-"""In place of what a message fills in, where the code has no name for it; else the name is there, in capitals."""
+"""In place of what a message fills in, where the code has no name for it; else the name is there,
+in capitals."""
 
 GAPS = re.compile(rf"{GAP}|\b[A-Z][A-Z_]+\b")
 
@@ -16,16 +18,23 @@ LEAST_LETTERS = 8
 
 
 def messages(package: Path, kinds: Collection[str]) -> dict[str, list[str]]:
-    """List, by the class of error, the texts of all ``raise KIND("...")`` below a folder, sorted, each once."""
+    """List, by the class of error, the texts of all ``raise KIND("...")`` below a folder, sorted,
+    each once."""
     found: dict[str, set[str]] = defaultdict(set)
     for file in sorted(package.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and isinstance(node.exc.func, ast.Name):
-                name, arguments = node.exc.func.id, node.exc.args
+            if (
+                isinstance(node, ast.Raise)
+                and isinstance(node.exc, ast.Call)
+                and isinstance(node.exc.func, ast.Name)
+            ):
+                name = node.exc.func.id
+                arguments = node.exc.args
                 if name in kinds and arguments and _letters(_text(arguments[0])) >= LEAST_LETTERS:
                     found[name].add(" ".join(_text(arguments[0]).split()))
     return {
-        name: sorted(texts, key=lambda text: GAPS.sub("", text).strip(" :'").lower()) for name, texts in found.items()
+        name: sorted(texts, key=lambda text: GAPS.sub("", text).strip(" :'").lower())
+        for name, texts in found.items()
     }
 
 
@@ -35,7 +44,8 @@ def table(texts: list[str]) -> Iterator[str]:
     for text in texts:
         said, semicolon, remedy = text.rpartition("; ")
         if not semicolon or not _letters(said):
-            said, remedy = text, ""
+            said = text
+            remedy = ""
         yield f"| {_escaped(said)} | {_escaped(remedy)} |"
 
 

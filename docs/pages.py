@@ -1,4 +1,5 @@
-"""Extension of Sphinx: cells as one types them, links by a page's title, and an error for a dead link."""
+"""Extension of Sphinx: cells as one types them, links by a page's title, and an error for a dead
+link."""
 
 import re
 from html.parser import HTMLParser
@@ -45,16 +46,19 @@ def dead_links(site: Path) -> list[str]:
 
 
 def show_as_typed(app: Any, doctree: Any) -> None:
-    """Show shell cells without ``%%sh``, and the file that ``%%writefile`` writes under its name."""
+    """Show shell cells without ``%%sh``, and the file that ``%%writefile`` writes under its
+    name."""
     from docutils import nodes
 
     for block in doctree.findall(nodes.literal_block):
         first, _, rest = block.astext().partition("\n")
         magic, *names = first.split() or [""]
         if magic == "%%sh":
-            language, text = "sh", rest
+            language = "sh"
+            text = rest
         elif magic == "%%writefile":
-            language, text = Path(names[0]).suffix.lstrip(".").replace("py", "python"), f"# {names[0]}\n{rest}"
+            language = Path(names[0]).suffix.lstrip(".").replace("py", "python")
+            text = f"# {names[0]}\n{rest}"
         else:
             continue
         block["language"] = language
@@ -68,7 +72,9 @@ def name_by_title(app: Any, doctree: Any, docname: str) -> None:
 
     for link in doctree.findall(nodes.reference):
         if link.get("internal") and FILE.fullmatch(link.astext()):
-            page = app.builder.env.relfn2path(link["refuri"].partition("#")[0], docname)[0].removesuffix(".html")
+            page = app.builder.env.relfn2path(link["refuri"].partition("#")[0], docname)[
+                0
+            ].removesuffix(".html")
             if (title := app.builder.env.titles.get(page)) is not None:
                 link.clear()
                 link += nodes.inline(text=title.astext())

@@ -1,4 +1,5 @@
-"""The shell cells of the tutorials: ``%%sh`` shows what a command prints, and why it failed where it did.
+"""The shell cells of the tutorials: ``%%sh`` shows what a command prints, and why it failed where
+it did.
 
 IPython's own shows the lines of progress, too, which are for a terminal.
 """
@@ -12,7 +13,8 @@ from IPython.core.magic import register_cell_magic
 
 
 def copy_demo(out: str) -> None:
-    """Copy the finished run that SOFTFIN_DEMO names to `out`, for a cell that goes on with it instead of repeating it.
+    """Copy the finished run that SOFTFIN_DEMO names to `out`, for a cell that goes on with it
+    instead of repeating it.
 
     Without SOFTFIN_DEMO there is none, and the cell does the whole run.
     """

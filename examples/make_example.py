@@ -1,4 +1,5 @@
-"""Makes the example that comes with softfin, src/softfin/example: trains it, scores it in the tank, records a minute.
+"""Makes the example that comes with softfin, src/softfin/example: trains it, scores it in the tank,
+records a minute.
 
     python examples/make_example.py                        # some minutes on two cores
     python examples/make_example.py --work runs/example    # what is there is used; what is missing is made
@@ -23,8 +24,12 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import read_log
 
 PARTS = {
-    "surrogate": "run/surrogate", "map": "run/map", "gaits": "run/gaits", "single": "run/single/seed-0", "grid": "grid",
-}  # fmt: skip
+    "surrogate": "run/surrogate",
+    "map": "run/map",
+    "gaits": "run/gaits",
+    "single": "run/single/seed-0",
+    "grid": "grid",
+}
 """Folders of the example, and where the commands write them."""
 
 CONTROLLERS = ("gaits", "single", "grid")
@@ -32,11 +37,14 @@ RECORDING = "recordings/minute.csv"
 
 MAKING = {
     "run": "softfin reproduce --preset demo --plant tank --out run",
-    "grid": "softfin train run/surrogate --controller grid --algorithm gradient --map run/map --out grid",
-    "minute": "softfin collect --plant tank --logs 1 --test-logs 0 --rows 6000 --seed 60 --out minute",
+    "grid": "softfin train run/surrogate --controller grid --algorithm gradient --map run/map "
+    "--out grid",
+    "minute": "softfin collect --plant tank --logs 1 --test-logs 0 --rows 6000 --seed 60 --out "
+    "minute",
 }
 SCORING = {
-    f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --seeds 5 {trim and '--trim '}--out {name}{trim}"
+    f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --seeds 5 "
+    f"{trim and '--trim '}--out {name}{trim}"
     for name in CONTROLLERS
     for trim in ("", "-trim")
 }
@@ -44,15 +52,24 @@ SCORING = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--work", type=Path, default=Path("runs/example"))
     work = parser.parse_args().work
     work.mkdir(parents=True, exist_ok=True)
-    scoring = {f"scores-{name}": command.replace("--out ", "--out scores-") for name, command in SCORING.items()}
+    scoring = {
+        f"scores-{name}": command.replace("--out ", "--out scores-")
+        for name, command in SCORING.items()
+    }
     for folder, command in (MAKING | scoring).items():
         if not (work / folder).exists():
             print(f"+ {command}", flush=True)
-            subprocess.run([sys.executable, "-m", "softfin.cli", *shlex.split(command)[1:]], cwd=work, check=True)
+            subprocess.run(
+                [sys.executable, "-m", "softfin.cli", *shlex.split(command)[1:]],
+                cwd=work,
+                check=True,
+            )
     # Before the example changes, which would count as a change of the commit.
     origin = artifacts.provenance()
     shutil.rmtree(EXAMPLE, ignore_errors=True)
@@ -68,7 +85,9 @@ def main() -> None:
         "files": {file.relative_to(EXAMPLE).as_posix(): digest(file) for file in files},
         "provenance": origin,
     }
-    (EXAMPLE / f"{EXAMPLE_KIND}.json").write_text(artifacts.encode_description(EXAMPLE_KIND, description))
+    (EXAMPLE / f"{EXAMPLE_KIND}.json").write_text(
+        artifacts.encode_description(EXAMPLE_KIND, description)
+    )
     (EXAMPLE / "README.md").write_text(readme(description))
 
 
@@ -93,12 +112,15 @@ def plain_csv(file: Path) -> str:
 
 
 def errors(folder: Path) -> dict[str, Any]:
-    """Errors of one evaluation: mean over the references and the seeds, and half of its 95% interval; x, y."""
+    """Errors of one evaluation: mean over the references and the seeds, and half of its 95%
+    interval; x, y."""
     evaluation = json.loads((folder / "evaluation.json").read_text())
     axes = [evaluation["mean"][axis] for axis in ("x", "y")]
     return {
         "error_n": [axis["error_n"] for axis in axes],
-        "half_interval_n": [(high - low) / 2 for low, high in (axis["error_interval_n"] for axis in axes)],
+        "half_interval_n": [
+            (high - low) / 2 for low, high in (axis["error_interval_n"] for axis in axes)
+        ],
         **{name: evaluation["conditions"][name] for name in ("seeds", "duration_s")},
         "references_n": [row["reference_n"] for row in evaluation["references"]],
     }
@@ -107,11 +129,16 @@ def errors(folder: Path) -> dict[str, Any]:
 def readme(description: dict[str, Any]) -> str:
     """The README of the example; every figure is from its description."""
     stated = {
-        name: " / ".join(f"{mean:.3f} ± {half:.3f}" for mean, half in zip(*list(row.values())[:2], strict=True))
+        name: " / ".join(
+            f"{mean:.3f} ± {half:.3f}" for mean, half in zip(*list(row.values())[:2], strict=True)
+        )
         for name, row in description["errors"].items()
     }
-    table = "\n".join(f"| `{name}` | {stated[name]} | {stated[f'{name}-trim']} |" for name in CONTROLLERS)
-    row, origin = description["errors"]["single"], description["provenance"]
+    table = "\n".join(
+        f"| `{name}` | {stated[name]} | {stated[f'{name}-trim']} |" for name in CONTROLLERS
+    )
+    row = description["errors"]["single"]
+    origin = description["provenance"]
     references = ", ".join("({:g}, {:g})".format(*reference) for reference in row["references_n"])
     commands = "\n".join(f"    {command}" for command in description["commands"])
     return f"""# An example of the virtual tank

@@ -1,4 +1,5 @@
-"""A whole day at the rig in some minutes, on emulated devices: every command as one would type it, in one script.
+"""A whole day at the rig in some minutes, on emulated devices: every command as one would type it,
+in one script.
 
     python examples/rig_day.py --out runs/day            # some minutes: errors in docs/rig.md
     python examples/rig_day.py --out runs/day --quick    # less: does every step work at all?
@@ -20,7 +21,9 @@ MOVES = ("--arm", "--yes")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("runs/day"))
     parser.add_argument("--quick", action="store_true")
     options = parser.parse_args()
@@ -39,23 +42,44 @@ def day(quick: bool) -> None:
     softfin("rig", "check")
 
     # Record, look, learn.
-    amount = ("--logs=3", "--test-logs=1", "--rows=1000") if quick else ("--logs=8", "--test-logs=2", "--rows=6000")
+    amount = (
+        ("--logs=3", "--test-logs=1", "--rows=1000")
+        if quick
+        else ("--logs=8", "--test-logs=2", "--rows=6000")
+    )
     softfin("collect", "--plant", "rig", "--out", "dataset", *amount, *MOVES)
     softfin("inspect", "dataset-bags/train-0000.mcap")
     small = ("members=1", "drive_updates=150", "force_updates=300") if quick else ("members=3",)
     softfin("fit", "dataset", "--out", "surrogate", *settings(small))
-    lattice = ("box={low: [1, -1], high: [2, 0]}", "spacing_n=1") if quick else ("box={low: [0, -1], high: [2.5, 1]}",)
-    softfin("train", "surrogate", "--controller", "gaits", "--out", "controller", *settings(lattice))
+    lattice = (
+        ("box={low: [1, -1], high: [2, 0]}", "spacing_n=1")
+        if quick
+        else ("box={low: [0, -1], high: [2.5, 1]}",)
+    )
+    softfin(
+        "train", "surrogate", "--controller", "gaits", "--out", "controller", *settings(lattice)
+    )
 
     # Afternoon: hold forces, judge, hand on.
     amount = ("--seconds=5", "--seeds=1") if quick else ("--seconds=20", "--seeds=2")
-    judged = ("evaluate", "controller", "--plant", "rig", "--out", "evaluation", "--reference=1.5,-0.5", "--trim")
+    judged = (
+        "evaluate",
+        "controller",
+        "--plant",
+        "rig",
+        "--out",
+        "evaluation",
+        "--reference=1.5,-0.5",
+        "--trim",
+    )
     softfin(*judged, *amount, *MOVES)
     softfin("run", "controller", "--reference=1.5,-0.5", "--seconds=5", "--bag", "run.mcap", *MOVES)
     softfin("bag", "convert", "run.mcap", "--out", "run.parquet")
     softfin("export", "controller", "--onnx", "controller.onnx")
     mean = json.loads(Path("evaluation/evaluation.json").read_text())["mean"]
-    print(f"mean error on the emulated fin: {mean['x']['error_n']:.3f}, {mean['y']['error_n']:.3f} N")
+    print(
+        f"mean error on the emulated fin: {mean['x']['error_n']:.3f}, {mean['y']['error_n']:.3f} N"
+    )
 
 
 def softfin(*words: str) -> None:

@@ -1,4 +1,5 @@
-"""The evidence: what README and docs state, run by ``python -m results``, kept as one JSON a part, put into them."""
+"""The evidence: what README and docs state, run by ``python -m results``, kept as one JSON a part,
+put into them."""
 
 from pathlib import Path
 

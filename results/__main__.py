@@ -1,8 +1,10 @@
-"""Rerun the figures of README and docs: ``python -m results [PART[/SEED] ...]``; without a part, all of them.
+"""Rerun the figures of README and docs: ``python -m results [PART[/SEED] ...]``; without a part,
+all of them.
 
-Steps run below runs/results. A run that you stop, or that ``--minutes`` ends, continues at the same commit: finished
-steps are reused. ``--since COMMIT`` also reuses those that ran at COMMIT or later. ``PART/3`` runs seed 3 alone; the
-JSON of a part is written when all of its seeds are finished. Then ``--write`` puts the figures into README and docs.
+Steps run below runs/results. A run that you stop, or that ``--minutes`` ends, continues at the same
+commit: finished steps are reused. ``--since COMMIT`` also reuses those that ran at COMMIT or later.
+``PART/3`` runs seed 3 alone; the JSON of a part is written when all of its seeds are finished. Then
+``--write`` puts the figures into README and docs.
 """
 
 import argparse
@@ -49,7 +51,13 @@ def main() -> int:
             asked_parts = {name: table[name] for name, _ in asked}
             return quick.run_quick(asked_parts, arguments.seed, QUICK_WORK, FOLDER, say)
         if arguments.tiny is not None:
-            return run_parts(asked, arguments, parts(TINY_SEEDS), arguments.tiny / "work", arguments.tiny / "results")
+            return run_parts(
+                asked,
+                arguments,
+                parts(TINY_SEEDS),
+                arguments.tiny / "work",
+                arguments.tiny / "results",
+            )
         return run_parts(asked, arguments, parts(SEEDS), WORK, FOLDER)
     except ValueError as error:
         parser.error(str(error))
@@ -58,27 +66,47 @@ def main() -> int:
 def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m results", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="python -m results",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("parts", nargs="*", metavar="PART[/SEED]", help=", ".join(PARTS))
-    parser.add_argument("--minutes", type=float, default=float("inf"), help="start no step expected to end later")
-    parser.add_argument("--again", action="store_true", help="reuse no finished step of these parts")
-    parser.add_argument("--since", metavar="COMMIT", help="reuse finished steps from COMMIT on (default: HEAD)")
-    parser.add_argument("--tiny", type=Path, metavar="DIR", help="two seeds of a few updates, below DIR, as a test")
-    parser.add_argument("--quick", action="store_true", help="compare one seed of each part with the stated figures")
+    parser.add_argument(
+        "--minutes", type=float, default=float("inf"), help="start no step expected to end later"
+    )
+    parser.add_argument(
+        "--again", action="store_true", help="reuse no finished step of these parts"
+    )
+    parser.add_argument(
+        "--since", metavar="COMMIT", help="reuse finished steps from COMMIT on (default: HEAD)"
+    )
+    parser.add_argument(
+        "--tiny", type=Path, metavar="DIR", help="two seeds of a few updates, below DIR, as a test"
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="compare one seed of each part with the stated figures"
+    )
     parser.add_argument(
         "--seed",
         type=int,
         default=quick.SEED,
         help="seed of --quick; one that no table has is a stricter test (default: 10)",
     )
-    parser.add_argument("--list", action="store_true", help="print the age of each part and what has changed since")
-    parser.add_argument("--write", action="store_true", help="write the figures and their age into README and docs")
+    parser.add_argument(
+        "--list", action="store_true", help="print the age of each part and what has changed since"
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="write the figures and their age into README and docs"
+    )
     return parser
 
 
 def run_parts(
-    asked: Sequence[tuple[str, str]], arguments: argparse.Namespace, table: Mapping[str, Part], work: Path, folder: Path
+    asked: Sequence[tuple[str, str]],
+    arguments: argparse.Namespace,
+    table: Mapping[str, Part],
+    work: Path,
+    folder: Path,
 ) -> int:
     """Run parts one after another and write their JSON; return 1 if one failed, after the others.
 
@@ -87,7 +115,9 @@ def run_parts(
     for name, seed in asked:
         select_steps(table[name], seed)
     steps = {step.name: step for part in table.values() for step in part.steps}
-    runner = Runner(work.absolute(), tuple(steps.values()), arguments.tiny is not None, arguments.since)
+    runner = Runner(
+        work.absolute(), tuple(steps.values()), arguments.tiny is not None, arguments.since
+    )
     if arguments.again:
         for name, seed in asked:
             for step in runner.ordered(select_steps(table[name], seed)):
@@ -109,7 +139,9 @@ def run_parts(
     return int(bool(failed))
 
 
-def run_part(runner: Runner, name: str, part: Part, seed: str, end_s: float, folder: Path) -> str | None:
+def run_part(
+    runner: Runner, name: str, part: Part, seed: str, end_s: float, folder: Path
+) -> str | None:
     """Run the steps of a part, or of one seed, and write its JSON; return why it is not finished.
 
     Raises PartError if a step fails or its files are not as expected.
@@ -127,7 +159,9 @@ def run_part(runner: Runner, name: str, part: Part, seed: str, end_s: float, fol
             runner.run(step)
         except subprocess.CalledProcessError as error:
             log = runner.work / f"{step.name}.log"
-            raise PartError(f"{step.name} ended with exit code {error.returncode}; see {log}") from error
+            raise PartError(
+                f"{step.name} ended with exit code {error.returncode}; see {log}"
+            ) from error
     records: dict[str, dict[str, Any]] = {}
     for step in part.steps:
         record = runner.record(step)
@@ -140,7 +174,11 @@ def run_part(runner: Runner, name: str, part: Part, seed: str, end_s: float, fol
         raise PartError(f"the files of its steps are not as expected: {error!r}") from error
     if folder == FOLDER:
         for target, source in part.pictures.items():
-            subprocess.run([sys.executable, "docs/figure.py", runner.work / source, target], cwd=ROOT, check=True)
+            subprocess.run(
+                [sys.executable, "docs/figure.py", runner.work / source, target],
+                cwd=ROOT,
+                check=True,
+            )
     write(name, assemble(part, figures, records, runner.tiny), folder)
     say(f"{name}: {folder / name}.json written")
     return None
@@ -153,14 +191,21 @@ def select_steps(part: Part, seed: str) -> list[Step]:
     steps = [step for step in part.steps if str(step.seed) == seed]
     if not steps:
         seeds = sorted({step.seed for step in part.steps if step.seed is not None})
-        raise ValueError(f"{part.title}: no step of seed {seed}; the seeds are {', '.join(map(str, seeds)) or 'none'}")
+        raise ValueError(
+            f"{part.title}: no step of seed {seed}; the seeds are "
+            f"{', '.join(map(str, seeds)) or 'none'}"
+        )
     return steps
 
 
 def assemble(
-    part: Part, figures: Mapping[str, dict[str, Any]], records: Mapping[str, dict[str, Any]], tiny: bool
+    part: Part,
+    figures: Mapping[str, dict[str, Any]],
+    records: Mapping[str, dict[str, Any]],
+    tiny: bool,
 ) -> dict[str, Any]:
-    """Return the JSON of a part; machine and versions are those of the last step, and each step has its own."""
+    """Return the JSON of a part; machine and versions are those of the last step, and each step has
+    its own."""
     last = max(records.values(), key=lambda record: record["date"])
     seeds = {seed for figure in figures.values() for seed in figure["seeds"]}
     return {
@@ -187,7 +232,10 @@ def describe(name: str, folder: Path) -> str:
     oldest = history.find_oldest(record["commits"])
     if oldest is None:
         unknown = [commit for commit in record["commits"] if not history.has_commit(commit)]
-        return f"{text}; age unknown: this clone does not have {', '.join(unknown)}; run `git fetch --unshallow`"
+        return (
+            f"{text}; age unknown: this clone does not have {', '.join(unknown)}; run `git "
+            "fetch --unshallow`"
+        )
     commit, age = oldest
     changes = history.list_changes_since(commit)
     return f"{text}; {history.format_age(age)}; changed since: {', '.join(changes) or 'nothing'}"

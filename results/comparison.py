@@ -1,11 +1,13 @@
-"""Compare figures of one seed with the stated ones: does each lie where one further seed is expected?
+"""Compare figures of one seed with the stated ones: does each lie where one further seed is
+expected?
 
-Over n >= 3 stated values the interval for one further value is mean +- t(n - 1, 0.975) s sqrt(1 + 1/n). The interval of
-the mean, which documents print, is sqrt(n + 1) times as narrow and would reject most single seeds.
+Over n >= 3 stated values the interval for one further value is mean +- t(n - 1, 0.975) s sqrt(1 +
+1/n). The interval of the mean, which documents print, is sqrt(n + 1) times as narrow and would
+reject most single seeds.
 
-One figure in twenty lies outside such an interval by chance: of a pair both axes have to lie inside, so the interval of
-each is wider. Two limits therefore hold for a whole run: the number of figures outside, and a figure outside that has
-changed by more than a factor of three.
+One figure in twenty lies outside such an interval by chance: of a pair both axes have to lie
+inside, so the interval of each is wider. Two limits therefore hold for a whole run: the number of
+figures outside, and a figure outside that has changed by more than a factor of three.
 """
 
 import math
@@ -56,14 +58,17 @@ def compare_figures(
         else:
             comparisons[name] = Comparison("missing", figure["unit"], [], [])
     for name in measured.keys() - stated.keys():
-        comparisons[name] = Comparison("not judged", measured[name]["unit"], measured[name]["values"], [])
+        comparisons[name] = Comparison(
+            "not judged", measured[name]["unit"], measured[name]["values"], []
+        )
     return comparisons
 
 
 def allowed_outside(judged: int) -> int:
     """Return how many of the judged figures of a correct program lie outside at most.
 
-    Figures are taken as independent. Those of one training are not, so the chance of a false alarm is somewhat larger.
+    Figures are taken as independent. Those of one training are not, so the chance of a false alarm
+    is somewhat larger.
     """
     return int(binom.ppf(1 - FALSE_ALARM, judged, 1 - CONFIDENCE))
 
@@ -73,7 +78,9 @@ def compare(stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float
     values = measured["values"]
     stated_axes = split_axes(stated["values"])
     confidence = CONFIDENCE ** (1 / max(len(stated_axes), 1))
-    intervals = [further_interval(axis, stated["summary"], digit, confidence) for axis in stated_axes]
+    intervals = [
+        further_interval(axis, stated["summary"], digit, confidence) for axis in stated_axes
+    ]
     if stated.get("machine_dependent") or measured.get("machine_dependent"):
         return Comparison("not judged", measured["unit"], values, intervals)
     if not values:
@@ -87,7 +94,8 @@ def compare(stated: Mapping[str, Any], measured: Mapping[str, Any], digit: float
 
 
 def can_be_outside(stated: Mapping[str, Any], seeds: Sequence[int]) -> bool:
-    """Return whether the stated values tell what to expect of some seeds: they have an interval, or are repeated."""
+    """Return whether the stated values tell what to expect of some seeds: they have an interval, or
+    are repeated."""
     nulls = sum(value is None for value in stated["values"])
     numbers = len(stated["values"]) - nulls
     if numbers >= FEWEST or numbers == 0:
@@ -100,13 +108,19 @@ def is_far_from(stated: Sequence[Value], values: Sequence[Value]) -> bool:
     for axis, numbers in zip(split_axes(values), split_axes(stated), strict=False):
         magnitudes = np.abs(axis)
         stated_magnitudes = np.abs(numbers)
-        if magnitudes.max() > FAR * stated_magnitudes.max() or magnitudes.min() < stated_magnitudes.min() / FAR:
+        if (
+            magnitudes.max() > FAR * stated_magnitudes.max()
+            or magnitudes.min() < stated_magnitudes.min() / FAR
+        ):
             return True
     return False
 
 
-def lies_within(value: Value, stated: Sequence[Value], intervals: Sequence[tuple[float, float]]) -> bool:
-    """Return whether a value lies in the interval of each axis; null is a force that never settled."""
+def lies_within(
+    value: Value, stated: Sequence[Value], intervals: Sequence[tuple[float, float]]
+) -> bool:
+    """Return whether a value lies in the interval of each axis; null is a force that never
+    settled."""
     if value is None:
         return None in stated
     axes = np.atleast_1d(value)
@@ -116,7 +130,8 @@ def lies_within(value: Value, stated: Sequence[Value], intervals: Sequence[tuple
 
 
 def split_axes(values: Sequence[Value]) -> list[list[float]]:
-    """Return the numbers of each axis of values that are numbers, pairs or null; no axes if all are null."""
+    """Return the numbers of each axis of values that are numbers, pairs or null; no axes if all are
+    null."""
     numbers = [value for value in values if value is not None]
     if not numbers:
         return []
@@ -142,7 +157,8 @@ def further_interval(
 
 
 def further_margin(values: Sequence[float], confidence: float = CONFIDENCE) -> float:
-    """Return t s sqrt(1 + 1/n), which is sqrt(n + 1) times the margin of the mean; 0 for fewer than three values."""
+    """Return t s sqrt(1 + 1/n), which is sqrt(n + 1) times the margin of the mean; 0 for fewer than
+    three values."""
     mean_interval = interval(np.asarray(values), confidence)
     if mean_interval is None:
         return 0.0

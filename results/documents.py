@@ -1,12 +1,14 @@
-"""README and docs take their figures from ``results/*.json``: this module writes the blocks between two comments.
+"""README and docs take their figures from ``results/*.json``: this module writes the blocks between
+two comments.
 
     <!-- results: NAME -->
     ...
     <!-- end -->
 
-``results/blocks/NAME.md`` is the template of the block. In it ``{PART.FIGURE}`` is a figure, ``{PART.FIGURE:.2f}`` has
-other digits than three and ``{PART.FIGURE:.2f plain}`` another summary (mean, plain for a mean without its interval,
-median, worst). A line below a table names the sources of its figures and their age; elsewhere ``{PART}`` does so.
+``results/blocks/NAME.md`` is the template of the block. In it ``{PART.FIGURE}`` is a figure,
+``{PART.FIGURE:.2f}`` has other digits than three and ``{PART.FIGURE:.2f plain}`` another summary
+(mean, plain for a mean without its interval, median, worst). A line below a table names the sources
+of its figures and their age; elsewhere ``{PART}`` does so.
 """
 
 import math
@@ -61,7 +63,9 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
         if name is None:
             return source(part, record)
         if name not in record["figures"]:
-            raise KeyError(f"results/{part}.json has no figure {name}; it has {', '.join(record['figures'])}")
+            raise KeyError(
+                f"results/{part}.json has no figure {name}; it has {', '.join(record['figures'])}"
+            )
         records[part] = record
         return shown(record["figures"][name], form or DEFAULT_FORM, summary)
 
@@ -74,16 +78,21 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
     for part, record in records.items():
         file, _, note = source(part, record).partition(" ")
         files.setdefault(note, []).append(file)
-    joined = "; ".join(f"{', '.join(names_of_files)} {note}" for note, names_of_files in files.items())
+    joined = "; ".join(
+        f"{', '.join(names_of_files)} {note}" for note, names_of_files in files.items()
+    )
     return f"{filled_text}\n*Sources: {joined}.*\n"
 
 
 def printed_digits() -> dict[tuple[str, str], float]:
-    """Return the last digit that a document prints of each (part, figure), such as 0.001; the finest of several."""
+    """Return the last digit that a document prints of each (part, figure), such as 0.001; the
+    finest of several."""
     digits: dict[tuple[str, str], float] = {}
     for path in sorted(BLOCKS.glob("*.md")):
         for part, name, form, _ in PLACE.findall(path.read_text()):
-            digits[part, name] = min(last_digit(form or DEFAULT_FORM), digits.get((part, name), math.inf))
+            digits[part, name] = min(
+                last_digit(form or DEFAULT_FORM), digits.get((part, name), math.inf)
+            )
     return digits
 
 
@@ -94,7 +103,8 @@ def last_digit(form: str) -> float:
 
 
 def differing(read: Callable[[str], dict[str, Any]] = load) -> list[Path]:
-    """Return the documents whose blocks, but for the age of their sources, are not as the JSON files have them."""
+    """Return the documents whose blocks, but for the age of their sources, are not as the JSON
+    files have them."""
     paths = []
     for path in documents():
         text = path.read_text()

@@ -1,6 +1,8 @@
-"""What git knows about a figure: the commit at which it was measured, its age and what has changed since.
+"""What git knows about a figure: the commit at which it was measured, its age and what has changed
+since.
 
-A commit that this clone does not have (in a shallow clone, say) has no known age; that is reported, not raised.
+A commit that this clone does not have (in a shallow clone, say) has no known age; that is reported,
+not raised.
 """
 
 import subprocess
@@ -60,11 +62,15 @@ def has_full_history() -> bool:
 def list_commits_since(commit: str) -> set[str]:
     """Return the commits, abbreviated, from one on to HEAD: itself and its descendants."""
     first = run_git("rev-parse", "--short=7", f"{commit}^{{commit}}")
-    later = run_git("rev-list", "--abbrev-commit", "--abbrev=7", "--ancestry-path", f"{commit}..HEAD")
+    later = run_git(
+        "rev-list", "--abbrev-commit", "--abbrev=7", "--ancestry-path", f"{commit}..HEAD"
+    )
     if first is None or later is None:
         raise ValueError(f"commit {commit}: unknown in this clone; see `git log`")
     if not later and first != read_head():
-        raise ValueError(f"commit {commit}: not in the history of HEAD; use one that `git log` lists")
+        raise ValueError(
+            f"commit {commit}: not in the history of HEAD; use one that `git log` lists"
+        )
     return {first, *later.split()}
 
 
@@ -86,13 +92,17 @@ def find_oldest(commits: Sequence[str]) -> tuple[str, int] | None:
 
 
 def list_changes_since(commit: str) -> list[str]:
-    """Return what has changed in the working tree that can change a figure: packages of softfin, uv.lock and so on."""
+    """Return what has changed in the working tree that can change a figure: packages of softfin,
+    uv.lock and so on."""
     paths = run_git("diff", "--name-only", commit, "--", *FIGURE_INPUTS) or ""
-    return sorted({path.removeprefix("src/softfin/").partition("/")[0] for path in paths.splitlines()})
+    return sorted(
+        {path.removeprefix("src/softfin/").partition("/")[0] for path in paths.splitlines()}
+    )
 
 
 def describe_age(commits: Sequence[str]) -> str:
-    """Return the age of a figure as documents state it, such as ``14 commits old on 2026-11-24``."""
+    """Return the age of a figure as documents state it, such as ``14 commits old on
+    2026-11-24``."""
     oldest = find_oldest(commits)
     if oldest is None:
         return UNKNOWN_AGE

@@ -1,7 +1,8 @@
-"""Rerun one seed of every part at full scale and compare its figures with the stated ones: ``make results-quick``.
+"""Rerun one seed of every part at full scale and compare its figures with the stated ones: ``make
+results-quick``.
 
-Steps run in a folder of their own, two at a time on one thread each: their times are not judged. A run that was stopped
-continues at the same commit; after a complete one the next run starts afresh.
+Steps run in a folder of their own, two at a time on one thread each: their times are not judged. A
+run that was stopped continues at the same commit; after a complete one the next run starts afresh.
 """
 
 import json
@@ -26,7 +27,11 @@ SEED = 10
 
 SIMULTANEOUS_STEPS = 2
 
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+ONE_THREAD = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
+}
 """Variables that keep NumPy and XLA to one thread per process."""
 
 REPORT = "report.json"
@@ -61,7 +66,8 @@ def estimate_minutes(table: Mapping[str, Part], folder: Path) -> float:
     for name in table:
         if (folder / f"{name}.json").is_file():
             for step_name, record in load(name, folder)["steps"].items():
-                # One thread takes the processor time of several. Wall time counts only if nothing else ran.
+                # One thread takes the processor time of several. Wall time counts only if nothing
+                # else ran.
                 is_quiet = (record["others_cores"] or 0.0) <= QUIET_CORES
                 wall_s = record["wall_s"] if is_quiet else 0.0
                 last_s[_drop_seed(step_name)] = max(wall_s, record["processor_s"])
@@ -77,12 +83,18 @@ def _drop_seed(step_name: str) -> str:
 
 
 def run_quick(table: Mapping[str, Part], seed: int, work: Path, folder: Path, say: Say) -> int:
-    """Compare one seed of parts with the JSON files in `folder`; write a report; return 1 if figures do not hold."""
+    """Compare one seed of parts with the JSON files in `folder`; write a report; return 1 if
+    figures do not hold."""
     report_file = work / REPORT
     if report_file.is_file():
         shutil.rmtree(work)
-    parts_to_run = {name: part for name, part in table.items() if explain_missing(name, part) is None}
-    say(f"quick: {len(parts_to_run)} parts, about {estimate_minutes(parts_to_run, folder):.0f} minutes on two cores")
+    parts_to_run = {
+        name: part for name, part in table.items() if explain_missing(name, part) is None
+    }
+    say(
+        f"quick: {len(parts_to_run)} parts, about {estimate_minutes(parts_to_run, folder):.0f} "
+        "minutes on two cores"
+    )
     steps = {step.name: step for part in parts_to_run.values() for step in part.steps}
     runner = Runner(work, tuple(steps.values()), environment=ONE_THREAD)
     start_s = time.perf_counter()
@@ -90,7 +102,11 @@ def run_quick(table: Mapping[str, Part], seed: int, work: Path, folder: Path, sa
     results: dict[str, PartResult] = {}
     for name, part in table.items():
         reason = explain_missing(name, part)
-        results[name] = compare_part(name, part, work, folder, failures) if reason is None else PartResult(reason)
+        results[name] = (
+            compare_part(name, part, work, folder, failures)
+            if reason is None
+            else PartResult(reason)
+        )
     far_outside = find_far_outside(results)
     verdict = describe_verdict(results, far_outside)
     report = make_report(results, seed, verdict, (time.perf_counter() - start_s) / 60)
@@ -108,8 +124,11 @@ def explain_missing(name: str, part: Part) -> str | None:
 
 
 def run_steps(runner: Runner, say: Say) -> dict[str, str]:
-    """Run all steps of a runner, some at a time and each after those it needs; return why steps failed, by name."""
-    waiting = [step for step in runner.ordered(tuple(runner.steps.values())) if runner.record(step) is None]
+    """Run all steps of a runner, some at a time and each after those it needs; return why steps
+    failed, by name."""
+    waiting = [
+        step for step in runner.ordered(tuple(runner.steps.values())) if runner.record(step) is None
+    ]
     running: dict[Future[None], Step] = {}
     failures: dict[str, str] = {}
     with ThreadPoolExecutor(SIMULTANEOUS_STEPS) as pool:
@@ -119,7 +138,9 @@ def run_steps(runner: Runner, say: Say) -> dict[str, str]:
                 if failed:
                     failures[step.name] = f"{step.name} needs {failed[0]}, which failed"
                     waiting.remove(step)
-                elif len(running) < SIMULTANEOUS_STEPS and is_ready(step, runner, waiting, running.values()):
+                elif len(running) < SIMULTANEOUS_STEPS and is_ready(
+                    step, runner, waiting, running.values()
+                ):
                     say(f"{step.name}: {step.command}")
                     waiting.remove(step)
                     running[pool.submit(runner.run, step)] = step
@@ -129,7 +150,9 @@ def run_steps(runner: Runner, say: Say) -> dict[str, str]:
                 failure = future.exception()
                 if isinstance(failure, subprocess.CalledProcessError):
                     log = runner.work / f"{step.name}.log"
-                    failures[step.name] = f"{step.name} failed with exit code {failure.returncode}; see {log}"
+                    failures[step.name] = (
+                        f"{step.name} failed with exit code {failure.returncode}; see {log}"
+                    )
                 elif failure is not None:
                     failures[step.name] = f"{step.name} failed: {failure!r}"
                 if failure is not None:
@@ -143,7 +166,9 @@ def is_ready(step: Step, runner: Runner, waiting: Iterable[Step], running: Itera
     return all(needed.name not in unfinished for needed in runner.needs(step))
 
 
-def compare_part(name: str, part: Part, work: Path, folder: Path, failures: Mapping[str, str]) -> PartResult:
+def compare_part(
+    name: str, part: Part, work: Path, folder: Path, failures: Mapping[str, str]
+) -> PartResult:
     """Compare the figures of one seed of a part with its JSON."""
     for step in part.steps:
         if step.name in failures:
@@ -159,9 +184,15 @@ def compare_part(name: str, part: Part, work: Path, folder: Path, failures: Mapp
     return PartResult(None, comparisons=comparisons)
 
 
-def compare_stated(name: str, folder: Path, measured: Mapping[str, Mapping[str, Any]]) -> dict[str, Comparison]:
+def compare_stated(
+    name: str, folder: Path, measured: Mapping[str, Mapping[str, Any]]
+) -> dict[str, Comparison]:
     """Compare measured figures with the JSON of a part."""
-    digits = {figure: digit for (owner, figure), digit in documents.printed_digits().items() if owner == name}
+    digits = {
+        figure: digit
+        for (owner, figure), digit in documents.printed_digits().items()
+        if owner == name
+    }
     default_digit = documents.last_digit(documents.DEFAULT_FORM)
     return compare_figures(load(name, folder)["figures"], measured, digits, default_digit)
 
@@ -182,19 +213,26 @@ def count_all(results: Mapping[str, PartResult], verdict: Verdict) -> int:
 
 
 def has_passed(results: Mapping[str, PartResult], far_outside: Sequence[str]) -> bool:
-    """Return whether no part failed, no figure is missing or far outside, and no more are outside than by chance."""
+    """Return whether no part failed, no figure is missing or far outside, and no more are outside
+    than by chance."""
     if any(result.is_failure for result in results.values()) or far_outside:
         return False
-    inside, outside = count_all(results, "inside"), count_all(results, "outside")
-    return inside > 0 and count_all(results, "missing") == 0 and outside <= allowed_outside(inside + outside)
+    inside = count_all(results, "inside")
+    outside = count_all(results, "outside")
+    return (
+        inside > 0
+        and count_all(results, "missing") == 0
+        and outside <= allowed_outside(inside + outside)
+    )
 
 
 def describe_verdict(results: Mapping[str, PartResult], far_outside: Sequence[str]) -> str:
     """Return the last line of a run, which starts with PASS or FAIL."""
-    inside, outside = count_all(results, "inside"), count_all(results, "outside")
+    inside = count_all(results, "inside")
+    outside = count_all(results, "outside")
     text = (
-        f"{'PASS' if has_passed(results, far_outside) else 'FAIL'}: {inside} figures inside their intervals, "
-        f"{outside} outside (by chance at most {allowed_outside(inside + outside)}), "
+        f"{'PASS' if has_passed(results, far_outside) else 'FAIL'}: {inside} figures inside their "
+        f"intervals, {outside} outside (by chance at most {allowed_outside(inside + outside)}), "
         f"{count_all(results, 'missing')} missing"
     )
     if far_outside:
@@ -202,7 +240,11 @@ def describe_verdict(results: Mapping[str, PartResult], far_outside: Sequence[st
     failed = [name for name, result in results.items() if result.is_failure]
     if failed:
         text += f"; failed: {', '.join(failed)}"
-    not_run = [name for name, result in results.items() if result.reason is not None and not result.is_failure]
+    not_run = [
+        name
+        for name, result in results.items()
+        if result.reason is not None and not result.is_failure
+    ]
     if not_run:
         text += f"; not run: {', '.join(not_run)}"
     return text
@@ -216,14 +258,17 @@ def format_table(results: Mapping[str, PartResult]) -> list[str]:
             state = "FAILED" if result.is_failure else "not run"
             lines.append(f"{name:24} {state}: {result.reason}")
         else:
-            inside, outside, missing = (result.count(verdict) for verdict in ("inside", "outside", "missing"))
+            inside, outside, missing = (
+                result.count(verdict) for verdict in ("inside", "outside", "missing")
+            )
             not_judged = result.count("not judged")
             lines.append(f"{name:24} {inside:7} {outside:7} {missing:7} {not_judged:10}")
     return lines
 
 
 def format_figures(results: Mapping[str, PartResult], folder: Path) -> list[str]:
-    """Return a line for each figure that is not inside: outside, missing, or not judged (times, memory and rates)."""
+    """Return a line for each figure that is not inside: outside, missing, or not judged (times,
+    memory and rates)."""
     lines = []
     for name, result in results.items():
         if result.reason is not None:
@@ -235,9 +280,14 @@ def format_figures(results: Mapping[str, PartResult], folder: Path) -> list[str]
             values = " and ".join(format_value(value) for value in comparison.values) or "-"
             unit = f" {comparison.unit}" if comparison.unit else ""
             line = f"{comparison.verdict}: {name}.{figure} = {values}{unit}"
-            line += f"; stated {shown(stated[figure], '.4g')}" if figure in stated else "; not stated"
+            line += (
+                f"; stated {shown(stated[figure], '.4g')}" if figure in stated else "; not stated"
+            )
             if comparison.verdict == "outside":
-                line += f"; expected {' / '.join(format_interval(*each) for each in comparison.intervals)}"
+                line += (
+                    "; expected "
+                    f"{' / '.join(format_interval(*each) for each in comparison.intervals)}"
+                )
             lines.append(line)
     return sorted(lines, key=lambda line: line.startswith("not judged"))
 
@@ -246,7 +296,11 @@ def format_value(value: Any) -> str:
     """Return a number, or x / y."""
     if value is None:
         return "never"
-    return f"{value:.4g}" if isinstance(value, int | float) else " / ".join(f"{axis:.4g}" for axis in value)
+    return (
+        f"{value:.4g}"
+        if isinstance(value, int | float)
+        else " / ".join(f"{axis:.4g}" for axis in value)
+    )
 
 
 def format_interval(low: float, high: float) -> str:
@@ -254,13 +308,18 @@ def format_interval(low: float, high: float) -> str:
     return f"at most {high:.4g}" if math.isinf(low) else f"{low:.4g} to {high:.4g}"
 
 
-def make_report(results: Mapping[str, PartResult], seed: int, verdict: str, minutes: float) -> dict[str, Any]:
+def make_report(
+    results: Mapping[str, PartResult], seed: int, verdict: str, minutes: float
+) -> dict[str, Any]:
     """Return the JSON of a run."""
     parts = {}
     for name, result in results.items():
         figures = {}
         for figure, comparison in result.comparisons.items():
-            intervals = [[None if math.isinf(end) else end for end in interval] for interval in comparison.intervals]
+            intervals = [
+                [None if math.isinf(end) else end for end in interval]
+                for interval in comparison.intervals
+            ]
             figures[figure] = {**comparison._asdict(), "intervals": intervals}
         parts[name] = {"reason": result.reason, "failed": result.is_failure, "figures": figures}
     return {

@@ -1,8 +1,9 @@
 """The JSON of a part: its figures with the value of every seed, and where they come from.
 
-A figure is ``{"unit", "summary", "seeds", "values"}``. A value is a number, null or a pair x, y. The summary is how a
-document states the figure: ``mean`` with half of its 95% interval by Student's t over the seeds, ``median`` with the
-minimum and maximum, or ``worst``, the maximum. ``"machine_dependent": true`` marks times, memory and rates.
+A figure is ``{"unit", "summary", "seeds", "values"}``. A value is a number, null or a pair x, y.
+The summary is how a document states the figure: ``mean`` with half of its 95% interval by Student's
+t over the seeds, ``median`` with the minimum and maximum, or ``worst``, the maximum.
+``"machine_dependent": true`` marks times, memory and rates.
 """
 
 import json
@@ -64,9 +65,15 @@ def write(part: str, record: Mapping[str, Any], folder: Path = FOLDER) -> None:
     """Write the JSON of a part, a line for each figure and each step."""
     folder.mkdir(parents=True, exist_ok=True)
     nested = {key: record[key] for key in ("figures", "steps") if key in record}
-    lines = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in record.items() if key not in nested]
+    lines = [
+        f"  {json.dumps(key)}: {json.dumps(value)}"
+        for key, value in record.items()
+        if key not in nested
+    ]
     for key, value in nested.items():
-        rows = ",\n".join(f"    {json.dumps(name)}: {json.dumps(row)}" for name, row in value.items())
+        rows = ",\n".join(
+            f"    {json.dumps(name)}: {json.dumps(row)}" for name, row in value.items()
+        )
         lines.append(f"  {json.dumps(key)}: {{\n{rows}\n  }}")
     (folder / f"{part}.json").write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
@@ -81,7 +88,11 @@ def machine() -> dict[str, Any]:
                 processor = line.partition(": ")[2]
                 break
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return {"processor": processor, "cores": cores, "system": f"{platform.system()} {platform.machine()}"}
+    return {
+        "processor": processor,
+        "cores": cores,
+        "system": f"{platform.system()} {platform.machine()}",
+    }
 
 
 def versions() -> dict[str, str]:
@@ -96,7 +107,8 @@ def shown(stated: Mapping[str, Any], form: str = ".3f", summary: str | None = No
     if not values:
         return "\N{EN DASH}"
     if len(values) < len(stated["values"]):
-        # A force that never settles, a search that finds nothing: no mean or median of the others stands for it.
+        # A force that never settles, a search that finds nothing: no mean or median of the others
+        # stands for it.
         return f"not in {len(stated['values']) - len(values)} of {len(stated['values'])}"
     axes = np.atleast_2d(np.asarray(values, float).T)
     unit = f" {stated['unit']}" if summary == "median" and stated["unit"] in UNITS else ""
@@ -108,10 +120,12 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
         return format(values.max(), form)
     if summary == "median":
         least, middle, most = (
-            format(x, form) for x in (values.min(), statistics.median(values.tolist()), values.max())
+            format(x, form)
+            for x in (values.min(), statistics.median(values.tolist()), values.max())
         )
         return middle if least == most else f"{middle} ({least} to {most})"
-    mean, between = format(values.mean(), form), interval(values)
+    mean = format(values.mean(), form)
+    between = interval(values)
     if summary == "plain" or np.allclose(values, values[0], rtol=0, atol=1e-12):
         return mean
     if between is None:
@@ -122,7 +136,8 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
 
 
 def source(part: str, record: Mapping[str, Any]) -> str:
-    """Return where the figures of a part come from: its file, commits, date, seeds, machine and age."""
+    """Return where the figures of a part come from: its file, commits, date, seeds, machine and
+    age."""
     commits = ", ".join(record["commits"])
     commits = f"commit{'s' if len(record['commits']) > 1 else ''} {commits}"
     steps = record["steps"].values()
@@ -132,6 +147,10 @@ def source(part: str, record: Mapping[str, Any]) -> str:
     seeds = f"{num_seeds} seed{'s' if num_seeds > 1 else ''}"
     machine = f"{record['machine']['processor']} with {record['machine']['cores']} cores"
     busy_cores = max((step["others_cores"] or 0.0 for step in steps), default=0.0)
-    load = "quiet" if busy_cores <= QUIET_CORES else f"other programs used up to {busy_cores:.1f} cores"
+    load = (
+        "quiet"
+        if busy_cores <= QUIET_CORES
+        else f"other programs used up to {busy_cores:.1f} cores"
+    )
     age = describe_age(record["commits"])
     return f"`results/{part}.json` ({commits}; {record['date']}; {seeds}; {machine}, {load}; {age})"

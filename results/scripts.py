@@ -1,4 +1,5 @@
-"""What parts need beside softfin's own commands: ``python -m results.scripts NAME ...`` in the work folder."""
+"""What parts need beside softfin's own commands: ``python -m results.scripts NAME ...`` in the work
+folder."""
 
 import json
 import runpy
@@ -10,15 +11,22 @@ from results import ROOT
 
 
 def as_test(dataset: str, out: str) -> None:
-    """Write the training logs of a dataset as the test logs of another: surrogates are compared on test logs."""
+    """Write the training logs of a dataset as the test logs of another: surrogates are compared on
+    test logs."""
     from softfin.storage.dataset import Dataset, write_dataset
 
     data = Dataset.open(Path(dataset))
-    write_dataset(Path(out), data.load(data.train[:1]), data.load(data.train), {"plant": data.description.get("plant")})
+    write_dataset(
+        Path(out),
+        data.load(data.train[:1]),
+        data.load(data.train),
+        {"plant": data.description.get("plant")},
+    )
 
 
 def tank_r2(published: str, out: str, *seeds: str) -> None:
-    """Write R2 of the default tank on 12 unseen segments of each seed, for three ranges of logged velocities."""
+    """Write R2 of the default tank on 12 unseen segments of each seed, for three ranges of logged
+    velocities."""
     import numpy as np
 
     from softfin.core.configuration import read_yaml
@@ -30,13 +38,16 @@ def tank_r2(published: str, out: str, *seeds: str) -> None:
     config = CalibrateConfig.build(read_yaml(ROOT / "docs" / "calibration.yaml"))
     found = {}
     for low in (0.5, 0.3, 0.0):
-        settings, rows = config.merged({"velocity_rad_s": [low, 1.57], "segments": 2}, "tank_r2"), []
+        settings = config.merged({"velocity_rad_s": [low, 1.57], "segments": 2}, "tank_r2")
+        rows = []
         for seed in seeds:
             _, logs, _ = material(load_surrogate(Path(published)), settings, seed=int(seed))
             unseen = cut(logs, settings.test_segments, 1200, 200, "test")
             readings = read(stacked([(settings.tank, settings.recording)]), unseen.command)
             row = scores(np.asarray(readings[0]), unseen)
-            rows.append({channel: row[channel]["r2"] for channel in ("angle", "force_x", "force_y")})
+            rows.append(
+                {channel: row[channel]["r2"] for channel in ("angle", "force_x", "force_y")}
+            )
         found[f"{low:g}"] = rows
     Path(out).mkdir()
     (Path(out) / "r2.json").write_text(json.dumps(found))
@@ -59,10 +70,12 @@ def recurrent(plant: str, out: str, seed: str, steps: str = "30000", seconds: st
 
     config = BaselinesConfig(seed=int(seed), seconds=int(seconds))
     evaluation = evaluate_recurrent(find_plant(plant), config, int(steps))
-    write_baselines({"baselines": {"recurrent_ppo": evaluation.summary()}, "left_out": {}}, Path(out))
+    write_baselines(
+        {"baselines": {"recurrent_ppo": evaluation.summary()}, "left_out": {}}, Path(out)
+    )
 
 
 if __name__ == "__main__":
-    {"as-test": as_test, "tank-r2": tank_r2, "efficiency": efficiency, "recurrent": recurrent}[sys.argv[1]](
-        *sys.argv[2:]
-    )
+    {"as-test": as_test, "tank-r2": tank_r2, "efficiency": efficiency, "recurrent": recurrent}[
+        sys.argv[1]
+    ](*sys.argv[2:])

@@ -1,8 +1,9 @@
 """Steps: commands that run in the work folder, each in a process of its own.
 
-A finished step is reused if it has the same command and ran, without uncommitted changes, at HEAD or at a later commit
-than the one given by ``--since``; and if no step that it needs has run after it. Nothing here decides whether a change
-of the code matters: the record of each step states its commit, and documents state the age of their figures.
+A finished step is reused if it has the same command and ran, without uncommitted changes, at HEAD
+or at a later commit than the one given by ``--since``; and if no step that it needs has run after
+it. Nothing here decides whether a change of the code matters: the record of each step states its
+commit, and documents state the age of their figures.
 """
 
 import contextlib
@@ -57,7 +58,12 @@ class Step(NamedTuple):
 
 
 def step(
-    name: str, command: str, minutes: float, seed: int | None = None, tiny: str = "", extra: str | None = None
+    name: str,
+    command: str,
+    minutes: float,
+    seed: int | None = None,
+    tiny: str = "",
+    extra: str | None = None,
 ) -> Step:
     """Make a step from its command line; softfin's commands write to the step's name."""
     words = (*shlex.split(command), *(("--out", name) if command.startswith("softfin") else ()))
@@ -85,7 +91,9 @@ class Runner:
         self._environment = environment or {}
         # Code without a commit has run nothing yet.
         is_reusable = since is not None or not history.has_changes()
-        self._reusable_commits = history.list_commits_since(since or "HEAD") if is_reusable else set()
+        self._reusable_commits = (
+            history.list_commits_since(since or "HEAD") if is_reusable else set()
+        )
         self._records_of_this_run: dict[str, dict[str, Any]] = {}
 
     def needs(self, each: Step) -> list[Step]:
@@ -131,9 +139,13 @@ class Runner:
         needed = [self.record(other) for other in self.needs(each)]
         start_file = self._file(each, "begun")
         start = json.dumps([each.command, commit, [record and record["date"] for record in needed]])
-        # A checkpoint of other code, or of uncommitted code, which may have changed since, is not continued.
+        # A checkpoint of other code, or of uncommitted code, which may have changed since, is not
+        # continued.
         continues = (
-            each.words[1] in RESUMED and not has_changes and start_file.is_file() and start_file.read_text() == start
+            each.words[1] in RESUMED
+            and not has_changes
+            and start_file.is_file()
+            and start_file.read_text() == start
         )
         if not continues:
             out = self.work / each.name
@@ -166,14 +178,21 @@ class Runner:
         """Run a command; return its times, its memory and the load of the machine."""
         import_path = os.pathsep.join((str(ROOT / "src"), str(ROOT)))
         # Each step compiles its programs itself, so that times do not depend on what ran before.
-        environment = {**os.environ, **self._environment, "SOFTFIN_CACHE": "off", "PYTHONPATH": import_path}
+        environment = {
+            **os.environ,
+            **self._environment,
+            "SOFTFIN_CACHE": "off",
+            "PYTHONPATH": import_path,
+        }
         load_before = os.getloadavg()[0]
         busy_before_s = _busy_s()
         start_s = time.perf_counter()
         with contextlib.ExitStack() as files:
             output = files.enter_context(self._file(each, "out").open("w"))
             log = files.enter_context(self._file(each, "log").open("w"))
-            process = subprocess.Popen(words, cwd=self.work, env=environment, stdout=output, stderr=log)
+            process = subprocess.Popen(
+                words, cwd=self.work, env=environment, stdout=output, stderr=log
+            )
             _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
@@ -200,7 +219,9 @@ class Runner:
             return None
         record: dict[str, Any] = json.loads(file.read_text())
         is_reusable = (
-            record["command"] == each.command and not record["changed"] and record["commit"] in self._reusable_commits
+            record["command"] == each.command
+            and not record["changed"]
+            and record["commit"] in self._reusable_commits
         )
         return record if is_reusable else None
 
@@ -210,12 +231,15 @@ class Runner:
 
 def _runnable(words: Sequence[str]) -> list[str]:
     first, *rest = words
-    rest = [str(ROOT / word) if (ROOT / word).is_file() else os.path.expandvars(word) for word in rest]
+    rest = [
+        str(ROOT / word) if (ROOT / word).is_file() else os.path.expandvars(word) for word in rest
+    ]
     return [sys.executable, *(("-m", "softfin.cli") if first == "softfin" else ()), *rest]
 
 
 def _busy_s() -> float | None:
-    """Return the processor time that all programs have used [s]; None if the system does not count it."""
+    """Return the processor time that all programs have used [s]; None if the system does not count
+    it."""
     try:
         user, nice, system = map(int, Path("/proc/stat").read_text().split()[1:4])
     except OSError:

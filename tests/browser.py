@@ -1,4 +1,5 @@
-"""A headless Chromium that tests drive by the DevTools protocol, over a pair of pipes: no port is opened."""
+"""A headless Chromium that tests drive by the DevTools protocol, over a pair of pipes: no port is
+opened."""
 
 import base64
 import json
@@ -16,10 +17,18 @@ from tests.patience import HANG_S
 
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
-    "--headless", "--no-sandbox", "--no-first-run", "--disable-background-networking", "--disable-component-update",
-    "--disable-sync", "--disable-quic", "--disable-gpu", "--hide-scrollbars",
-)  # fmt: skip
-"""Without a GPU: where there is none, its emulation shows five frames a second, and Chromium's own drawing sixty."""
+    "--headless",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-quic",
+    "--disable-gpu",
+    "--hide-scrollbars",
+)
+"""Without a GPU: where there is none, its emulation shows five frames a second, and Chromium's own
+drawing sixty."""
 GRACE_S = 10.0
 """Time to end by itself before it is killed."""
 
@@ -31,7 +40,8 @@ class Browser:
         program = next(filter(None, map(shutil.which, NAMES)), None)
         if program is None:
             needs.give_up("chromium", f"none of {', '.join(NAMES)} is on PATH")
-        self.size, self.program = (width, height), program
+        self.size = (width, height)
+        self.program = program
         self.complaints: list[str] = []
         """Errors and warnings on the console, and exceptions that nothing caught."""
 
@@ -41,15 +51,27 @@ class Browser:
         self.read_from, theirs_out = os.pipe()
         # The protocol's pipes are its descriptors 3 and 4.
         shell = 'exec "$0" "$@" 3<&%d 4>&%d' % (theirs_in, theirs_out)  # noqa: UP031
-        command = [self.program, *FLAGS, "--remote-debugging-pipe", f"--user-data-dir={self.profile}", "about:blank"]
+        command = [
+            self.program,
+            *FLAGS,
+            "--remote-debugging-pipe",
+            f"--user-data-dir={self.profile}",
+            "about:blank",
+        ]
         self.process = subprocess.Popen(
-            ["/bin/bash", "-c", shell, *command], pass_fds=(theirs_in, theirs_out), stderr=subprocess.DEVNULL
+            ["/bin/bash", "-c", shell, *command],
+            pass_fds=(theirs_in, theirs_out),
+            stderr=subprocess.DEVNULL,
         )
         os.close(theirs_in)
         os.close(theirs_out)
-        self.rest, self.count, self.session = b"", 0, None
+        self.rest = b""
+        self.count = 0
+        self.session = None
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
         self.resize(*self.size)
@@ -82,28 +104,45 @@ class Browser:
     def open(self, page: Path, state: str = "") -> None:
         """Open a file, and wait until it has drawn twice."""
         self.call("Page.navigate", url=f"{page.as_uri()}{state}")
-        self.run("new Promise((done) => document.readyState === 'complete' ? done() : addEventListener('load', done))")
+        self.run(
+            "new Promise((done) => document.readyState === 'complete' ? done() : "
+            "addEventListener('load', done))"
+        )
         self.frames(2)
 
     def run(self, script: str) -> Any:
         """Value of an expression in the page, that of its promise where it is one."""
-        result = self.call("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        result = self.call(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
     def frames(self, count: int) -> None:
         """Wait for so many frames."""
-        self.run(f"(async () => {{ for (let k = 0; k < {count}; k++) await new Promise(requestAnimationFrame); }})()")
+        self.run(
+            f"(async () => {{ for (let k = 0; k < {count}; k++) await new "
+            "Promise(requestAnimationFrame); })()"
+        )
 
     def resize(self, width: int, height: int, touch: bool = False) -> None:
         """Show the page at this size, or as on a phone."""
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=touch)
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=touch,
+        )
         self.call("Emulation.setTouchEmulationEnabled", enabled=touch)
 
     def dark(self, dark: bool) -> None:
         """Prefer dark or light colours."""
         value = "dark" if dark else "light"
-        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": value}])
+        self.call(
+            "Emulation.setEmulatedMedia",
+            features=[{"name": "prefers-color-scheme", "value": value}],
+        )
 
     def mouse(self, kind: str, x: float, y: float) -> None:
         """Send mousePressed, mouseMoved or mouseReleased, with the left button down."""
@@ -112,17 +151,30 @@ class Browser:
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:
         """Send touchStart, touchMove or touchEnd."""
-        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y} for x, y in points])
+        self.call(
+            "Input.dispatchTouchEvent", type=kind, touchPoints=[{"x": x, "y": y} for x, y in points]
+        )
 
     def press(self, key: str, code: int, shift: bool = False, text: str | None = None) -> None:
         """Press a key and let it go."""
-        given: dict[str, Any] = {"key": key, "windowsVirtualKeyCode": code, "modifiers": 8 if shift else 0}
-        self.call("Input.dispatchKeyEvent", type="keyDown", **given, **({} if text is None else {"text": text}))
+        given: dict[str, Any] = {
+            "key": key,
+            "windowsVirtualKeyCode": code,
+            "modifiers": 8 if shift else 0,
+        }
+        self.call(
+            "Input.dispatchKeyEvent",
+            type="keyDown",
+            **given,
+            **({} if text is None else {"text": text}),
+        )
         self.call("Input.dispatchKeyEvent", type="keyUp", **given)
 
     def screenshot(self, path: Path) -> None:
         """Write what is shown as PNG."""
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        path.write_bytes(
+            base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        )
 
     def _read(self) -> dict[str, Any]:
         end = time.monotonic() + HANG_S

@@ -1,7 +1,8 @@
-"""Hooks of pytest: which files of tests take longest, how much of it JAX compiles, and a limit that no file may pass.
+"""Hooks of pytest: which files of tests take longest, how much of it JAX compiles, and a limit that
+no file may pass.
 
-Counted is processor time, of child processes too, and the limit is a part of all of it: neither a busy machine nor a
-slow one fails anybody.
+Counted is processor time, of child processes too, and the limit is a part of all of it: neither a
+busy machine nor a slow one fails anybody.
 """
 
 import os
@@ -13,8 +14,8 @@ from benchmarks.compilation import Compilation
 
 SHOWN = 10
 BUDGET = 0.15
-"""Greatest part of all processor time that one file may take, since one worker runs it as a whole; the commands of the
-documents, the largest, take 0.10."""
+"""Greatest part of all processor time that one file may take, since one worker runs it as a whole;
+the commands of the documents, the largest, take 0.10."""
 
 WHOLE = 100
 """Files in a run from which on parts of it mean something."""
@@ -30,7 +31,8 @@ def _now() -> dict[str, float]:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Any:
-    """With what was used since the last report; properties of a report come from the workers to the controller."""
+    """With what was used since the last report; properties of a report come from the workers to the
+    controller."""
     report = yield
     now = _now()
     report.user_properties = [(name, now[name] - _last[name]) for name in now]
@@ -39,11 +41,19 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 LONGEST_FIRST = (
-    "tests/test_documented_runs.py", "tests/cli/test_robot.py", "tests/end_to_end/test_stages.py",
-    "tests/robot/test_train.py", "tests/rig/test_session.py", "tests/tank/calibration/test_calibrate.py",
-    "tests/test_documentation.py", "tests/learning/test_ppo.py", "tests/rig/test_soak.py", "tests/robot/test_trial.py",
-)  # fmt: skip
-"""Files that the others are then dealt out around, so that no worker waits for another at the end."""
+    "tests/test_documented_runs.py",
+    "tests/cli/test_robot.py",
+    "tests/end_to_end/test_stages.py",
+    "tests/robot/test_train.py",
+    "tests/rig/test_session.py",
+    "tests/tank/calibration/test_calibrate.py",
+    "tests/test_documentation.py",
+    "tests/learning/test_ppo.py",
+    "tests/rig/test_soak.py",
+    "tests/robot/test_trial.py",
+)
+"""Files that the others are then dealt out around, so that no worker waits for another at the
+end."""
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -82,15 +92,20 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
         return
     shown = int(os.environ.get("SOFTFIN_SLOWEST", SHOWN))
     terminalreporter.section(f"the {min(shown, len(files))} slowest of {len(files)} files")
-    lines = [(file, *(_seconds[name][file] for name in _seconds)) for file, _ in files.most_common(shown)]
+    lines = [
+        (file, *(_seconds[name][file] for name in _seconds)) for file, _ in files.most_common(shown)
+    ]
     lines.append(("all", *(sum(column.values()) for column in _seconds.values())))
     for file, wall_s, processor_s, compiling_s in lines:
         line = (
-            f"{processor_s:7.1f} s of processor time, {wall_s:7.1f} s, {compiling_s:7.1f} s of them compiling  {file}"
+            f"{processor_s:7.1f} s of processor time, {wall_s:7.1f} s, {compiling_s:7.1f} s of "
+            f"them compiling  {file}"
         )
         terminalreporter.write_line(line)
     for file in beyond_budget():
-        terminalreporter.write_line(f"{file}: more than {BUDGET:.0%} of all processor time; make its tests share more")
+        terminalreporter.write_line(
+            f"{file}: more than {BUDGET:.0%} of all processor time; make its tests share more"
+        )
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

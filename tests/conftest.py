@@ -7,13 +7,16 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
-# Most of the tests' time is compilation. They run so little of a program that optimising it takes longer, and many
-# compile the same ones, so that all workers share a cache.
+# Most of the tests' time is compilation. They run so little of a program that optimising it takes
+# longer, and many compile the same ones, so that all workers share a cache.
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 if version("jaxlib") == "0.10.2":
-    # The older of its code generators is twice as quick; XLA ends a process over a flag that it does not know.
+    # The older of its code generators is twice as quick; XLA ends a process over a flag that it
+    # does not know.
     os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
-os.environ.setdefault("SOFTFIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
+os.environ.setdefault(
+    "SOFTFIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "programs")
+)
 
 from softfin.core.program_cache import use_program_cache
 
@@ -40,16 +43,21 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # As in the command line: tracing makes millions of small objects.
 gc.set_threshold(50_000, 20, 10)
 jaxtyping.install_import_hook("softfin", "beartype.beartype")
-# Hypothesis fails examples that take longer than 200 ms, or whose data are drawn slowly: no matter of the code but of
-# the computer and of what else runs on it.
-hypothesis.settings.register_profile("softfin", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+# Hypothesis fails examples that take longer than 200 ms, or whose data are drawn slowly: no matter
+# of the code but of the computer and of what else runs on it.
+hypothesis.settings.register_profile(
+    "softfin", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+)
 hypothesis.settings.load_profile("softfin")
 
-PUBLISHED = Path(os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published"))
+PUBLISHED = Path(
+    os.environ.get("SOFTFIN_PUBLISHED", Path(__file__).parents[2] / "shared" / "published")
+)
 
 
 MAPPINGS = 30_000
-"""Stretches of memory after which compiled programs are dropped: Linux gives a process 65,530, and ends it beyond."""
+"""Stretches of memory after which compiled programs are dropped: Linux gives a process 65,530, and
+ends it beyond."""
 
 MEMORY_BYTES = 1_500_000_000
 """Of a worker, after which they are dropped, too."""
@@ -71,6 +79,9 @@ def few_programs() -> Iterator[None]:
 def published() -> Path:
     """The folder of the authors' published networks, which are not part of softfin."""
     if not (PUBLISHED / "cnn_pos_net.keras").is_file():
-        reason = f"the authors' published networks are not at {PUBLISHED}; set SOFTFIN_PUBLISHED to their folder"
+        reason = (
+            f"the authors' published networks are not at {PUBLISHED}; set SOFTFIN_PUBLISHED "
+            "to their folder"
+        )
         needs.give_up("published", reason)
     return PUBLISHED

@@ -1,4 +1,5 @@
-"""What the documents show: their blocks, the commands in them and in their sentences, their links."""
+"""What the documents show: their blocks, the commands in them and in their sentences, their
+links."""
 
 import ast
 import re
@@ -87,7 +88,12 @@ def _blocks(path: Path) -> Iterator[Block]:
         elif lines[at].startswith("    ") and (at == 0 or not lines[at - 1].strip()):
             while at < len(lines) and (lines[at].startswith("    ") or not lines[at].strip()):
                 at += 1
-            yield Block(name_of(path), first, "", "\n".join(line[4:] for line in lines[first - 1 : at]).rstrip())
+            yield Block(
+                name_of(path),
+                first,
+                "",
+                "\n".join(line[4:] for line in lines[first - 1 : at]).rstrip(),
+            )
             continue
         at += 1
 
@@ -120,7 +126,8 @@ def prose_of(path: Path) -> str:
 
 @cache
 def commands() -> tuple[Shown, ...]:
-    """All of them, in the order of the documents; those in sentences behind those of their document's blocks."""
+    """All of them, in the order of the documents; those in sentences behind those of their
+    document's blocks."""
     found = [shown for block in blocks() for shown in _commands(block)]
     for document, line, text in spans():
         if text.split()[0] in PROGRAMS and " " in text:
@@ -144,7 +151,12 @@ def _commands(block: Block) -> Iterator[Shown]:
             words = _split(text.replace("\0", " "))
             answer = lines[i + 1] if prompted and i + 1 < len(lines) else ""
             yield Shown(
-                block.document, at, words, False, answer.startswith(" ".join(words[:2]) + ": "), block.kind == CELL
+                block.document,
+                at,
+                words,
+                False,
+                answer.startswith(" ".join(words[:2]) + ": "),
+                block.kind == CELL,
             )
         at += 1 + line.count("\0")
 

@@ -1,7 +1,8 @@
-"""What some tests need beside the Python packages of `make setup`: they skip without it, or fail where it is required.
+"""What some tests need beside the Python packages of `make setup`: they skip without it, or fail
+where it is required.
 
-SOFTFIN_REQUIRE lists what must be there, as in SOFTFIN_REQUIRE="node chromium". `.ci/run` sets it, so that a test that
-cannot run there is noticed.
+SOFTFIN_REQUIRE lists what must be there, as in SOFTFIN_REQUIRE="node chromium". `.ci/run` sets it,
+so that a test that cannot run there is noticed.
 """
 
 import importlib
@@ -17,7 +18,9 @@ def required() -> frozenset[str]:
     """Return what SOFTFIN_REQUIRE lists."""
     listed = frozenset(os.environ.get("SOFTFIN_REQUIRE", "").split())
     if unknown := sorted(listed.difference(NAMES)):
-        raise pytest.UsageError(f"SOFTFIN_REQUIRE: {', '.join(unknown)} unknown; use {', '.join(NAMES)}")
+        raise pytest.UsageError(
+            f"SOFTFIN_REQUIRE: {', '.join(unknown)} unknown; use {', '.join(NAMES)}"
+        )
     return listed
 
 

@@ -1,7 +1,9 @@
-"""How long the tests wait for whatever runs beside them in real time: processes, threads, sockets, browsers.
+"""How long the tests wait for whatever runs beside them in real time: processes, threads, sockets,
+browsers.
 
-A limit on waiting only ends a test that hangs. It must not fail a correct program because the computer is slow or busy,
-so there is one limit for all, far above what the slowest of them takes; tests/test_time_limits.py finds others.
+A limit on waiting only ends a test that hangs. It must not fail a correct program because the
+computer is slow or busy, so there is one limit for all, far above what the slowest of them takes;
+tests/test_time_limits.py finds others.
 """
 
 import time

@@ -1,4 +1,5 @@
-"""A small analytic fin for tests: a first-order drive under a speed limit, and a force with the square of its speed."""
+"""A small analytic fin for tests: a first-order drive under a speed limit, and a force with the
+square of its speed."""
 
 from typing import NamedTuple
 
@@ -19,10 +20,13 @@ class FinState(NamedTuple):
 
 
 class AnalyticFin(eqx.Module):
-    """Angle goes to its target with time constant `lag_s`, no faster than commanded; force = gain v|v| (cos, -sin)."""
+    """Angle goes to its target with time constant `lag_s`, no faster than commanded; force = gain
+    v|v| (cos, -sin)."""
 
     gain: Float[Array, ""] = eqx.field(default=0.5, converter=lambda x: jnp.asarray(x, jnp.float32))
-    noise_n: Float[Array, ""] = eqx.field(default=0.01, converter=lambda x: jnp.asarray(x, jnp.float32))
+    noise_n: Float[Array, ""] = eqx.field(
+        default=0.01, converter=lambda x: jnp.asarray(x, jnp.float32)
+    )
     lag_s: float = eqx.field(default=0.05, static=True)
 
     @property
@@ -30,18 +34,25 @@ class AnalyticFin(eqx.Module):
         return PAPER_LIMITS
 
     def init(self, key: PRNGKeyArray) -> FinState:
-        return FinState(jnp.int32(0), jnp.float32(0.0), jax.random.uniform(key, (2,), maxval=1000.0))
+        return FinState(
+            jnp.int32(0), jnp.float32(0.0), jax.random.uniform(key, (2,), maxval=1000.0)
+        )
 
     def advance(self, state: FinState, command: Command, ticks: int) -> tuple[FinState, Reading]:
         def tick(state: FinState, _: None) -> tuple[FinState, Reading]:
-            speed = jnp.clip((command.angle - state.angle) / self.lag_s, -command.velocity, command.velocity)
+            speed = jnp.clip(
+                (command.angle - state.angle) / self.lag_s, -command.velocity, command.velocity
+            )
             angle = state.angle + speed * TICK_S
             count = state.ticks + 1
             direction = jnp.stack([jnp.cos(angle), -jnp.sin(angle)])
-            # A fast tone of random phase: as good as noise to these tests, and compiled in a fraction of the time.
+            # A fast tone of random phase: as good as noise to these tests, and compiled in a
+            # fraction of the time.
             noise = self.noise_n * jnp.sqrt(2.0) * jnp.sin(state.phase + 12.9898 * count)
             force = self.gain * speed**2 * direction + noise
-            return FinState(count, angle, state.phase), Reading(count * jnp.float32(TICK_S), angle, speed, force)
+            return FinState(count, angle, state.phase), Reading(
+                count * jnp.float32(TICK_S), angle, speed, force
+            )
 
         return jax.lax.scan(tick, state, None, ticks)
 
@@ -62,7 +73,8 @@ class PlainFin:
 
 
 class Flapper(eqx.Module):
-    """A controller that swings between two angles whatever the reference; remembers which side is next."""
+    """A controller that swings between two angles whatever the reference; remembers which side is
+    next."""
 
     angle: float = 0.8
     velocity: float = 3.0
@@ -80,14 +92,18 @@ class Flapper(eqx.Module):
 
 
 class StrokeFin(eqx.Module):
-    """No dynamics but the shaft's place: a stroke to a target pushes steadily, the more the longer and faster it is.
+    """No dynamics but the shaft's place: a stroke to a target pushes steadily, the more the longer
+    and faster it is.
 
-    F = gain velocity (1 - cos(stroke)) (cos m, -sin m) + bias, m the middle of the stroke: a smooth function of the
-    commands, and of 3 x 2 numbers alone for a gait of three strokes. About 3 N at most in +x, none in -x.
+    F = gain velocity (1 - cos(stroke)) (cos m, -sin m) + bias, m the middle of the stroke: a smooth
+    function of the commands, and of 3 x 2 numbers alone for a gait of three strokes. About 3 N at
+    most in +x, none in -x.
     """
 
     gain: Float[Array, ""] = eqx.field(default=0.5, converter=lambda x: jnp.asarray(x, jnp.float32))
-    bias: Float[Array, "2"] = eqx.field(default=(0.0, 0.0), converter=lambda x: jnp.asarray(x, jnp.float32))
+    bias: Float[Array, "2"] = eqx.field(
+        default=(0.0, 0.0), converter=lambda x: jnp.asarray(x, jnp.float32)
+    )
     """[N], whatever the fin does."""
 
     @property
@@ -101,7 +117,8 @@ class StrokeFin(eqx.Module):
         self, state: tuple[Float[Array, ""], Float[Array, ""]], command: Command, ticks: int
     ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Reading]:
         time, angle = state
-        stroke, middle = command.angle - angle, (command.angle + angle) / 2
+        stroke = command.angle - angle
+        middle = (command.angle + angle) / 2
         push = self.gain * command.velocity * (1 - jnp.cos(stroke))
         force = push * jnp.stack([jnp.cos(middle), -jnp.sin(middle)]) + self.bias
         ones = jnp.ones(ticks)
@@ -122,7 +139,9 @@ class Misread(PlainFin):
 
     def advance(self, state, command, ticks):
         state, reading = super().advance(state, command, ticks)
-        return (state, reading.force[-1]), reading._replace(force=reading.force + jnp.array([0.4, 0.0]))
+        return (state, reading.force[-1]), reading._replace(
+            force=reading.force + jnp.array([0.4, 0.0])
+        )
 
     def init(self, key):
         return super().init(key), jnp.zeros(2)

@@ -1,4 +1,5 @@
-"""What the commands of the documents name, at tiny sizes: logs, networks with random weights, controllers, a map.
+"""What the commands of the documents name, at tiny sizes: logs, networks with random weights,
+controllers, a map.
 
 Nothing is recorded, learnt or searched for: what is asked of them is to be there and to be read.
 """
@@ -43,18 +44,29 @@ COARSE = {"fin": {"plates": 2}, "steps_per_tick": 4}
 ROWS = 700
 """Of a log."""
 
-AUTHORS = MappingProxyType({
-    "command angle": "command_angle_rad", "command velocity": "command_velocity_rad_s", "position": "angle_rad",
-    "force x": "force_x_n", "force y": "force_y_n",
-})  # fmt: skip
+AUTHORS = MappingProxyType(
+    {
+        "command angle": "command_angle_rad",
+        "command velocity": "command_velocity_rad_s",
+        "position": "angle_rad",
+        "force x": "force_x_n",
+        "force y": "force_y_n",
+    }
+)
 """Their columns, and softfin's."""
 
-MAPPING = ",".join(f"{own.removesuffix('_rad').removesuffix('_n').removesuffix('_rad_s')}={name}"
-                   for name, own in AUTHORS.items())  # fmt: skip
+MAPPING = ",".join(
+    f"{own.removesuffix('_rad').removesuffix('_n').removesuffix('_rad_s')}={name}"
+    for name, own in AUTHORS.items()
+)
 """What ``...`` stands for behind --columns."""
 
-FIT = {"epochs": 1, "batch": 64, "posnet": paper.POSNET.model_dump(mode="json"),
-       "forcenet": paper.FORCENET.model_dump(mode="json")}  # fmt: skip
+FIT = {
+    "epochs": 1,
+    "batch": 64,
+    "posnet": paper.POSNET.model_dump(mode="json"),
+    "forcenet": paper.FORCENET.model_dump(mode="json"),
+}
 STREAMING = streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "force_updates": 2}
 
 CELL = {"low": [0.5, -1.5], "high": [1.5, -0.5]}
@@ -69,27 +81,43 @@ LEARNING = {"warm_start": False, "num_envs": 2, "num_steps": 3, "learning_rate":
 GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
 """One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {
-    "survey": {"batch": 704, "directions": 8, "pushes": 0}, "gaits": {"steps": 6},
-    "box": {"low": [1, -1], "high": [2, 0]}, "spacing_n": 1,
-}  # fmt: skip
+    "survey": {"batch": 704, "directions": 8, "pushes": 0},
+    "gaits": {"steps": 6},
+    "box": {"low": [1, -1], "high": [2, 0]},
+    "spacing_n": 1,
+}
 CALIBRATE = {
-    "segments": 4, "test_segments": 4, "segment_s": 1, "warm_up_s": 0.2, "block_s": 0.04, "iterations": 1,
+    "segments": 4,
+    "test_segments": 4,
+    "segment_s": 1,
+    "warm_up_s": 0.2,
+    "block_s": 0.04,
+    "iterations": 1,
     "tank": COARSE,
-}  # fmt: skip
+}
 
-CONFIGURATIONS = MappingProxyType({
-    "streaming.yaml": STREAMING,
-    "paper.yaml": FIT,
-    "map.yaml": MAP,
-    "train.yaml": GRADIENT,
-    "train-all.yaml": {**GRADIENT, "cells": [PAPER_RANGE.model_dump(mode="json")]},
-    # The parameters of the document, so that one program calibrates in both.
-    "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
-    "tank.yaml": COARSE,
-    "baselines.yaml": {
-        "search": {"seconds": 3, "centres": 3, "amplitudes": 2, "frequencies_hz": [1], "refinements": 0, "gaits": 4}
-    },
-})  # fmt: skip
+CONFIGURATIONS = MappingProxyType(
+    {
+        "streaming.yaml": STREAMING,
+        "paper.yaml": FIT,
+        "map.yaml": MAP,
+        "train.yaml": GRADIENT,
+        "train-all.yaml": {**GRADIENT, "cells": [PAPER_RANGE.model_dump(mode="json")]},
+        # The parameters of the document, so that one program calibrates in both.
+        "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
+        "tank.yaml": COARSE,
+        "baselines.yaml": {
+            "search": {
+                "seconds": 3,
+                "centres": 3,
+                "amplitudes": 2,
+                "frequencies_hz": [1],
+                "refinements": 0,
+                "gaits": 4,
+            }
+        },
+    }
+)
 """Files for --config that make each stage as small as it can be."""
 
 
@@ -103,7 +131,9 @@ def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
 def dataset(path: Path) -> None:
     """Three logs and one to score on, as if of the tank."""
     logs = [streaming.recorded(ROWS, seed) for seed in range(4)]
-    write_dataset(path, logs[:3], logs[3:], {"plant": PLANT, "plant_identity": identity(find_plant(PLANT))})
+    write_dataset(
+        path, logs[:3], logs[3:], {"plant": PLANT, "plant_identity": identity(find_plant(PLANT))}
+    )
 
 
 def recordings(path: Path) -> None:
@@ -114,7 +144,8 @@ def recordings(path: Path) -> None:
 
 
 def authors(path: Path) -> None:
-    """One CSV file of two logs, end to end, in degrees, with swapped axes and without a column of time."""
+    """One CSV file of two logs, end to end, in degrees, with swapped axes and without a column of
+    time."""
     path.mkdir()
     logs = [columns_of(streaming.recorded(ROWS, seed)) for seed in range(2)]
     whole = {name: np.concatenate([log[own] for log in logs]) for name, own in AUTHORS.items()}
@@ -129,10 +160,13 @@ def run_csv(path: Path) -> None:
     """A CSV file with names and units of one's own, and without a velocity of the command."""
     columns = columns_of(streaming.recorded(ROWS))
     own = {
-        "t [ms]": columns["time_s"] * 1000, "cmd angle [deg]": np.rad2deg(columns["command_angle_rad"]),
-        "theta [deg]": np.rad2deg(columns["angle_rad"]), "Fx [N]": columns["force_x_n"], "Fy [N]": columns["force_y_n"],
+        "t [ms]": columns["time_s"] * 1000,
+        "cmd angle [deg]": np.rad2deg(columns["command_angle_rad"]),
+        "theta [deg]": np.rad2deg(columns["angle_rad"]),
+        "Fx [N]": columns["force_x_n"],
+        "Fy [N]": columns["force_y_n"],
         "temperature": np.full(ROWS, 20.0),
-    }  # fmt: skip
+    }
     _csv(path, own)
 
 
@@ -162,10 +196,19 @@ def mcap(path: Path) -> None:
 def keras_posnet(path: Path) -> None:
     """As the authors' file, but smaller."""
     random = np.random.default_rng(0)
-    conv = {"filters": 2, "kernel_size": [3], "padding": "same", "strides": [1], "activation": "relu"}
+    conv = {
+        "filters": 2,
+        "kernel_size": [3],
+        "padding": "same",
+        "strides": [1],
+        "activation": "relu",
+    }
     layers = [("Conv1D", conv), ("Flatten", {}), ("Dense", {"units": 1, "activation": "linear"})]
     shapes = {"conv1d": ((3, WINDOW, 2), (2,)), "dense": ((4, 1), (1,))}
-    weights = {name: [random.normal(size=shape).astype(np.float32) for shape in some] for name, some in shapes.items()}
+    weights = {
+        name: [random.normal(size=shape).astype(np.float32) for shape in some]
+        for name, some in shapes.items()
+    }
     write_keras(path, layers, 2, weights)
 
 
@@ -174,7 +217,10 @@ def keras_forcenet(path: Path) -> None:
     random = np.random.default_rng(1)
     layers = [lstm_layer(3, False), ("Dense", {"units": 2, "activation": "linear"})]
     shapes = {"lstm/cell": ((WINDOW, 12), (3, 12), (12,)), "dense": ((3, 2), (2,))}
-    weights = {name: [random.normal(size=shape).astype(np.float32) for shape in some] for name, some in shapes.items()}
+    weights = {
+        name: [random.normal(size=shape).astype(np.float32) for shape in some]
+        for name, some in shapes.items()
+    }
     write_keras(path, layers, 3, weights)
 
 
@@ -188,7 +234,9 @@ def surrogate(path: Path) -> None:
     fitted = streaming.surrogate()
     # Others of one configuration differ by what they learnt.
     fitted = eqx.tree_at(
-        lambda s: s.members.force.offset, fitted, replace_fn=lambda x: x + zlib.crc32(path.name.encode()) % 100
+        lambda s: s.members.force.offset,
+        fitted,
+        replace_fn=lambda x: x + zlib.crc32(path.name.encode()) % 100,
     )
     save_surrogate(path, fitted, None, {"data_hash": "dataset"}, configuration=STREAMING)
 
@@ -201,7 +249,9 @@ def paper_surrogate(path: Path) -> None:
         COMMAND_COLUMNS, (PAPER_LIMITS.angle_min, 0.5), (PAPER_LIMITS.angle_max, 3.2), strict=True
     ):
         width = high - low
-        scaling[name] = ChannelScaling(scale=1 / width, offset=-low / width, data_min=low, data_max=high)
+        scaling[name] = ChannelScaling(
+            scale=1 / width, offset=-low / width, data_min=low, data_max=high
+        )
     nets = Surrogate(nets.posnet, nets.forcenet, Scaling(channels=scaling))
     save_surrogate(path, nets, None, {"data_hash": path.name}, configuration=FIT)
 
@@ -222,17 +272,35 @@ def force_map(path: Path) -> None:
     save_map(path, KNOWN, MapConfig(), Limits(*map(float, plant.limits)), origin)
 
 
-MAKERS = MappingProxyType({
-    "dataset": dataset, "same": dataset, "two": dataset, "five": dataset,
-    "recordings": recordings, "authors": authors, "run.csv": run_csv, "run1": bag,
-    "run.mcap": mcap, "dataset-bags/train-0000.mcap": mcap,
-    "cnn_pos_net.keras": keras_posnet, "lstm_force_net.keras": keras_forcenet, "scalers.json": scalers,
-    "surrogate": surrogate, "other": surrogate, "first": surrogate,
-    "streaming-0": surrogate, "streaming-1": surrogate, "streaming-2": surrogate,
-    "paper-0": paper_surrogate, "published": paper_surrogate,
-    "controller": controller, "single": controller, "run/single/seed-0": controller,
-    "map": force_map,
-})  # fmt: skip
+MAKERS = MappingProxyType(
+    {
+        "dataset": dataset,
+        "same": dataset,
+        "two": dataset,
+        "five": dataset,
+        "recordings": recordings,
+        "authors": authors,
+        "run.csv": run_csv,
+        "run1": bag,
+        "run.mcap": mcap,
+        "dataset-bags/train-0000.mcap": mcap,
+        "cnn_pos_net.keras": keras_posnet,
+        "lstm_force_net.keras": keras_forcenet,
+        "scalers.json": scalers,
+        "surrogate": surrogate,
+        "other": surrogate,
+        "first": surrogate,
+        "streaming-0": surrogate,
+        "streaming-1": surrogate,
+        "streaming-2": surrogate,
+        "paper-0": paper_surrogate,
+        "published": paper_surrogate,
+        "controller": controller,
+        "single": controller,
+        "run/single/seed-0": controller,
+        "map": force_map,
+    }
+)
 """By the names that the documents give."""
 
 

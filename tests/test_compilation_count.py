@@ -29,4 +29,8 @@ def test_what_is_compiled_while_another_program_is_traced_is_not_counted_twice(
     assert [compilation.seconds(event) for event in (TRACE, LOWER, XLA)] == [1 + 6, 3, 3 + 7]
     assert compilation.seconds() == 20
     assert compilation.seconds_of[TRACE, "large elsewhere"] == 6
-    assert (compilation.programs, compilation.programs_of["small elsewhere"], compilation.cache_hits) == (3, 2, 1)
+    assert (
+        compilation.programs,
+        compilation.programs_of["small elsewhere"],
+        compilation.cache_hits,
+    ) == (3, 2, 1)

@@ -1,4 +1,5 @@
-"""A constant has one value: two modules that give a name different values mean two things, which need two names."""
+"""A constant has one value: two modules that give a name different values mean two things, which
+need two names."""
 
 import ast
 from collections import defaultdict
@@ -31,7 +32,9 @@ def pairs(target: ast.expr, value: ast.expr) -> list[tuple[str, ast.expr]]:
     if isinstance(target, ast.Tuple):
         # What is unpacked from a call counts as a whole for each name.
         values = value.elts if isinstance(value, ast.Tuple) else [value] * len(target.elts)
-        return [pair for each, its in zip(target.elts, values, strict=True) for pair in pairs(each, its)]
+        return [
+            pair for each, its in zip(target.elts, values, strict=True) for pair in pairs(each, its)
+        ]
     return []
 
 

@@ -1,4 +1,5 @@
-"""What README and docs show can be typed as it stands: commands, options, configurations, names, links."""
+"""What README and docs show can be typed as it stands: commands, options, configurations, names,
+links."""
 
 import contextlib
 import inspect
@@ -83,7 +84,8 @@ class Parsed(Exception):
 
 
 def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> object:
-    """What the command line makes of these words, its configuration included; it ends where it refuses them."""
+    """What the command line makes of these words, its configuration included; it ends where it
+    refuses them."""
 
     def run(arguments: object) -> None:
         raise Parsed(arguments)
@@ -140,7 +142,9 @@ def test_a_command_of_a_block_is_understood_as_it_stands(shown, monkeypatch, tmp
     understood(softfin_words(shown), monkeypatch)
 
 
-@pytest.mark.parametrize("shown", [shown for shown in IN_SENTENCES if softfin_words(shown)], ids=str)
+@pytest.mark.parametrize(
+    "shown", [shown for shown in IN_SENTENCES if softfin_words(shown)], ids=str
+)
 def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(shown, monkeypatch):
     completed(softfin_words(shown), monkeypatch)
 
@@ -158,7 +162,9 @@ def completed(words, monkeypatch):
     assert name in COMMANDS
     refusals = []
     for value in ((), ("1",)):
-        for places, missing in product(((), ("x",), ("check",), ("recover", "x"), ("x", "x")), subsets(required(name))):
+        for places, missing in product(
+            ((), ("x",), ("check",), ("recover", "x"), ("x", "x")), subsets(required(name))
+        ):
             try:
                 understood((name, *places, *rest, *value, *missing), monkeypatch)
             except (SystemExit, ConfigurationError, pytest.fail.Exception) as error:
@@ -177,7 +183,9 @@ def required(name: str) -> list[str]:
 def subsets(names: list[str]) -> list[tuple[str, ...]]:
     """Each with a value for every name."""
     some = chain.from_iterable(combinations(names, count) for count in range(len(names) + 1))
-    return [tuple(word for name in names for word in (name, VALUES.get(name, "x"))) for names in some]
+    return [
+        tuple(word for name in names for word in (name, VALUES.get(name, "x"))) for names in some
+    ]
 
 
 VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
@@ -187,9 +195,15 @@ VALUES = {"--reference": "1,0", "--onnx": "x.onnx"}
 @cache
 def options() -> set[str]:
     """Of all commands and scripts."""
-    names = {field.name.removeprefix("--") for command in COMMANDS for field in fields_of(arguments_of(command))}
+    names = {
+        field.name.removeprefix("--")
+        for command in COMMANDS
+        for field in fields_of(arguments_of(command))
+    }
     names |= {"help", "version"}
-    scripts = "".join(path.read_text() for folder in ("docs", "examples") for path in (ROOT / folder).glob("*.py"))
+    scripts = "".join(
+        path.read_text() for folder in ("docs", "examples") for path in (ROOT / folder).glob("*.py")
+    )
     names |= set(re.findall(r'add_argument\("--([\w-]+)"', scripts))
     names |= set(re.findall(r"^    (\w+): .* = ", scripts, re.MULTILINE))
     return {f"--{name.replace('_', '-')}" for name in names}
@@ -203,11 +217,17 @@ def test_an_option_in_a_sentence_is_one_that_there_is():
 
 def test_a_setting_in_a_sentence_is_one_that_some_configuration_takes():
     bases = [base for each in CONFIGURATIONS.values() for base in each]
-    found = [text.partition("--set ")[2].split()[0] for _, _, text in spans() if text.startswith("--set ")]
+    found = [
+        text.partition("--set ")[2].split()[0]
+        for _, _, text in spans()
+        if text.startswith("--set ")
+    ]
     found = [change for change in found if change != "path=value"]
     assert len(found) >= 4
     for change in found:
-        assert any(takes(base, change) for base in bases), f"--set {change}: no configuration takes it"
+        assert any(takes(base, change) for base in bases), (
+            f"--set {change}: no configuration takes it"
+        )
 
 
 def takes(base: Configuration, change: str) -> bool:
@@ -217,7 +237,9 @@ def takes(base: Configuration, change: str) -> bool:
     return False
 
 
-@pytest.mark.parametrize("shown", [shown for shown in commands() if shown.words[0] == "make"], ids=str)
+@pytest.mark.parametrize(
+    "shown", [shown for shown in commands() if shown.words[0] == "make"], ids=str
+)
 def test_a_target_of_make_and_its_variables_are_there(shown):
     makefile = (ROOT / "Makefile").read_text()
     target, *variables = shown.words[1:]
@@ -226,9 +248,12 @@ def test_a_target_of_make_and_its_variables_are_there(shown):
         assert f"$({variable.partition('=')[0]})" in makefile
 
 
-@pytest.mark.parametrize("shown", [shown for shown in commands() if shown.words[0] == "pip"], ids=str)
+@pytest.mark.parametrize(
+    "shown", [shown for shown in commands() if shown.words[0] == "pip"], ids=str
+)
 def test_what_pip_installs_is_softfin_from_here(shown):
-    """Nothing is published, so that the name alone would install nothing, or somebody else's package."""
+    """Nothing is published, so that the name alone would install nothing, or somebody else's
+    package."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     words = shown.words[2:]
     # The versions that were tested, which `make wheel` writes.
@@ -239,7 +264,9 @@ def test_what_pip_installs_is_softfin_from_here(shown):
 
 
 @pytest.mark.parametrize(
-    "shown", {shown.words: shown for shown in commands() if shown.words[0] == "python"}.values(), ids=str
+    "shown",
+    {shown.words: shown for shown in commands() if shown.words[0] == "python"}.values(),
+    ids=str,
 )
 def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_path):
     program, *words = shown.words[1:]
@@ -269,7 +296,8 @@ def test_a_script_is_there_and_understands_its_options(shown, monkeypatch, tmp_p
 
 
 def stop_at_work(monkeypatch):
-    """Where a script that has understood its words begins: with a recording, a dataset, or a program."""
+    """Where a script that has understood its words begins: with a recording, a dataset, or a
+    program."""
 
     def work(*words, **options):
         raise Parsed
@@ -280,13 +308,16 @@ def stop_at_work(monkeypatch):
 
 
 def python_blocks() -> list[Block]:
-    """Those that use softfin; what runs an exported file is run with one in tests/surrogate/test_onnx.py."""
+    """Those that use softfin; what runs an exported file is run with one in
+    tests/surrogate/test_onnx.py."""
     shown = [block for block in blocks() if block.kind != CELL]
     found = [block for block in shown if block.kind == "python" or block.text.startswith("import ")]
     return [block for block in found if "onnxruntime" not in block.text]
 
 
-@pytest.mark.parametrize("block", python_blocks(), ids=lambda block: f"{block.document}:{block.line}")
+@pytest.mark.parametrize(
+    "block", python_blocks(), ids=lambda block: f"{block.document}:{block.line}"
+)
 def test_python_calls_what_there_is_with_arguments_that_it_takes(block, monkeypatch):
     called = []
     for name in softfin.__all__:
@@ -307,7 +338,9 @@ def test_the_python_of_the_package_is_among_what_was_tried():
 
 def test_yaml_is_a_rig_or_a_fin_of_topics_that_softfin_takes(tmp_path):
     """A block that says "as above" stands upon the one before it."""
-    file, before, found = tmp_path / "shown.yaml", {}, []
+    file = tmp_path / "shown.yaml"
+    before = {}
+    found = []
     for block in blocks():
         if block.kind == "yaml":
             values = yaml.safe_load(block.text)
@@ -341,7 +374,11 @@ def test_links_and_pictures_lead_somewhere(path):
 
 
 def test_files_and_names_of_the_code_are_there():
-    python = {path.relative_to(ROOT / top).as_posix() for top in ("", "src/softfin") for path in code(ROOT / top)}
+    python = {
+        path.relative_to(ROOT / top).as_posix()
+        for top in ("", "src/softfin")
+        for path in code(ROOT / top)
+    }
     for document, line, text in spans():
         if re.fullmatch(r"[\w/]+/\w+\.py", text):
             assert text in python, f"{document}:{line} {text}"

@@ -1,4 +1,5 @@
-"""Every command that README and docs show runs, shrunk by options that are added to it and by nothing else."""
+"""Every command that README and docs show runs, shrunk by options that are added to it and by
+nothing else."""
 
 import contextlib
 import re
@@ -52,7 +53,8 @@ TINY = {
     "inspect --rows-per-log": f"--rows-per-log {staged.ROWS}",
     "import-logs --rows-per-log": f"--rows-per-log {staged.ROWS}",
 }
-"""Options that are added to a command that has all of these words; of several entries the later ones count."""
+"""Options that are added to a command that has all of these words; of several entries the later
+ones count."""
 
 IN_THE_README = {
     # All references are covered that later commands ask for.
@@ -61,8 +63,8 @@ IN_THE_README = {
     "rig --arm": "--yes",
     "run --arm": "--yes --seconds 1",
 }
-"""Options that are added to those of TINY where the commands of the README run one after the other: smaller sizes, and
-what you would type while they run."""
+"""Options that are added to those of TINY where the commands of the README run one after the other:
+smaller sizes, and what you would type while they run."""
 
 IN_THE_DAY = (
     "rig emulate",
@@ -95,22 +97,32 @@ ELSEWHERE = {
     "reproduce --preset paper --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
     "reproduce --preset paper --plant tank --out run-tank": "tests/end_to_end/test_stages.py",
 }
-"""Commands that need a partner, or minutes, and the tests that do the same with a partner or with small stages."""
+"""Commands that need a partner, or minutes, and the tests that do the same with a partner or with
+small stages."""
 
 
 def runs(shown: Shown) -> bool:
-    """Whether a command is whole (in a sentence, one that says where its result goes), and not run by the site."""
+    """Whether a command is whole (in a sentence, one that says where its result goes), and not run
+    by the site."""
     words = softfin_words(shown)
-    return bool(words) and not shown.in_cell and (not shown.in_sentence or "--out" in words or "--onnx" in words)
+    return (
+        bool(words)
+        and not shown.in_cell
+        and (not shown.in_sentence or "--out" in words or "--onnx" in words)
+    )
 
 
 def kind(shown: Shown) -> tuple[str, ...]:
-    """Its words, with what they name by its kind: commands that are alike but for names and numbers are run once."""
-    words, named = softfin_words(shown), []
+    """Its words, with what they name by its kind: commands that are alike but for names and numbers
+    are run once."""
+    words = softfin_words(shown)
+    named = []
     for before, word in zip(("", *words), words, strict=False):
         maker = staged.MAKERS.get(word.rstrip("/"))
         place = before in ("--out", "--onnx")
-        named.append(Path(word).suffix if place else staged.kind_of(maker) if maker else _as_kind(word))
+        named.append(
+            Path(word).suffix if place else staged.kind_of(maker) if maker else _as_kind(word)
+        )
     return tuple(named)
 
 
@@ -128,13 +140,17 @@ README = [shown for shown in commands() if shown.document == "README.md" and run
 """In their order."""
 AWAY = (*IN_THE_DAY, *ELSEWHERE)
 HERE = [
-    shown for shown in SHOWN.values() if shlex.join(softfin_words(shown)) not in AWAY and shown.document != "README.md"
+    shown
+    for shown in SHOWN.values()
+    if shlex.join(softfin_words(shown)) not in AWAY and shown.document != "README.md"
 ]
 
 
 def added(words: tuple[str, ...], options: Mapping[str, str] = TINY) -> list[str]:
     """What shrinks a command."""
-    return [word for entry, given in options.items() if is_like(entry, words) for word in given.split()]
+    return [
+        word for entry, given in options.items() if is_like(entry, words) for word in given.split()
+    ]
 
 
 def is_like(entry, words):
@@ -143,7 +159,8 @@ def is_like(entry, words):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The folder of everything that was made for a command before; made when it is first asked for."""
+    """The folder of everything that was made for a command before; made when it is first asked
+    for."""
     root = tmp_path_factory.mktemp("made")
 
     def find(name: str) -> Path:
@@ -175,12 +192,15 @@ def named(words: tuple[str, ...]) -> list[str]:
     return [
         name
         for name in staged.MAKERS
-        if any(fnmatch(name, word.rstrip("/")) or Path(word) in Path(name).parents for word in given)
+        if any(
+            fnmatch(name, word.rstrip("/")) or Path(word) in Path(name).parents for word in given
+        )
     ]
 
 
 def expand(word: str) -> list[str]:
-    """As a shell does it, which leaves a pattern that fits no file, and what the document leaves out."""
+    """As a shell does it, which leaves a pattern that fits no file, and what the document leaves
+    out."""
     found = sorted(map(str, Path().glob(word))) if "*" in word else []
     return found or [staged.MAPPING if word == "..." else word]
 
@@ -206,7 +226,8 @@ def test_a_command_of_the_documents_runs(shown, made, place, capsys):
 
 @pytest.mark.slow
 def test_the_commands_of_the_readme_run_one_after_the_other(place, capsys):
-    """In a folder that is empty but for the files that shrink them, so each finds what those before it made."""
+    """In a folder that is empty but for the files that shrink them, so each finds what those before
+    it made."""
     assert len(README) > 1
     for shown in README:
         words = softfin_words(shown)
@@ -220,7 +241,9 @@ def test_every_entry_stands_for_a_command_that_is_shown():
     for entry in TINY:
         assert any(is_like(entry, words) for words in here), f"TINY: nothing is shown like {entry}"
     for entry in IN_THE_README:
-        assert any(is_like(entry, softfin_words(shown)) for shown in README), f"IN_THE_README: nothing like {entry}"
+        assert any(is_like(entry, softfin_words(shown)) for shown in README), (
+            f"IN_THE_README: nothing like {entry}"
+        )
     lines = {shlex.join(softfin_words(shown)) for shown in commands() if runs(shown)}
     assert set(AWAY) <= lines, "a command that is no longer shown"
 
@@ -231,7 +254,9 @@ def test_the_day_at_the_rig_does_its_commands(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "evaluation").mkdir()
     score = '{"error_n": 0}'
-    (tmp_path / "evaluation/evaluation.json").write_text(f'{{"mean": {{"x": {score}, "y": {score}}}}}')
+    (tmp_path / "evaluation/evaluation.json").write_text(
+        f'{{"mean": {{"x": {score}, "y": {score}}}}}'
+    )
     script = runpy.run_path(str(ROOT / "examples/rig_day.py"))
     script["day"].__globals__["softfin"] = lambda *words: done.append(words)
     script["day"](quick=True)
@@ -245,4 +270,6 @@ def test_what_runs_elsewhere_is_done_there(line, test):
     text = (ROOT / test).read_text()
     name, *rest = line.split()
     assert f'"{name}"' in text
-    assert all(option in text for option in rest if option in ("--arm", "--plant", "--out", "--resume")), line
+    assert all(
+        option in text for option in rest if option in ("--arm", "--plant", "--out", "--resume")
+    ), line

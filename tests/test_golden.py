@@ -1,4 +1,5 @@
-"""Files that softfin wrote before are loaded and do what they did: `tests/golden` holds one of each kind, frozen."""
+"""Files that softfin wrote before are loaded and do what they did: `tests/golden` holds one of each
+kind, frozen."""
 
 import json
 import shutil
@@ -37,9 +38,11 @@ FREE_RUNNING = {"rtol": 5e-6, "atol": 5e-6}
 
 
 def readings(plant: Any, actions: int) -> np.ndarray:
-    """Angle, its change and force of a plant while it is sent fixed commands, each for 33 samples."""
+    """Angle, its change and force of a plant while it is sent fixed commands, each for 33
+    samples."""
     hold = jax.jit(lambda state, command: plant.advance(state, command, 33))
-    state, rows = plant.init(jax.random.key(0)), []
+    state = plant.init(jax.random.key(0))
+    rows = []
     for k in range(actions):
         command = Command(jnp.float32(0.9 * np.sin(2.1 * k)), jnp.float32(1.5 + 0.5 * np.cos(k)))
         state, reading = hold(state, command)
@@ -48,17 +51,27 @@ def readings(plant: Any, actions: int) -> np.ndarray:
 
 
 def played() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles, forces and references of 60 actions; the references switch between the two cells of the grid."""
+    """Angles, forces and references of 60 actions; the references switch between the two cells of
+    the grid."""
     k = np.arange(60)
-    references = np.where((k // 11 % 2 == 0)[:, None], (1.2, -0.8), (-0.2, 0.1)) + 0.05 * np.sin(k)[:, None]
+    references = (
+        np.where((k // 11 % 2 == 0)[:, None], (1.2, -0.8), (-0.2, 0.1)) + 0.05 * np.sin(k)[:, None]
+    )
     forces = references + np.stack([np.sin(1.3 * k), np.cos(0.7 * k)], axis=1)
-    return tuple(np.asarray(part, np.float32) for part in (1.2 * np.sin(0.9 * k), forces, references))
+    return tuple(
+        np.asarray(part, np.float32) for part in (1.2 * np.sin(0.9 * k), forces, references)
+    )
 
 
 def commands(controller: Any) -> np.ndarray:
     """Angles and velocities that a trained controller commands."""
-    act = jax.jit(lambda state, angle, force, reference: controller.act(state, Measured(angle, force), reference))
-    state, given = controller.init(), []
+    act = jax.jit(
+        lambda state, angle, force, reference: controller.act(
+            state, Measured(angle, force), reference
+        )
+    )
+    state = controller.init()
+    given = []
     for now in zip(*played(), strict=True):
         state, command = act(state, *now)
         given.append((command.angle, command.velocity))
@@ -68,7 +81,8 @@ def commands(controller: Any) -> np.ndarray:
 def numpy_commands(folder: Path) -> np.ndarray:
     """The same with NumPy alone."""
     controller = softfin.load_controller(folder)
-    state, given = controller.init(), []
+    state = controller.init()
+    given = []
     for angle, force, reference in zip(*(part.tolist() for part in played()), strict=True):
         state, target = controller.act(state, Measured(angle, tuple(force)), tuple(reference))
         given.append((target.angle, target.velocity))
@@ -77,7 +91,9 @@ def numpy_commands(folder: Path) -> np.ndarray:
 
 def summary(log: softfin.Log) -> list[float]:
     """Number of rows, then mean and deviation of each channel."""
-    channels = np.column_stack([*log.command, log.reading.time, log.reading.angle, log.reading.force]).astype(float)
+    channels = np.column_stack(
+        [*log.command, log.reading.time, log.reading.angle, log.reading.force]
+    ).astype(float)
     return [len(channels), *channels.mean(axis=0), *channels.std(axis=0)]
 
 
@@ -90,7 +106,9 @@ def test_dataset() -> None:
 
 @pytest.mark.parametrize("name", ["paper", "streaming"])
 def test_surrogate(name: str) -> None:
-    np.testing.assert_allclose(readings(softfin.load_surrogate(GOLDEN / name), 9), ARRAYS[name], **FREE_RUNNING)
+    np.testing.assert_allclose(
+        readings(softfin.load_surrogate(GOLDEN / name), 9), ARRAYS[name], **FREE_RUNNING
+    )
 
 
 def test_calibrated_tank() -> None:
@@ -103,7 +121,9 @@ def test_calibrated_tank() -> None:
 
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_controller(name: str) -> None:
-    np.testing.assert_allclose(commands(softfin.load_controller(GOLDEN / name)), ARRAYS[name], **EXACT)
+    np.testing.assert_allclose(
+        commands(softfin.load_controller(GOLDEN / name)), ARRAYS[name], **EXACT
+    )
     np.testing.assert_allclose(numpy_commands(GOLDEN / name), ARRAYS[name], **EXACT)
 
 
@@ -120,14 +140,20 @@ def test_evaluation(tmp_path: Path) -> None:
     now = json.loads((tmp_path / "evaluation/evaluation.json").read_text())
     for axis, scores in before["references"][0].items():
         if axis in ("x", "y"):
-            for name, value in ((name, value) for name, value in scores.items() if value is not None):
-                np.testing.assert_allclose(now["references"][0][axis][name], value, **EXACT, err_msg=name)
+            for name, value in (
+                (name, value) for name, value in scores.items() if value is not None
+            ):
+                np.testing.assert_allclose(
+                    now["references"][0][axis][name], value, **EXACT, err_msg=name
+                )
 
 
 def test_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cli.main(["bag", "recover", str(GOLDEN / "session.mcap"), "--json"])
     assert json.loads(capsys.readouterr().out)["messages"] == EXPECTED["messages"]
-    dataset, _ = softfin.import_logs(GOLDEN / "session.mcap", tmp_path / "dataset", ignore_errors=True)
+    dataset, _ = softfin.import_logs(
+        GOLDEN / "session.mcap", tmp_path / "dataset", ignore_errors=True
+    )
     found = [summary(log) for log in dataset.load(dataset.train)]
     np.testing.assert_allclose(found, EXPECTED["bag"], **EXACT)
 
@@ -157,7 +183,10 @@ def numbers() -> set[tuple[str, int]]:
     """Kind and format number of every golden file."""
     found = set()
     for kind in FOLDERS:
-        found |= {(kind, json.loads(file.read_text()).get("format", 1)) for file in GOLDEN.rglob(f"{kind}.json")}
+        found |= {
+            (kind, json.loads(file.read_text()).get("format", 1))
+            for file in GOLDEN.rglob(f"{kind}.json")
+        }
     for file in GOLDEN.rglob("*.parquet"):
         found.add(("log", int((pq.read_schema(file).metadata or {}).get(IN_FILE.encode(), b"1"))))
     for file in GOLDEN.rglob("*.mcap"):
@@ -167,8 +196,14 @@ def numbers() -> set[tuple[str, int]]:
 
 
 def test_there_is_a_file_of_each_kind_and_of_each_format_that_is_read() -> None:
-    read = {(kind, number) for kind, each in FORMATS.items() for number in range(each.oldest, each.number + 1)}
-    assert numbers() >= read, "add a golden file of the new format, and keep the old one as long as it is read"
+    read = {
+        (kind, number)
+        for kind, each in FORMATS.items()
+        for number in range(each.oldest, each.number + 1)
+    }
+    assert numbers() >= read, (
+        "add a golden file of the new format, and keep the old one as long as it is read"
+    )
 
 
 @pytest.mark.parametrize("file", sorted(NUMBERED.glob("*/*.json")), ids=lambda file: file.name)
@@ -182,12 +217,15 @@ WRITTEN_ONLY = ("inspection", "comparison", "evaluation", "baselines", "calibrat
 
 
 def check_keys(folder: Path) -> None:
-    """A folder that was written just now has what the golden one of its kind and format has, and maybe more."""
+    """A folder that was written just now has what the golden one of its kind and format has, and
+    maybe more."""
     for kind in WRITTEN_ONLY:
         if artifacts.is_kind(folder, kind):
             now = artifacts.load_description(folder, kind)
             # Those before numbers were written have keys that softfin had dropped by then.
-            golden = [json.loads(file.read_text()) for file in sorted(NUMBERED.rglob(f"{kind}.json"))]
+            golden = [
+                json.loads(file.read_text()) for file in sorted(NUMBERED.rglob(f"{kind}.json"))
+            ]
             before = next(each for each in golden if each["format"] == now["format"])
             gone = before.keys() - now.keys()
             assert not gone, f"{kind}.json has lost {gone}: write them, or a new format"
@@ -200,8 +238,12 @@ def test_a_dataset_and_a_recording_with_numbers(tmp_path: Path) -> None:
     found = [summary(log) for log in dataset.load((*dataset.train, *dataset.test))]
     np.testing.assert_allclose(found, expected["dataset"], **EXACT)
     options = softfin.ImportConfig(shortest_s=1)
-    recorded, _ = softfin.import_logs(NUMBERED / "session.mcap", tmp_path / "dataset", options, ignore_errors=True)
-    np.testing.assert_allclose([summary(log) for log in recorded.load(recorded.train)], expected["recording"], **EXACT)
+    recorded, _ = softfin.import_logs(
+        NUMBERED / "session.mcap", tmp_path / "dataset", options, ignore_errors=True
+    )
+    np.testing.assert_allclose(
+        [summary(log) for log in recorded.load(recorded.train)], expected["recording"], **EXACT
+    )
 
 
 def test_the_example_of_that_time_lists_what_it_held() -> None:

@@ -32,7 +32,9 @@ def shown(make: Callable[..., gymnasium.Env]) -> gymnasium.Env:
 
 
 @pytest.mark.parametrize("mode", [None, "rgb_array"])
-def test_check_env_passes_without_a_warning(make: Callable[..., gymnasium.Env], mode: str | None) -> None:
+def test_check_env_passes_without_a_warning(
+    make: Callable[..., gymnasium.Env], mode: str | None
+) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(make(render_mode=mode).unwrapped)
@@ -47,7 +49,9 @@ def test_it_is_made_with_the_tank_by_default_and_with_a_plant_by_name() -> None:
 
 
 def test_several_are_made_at_once() -> None:
-    envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync", plant="tests.plants:AnalyticFin")
+    envs = gymnasium.make_vec(
+        ID, num_envs=2, vectorization_mode="sync", plant="tests.plants:AnalyticFin"
+    )
     observation, _ = envs.reset(seed=0)
     assert observation.shape == (2, 11)
     _, rewards, _, _, info = envs.step(np.zeros((2, 2), np.float32))
@@ -55,7 +59,9 @@ def test_several_are_made_at_once() -> None:
     assert info["force_n"].shape == (2, 33, 2)
 
 
-def test_each_action_is_drawn_and_the_same_episode_gives_the_same_frames(shown: gymnasium.Env) -> None:
+def test_each_action_is_drawn_and_the_same_episode_gives_the_same_frames(
+    shown: gymnasium.Env,
+) -> None:
     def frames() -> list[np.ndarray]:
         shown.reset(seed=3)
         made = [shown.render()]
@@ -64,7 +70,8 @@ def test_each_action_is_drawn_and_the_same_episode_gives_the_same_frames(shown: 
             made.append(shown.render())
         return made
 
-    first, second = frames(), frames()
+    first = frames()
+    second = frames()
     assert {(frame.shape, frame.dtype) for frame in first} == {((520, 960, 3), np.dtype(np.uint8))}
     assert all((before != after).any() for before, after in itertools.pairwise(first))
     # The first episode may have changed the scale, which stays.
@@ -75,7 +82,9 @@ def test_each_action_is_drawn_and_the_same_episode_gives_the_same_frames(shown: 
 def test_what_is_drawn_is_what_the_task_has_seen(shown: gymnasium.Env) -> None:
     _, info = shown.reset(seed=1)
     asked = info["reference_n"]
-    forces = [shown.step(np.array([0.4 * (-1) ** k, 0.8], np.float32))[-1]["force_n"] for k in range(4)]
+    forces = [
+        shown.step(np.array([0.4 * (-1) ** k, 0.8], np.float32))[-1]["force_n"] for k in range(4)
+    ]
     shown.render()
     footage = shown.unwrapped._film._picture.footage
     np.testing.assert_allclose(footage.reading.force, np.concatenate(forces), atol=1e-4)
@@ -85,7 +94,9 @@ def test_what_is_drawn_is_what_the_task_has_seen(shown: gymnasium.Env) -> None:
     )
 
 
-def test_rendering_where_nothing_can_be_drawn_is_refused(make: Callable[..., gymnasium.Env]) -> None:
+def test_rendering_where_nothing_can_be_drawn_is_refused(
+    make: Callable[..., gymnasium.Env],
+) -> None:
     env = make().unwrapped
     with pytest.raises(InputError, match='make it with render_mode="rgb_array"'):
         env.render()
@@ -95,10 +106,13 @@ def test_rendering_where_nothing_can_be_drawn_is_refused(make: Callable[..., gym
         ForceTrackingEnv(AnalyticFin(), render_mode="ansi")
 
 
-def test_an_episode_is_truncated_after_30_s_and_never_terminates(make: Callable[..., gymnasium.Env]) -> None:
+def test_an_episode_is_truncated_after_30_s_and_never_terminates(
+    make: Callable[..., gymnasium.Env],
+) -> None:
     env = make()
     env.reset(seed=0)
-    ticks, ends = 0, []
+    ticks = 0
+    ends = []
     for i in range(90):
         _, _, terminated, truncated, info = env.step(np.array([0.5 * (-1) ** i, 0.5], np.float32))
         ticks += len(info["force_n"])
@@ -138,12 +152,18 @@ def test_a_step_before_the_first_reset_is_refused(make: Callable[..., gymnasium.
 
 @pytest.mark.slow
 def test_recurrent_ppo_of_sb3_contrib_trains_on_it(make: Callable[..., gymnasium.Env]) -> None:
-    sb3 = pytest.importorskip("sb3_contrib", reason="the extra sb3 is not installed: 5 GB, which CI leaves out")
+    sb3 = pytest.importorskip(
+        "sb3_contrib", reason="the extra sb3 is not installed: 5 GB, which CI leaves out"
+    )
     config = TaskConfig(episode_actions=30)
-    model = sb3.RecurrentPPO("MlpLstmPolicy", make(config=config), n_steps=64, batch_size=64, n_epochs=2, seed=0)
+    model = sb3.RecurrentPPO(
+        "MlpLstmPolicy", make(config=config), n_steps=64, batch_size=64, n_epochs=2, seed=0
+    )
     before = [p.detach().numpy().copy() for p in model.policy.parameters()]
     model.learn(128)
     after = [p.detach().numpy() for p in model.policy.parameters()]
-    assert sum(p.size for p in after) == 592_325  # the paper's weights follow from 11 observations and k = 3
+    assert (
+        sum(p.size for p in after) == 592_325
+    )  # the paper's weights follow from 11 observations and k = 3
     assert any(np.abs(a - b).max() > 0 for a, b in zip(after, before, strict=True))
     assert all(np.isfinite(a).all() for a in after)

@@ -19,7 +19,8 @@ def test_the_extras_are_those_of_the_project():
 
 
 def test_what_trains_is_no_part_of_what_runs_a_controller():
-    core, learn = set(requirements_of(None)), set(requirements_of("learn"))
+    core = set(requirements_of(None))
+    learn = set(requirements_of("learn"))
     assert {"numpy", "canopen", "mcap", "pyyaml"} <= core
     assert {"jax", "pyarrow", "scipy", "matplotlib", "tensorboardx"} <= learn
     assert not core & learn
@@ -29,7 +30,10 @@ def test_what_trains_is_no_part_of_what_runs_a_controller():
 @pytest.mark.parametrize(
     ("source", "command"),
     [
-        ({"url": "file:///a%20b/softfin.whl", "archive_info": {}}, '"softfin[x] @ file:///a%20b/softfin.whl"'),
+        (
+            {"url": "file:///a%20b/softfin.whl", "archive_info": {}},
+            '"softfin[x] @ file:///a%20b/softfin.whl"',
+        ),
         ({"url": "file:///a%20b", "dir_info": {"editable": True}}, '-e "/a b[x]"'),
         (
             {"url": "https://host/r", "vcs_info": {"vcs": "git", "commit_id": "1a2b"}},
@@ -41,7 +45,10 @@ def test_what_trains_is_no_part_of_what_runs_a_controller():
 def test_an_extra_is_added_from_where_softfin_came(source, command, monkeypatch):
     """By the installer that is there: an environment of uv has no pip."""
     monkeypatch.setattr(installation, "origin", lambda: source)
-    for installer, install in (("pip", "pip install"), ("uv", f"uv pip install --python {sys.executable}")):
+    for installer, install in (
+        ("pip", "pip install"),
+        ("uv", f"uv pip install --python {sys.executable}"),
+    ):
         monkeypatch.setattr(installation, "installer", lambda name=installer: name)
         assert how_to_add("x").endswith(f"{install} {command}")
     assert how_to_add("x").startswith("make wheel") == (source is None)
@@ -56,8 +63,17 @@ def test_an_extra_that_brings_another_needs_what_that_needs():
     [
         ("jax.numpy", None, "needs jax.numpy, of the extra 'learn', which is not installed: "),
         ("PIL", None, "needs PIL, of the extra 'learn', which is not installed: "),
-        ("cyclonedds.core", None, "needs cyclonedds.core, of the extra 'ros2', which is not installed: "),
-        ("yaml", None, "needs yaml, without which no command works, and which is not installed; install softfin again"),
+        (
+            "cyclonedds.core",
+            None,
+            "needs cyclonedds.core, of the extra 'ros2', which is not installed: ",
+        ),
+        (
+            "yaml",
+            None,
+            "needs yaml, without which no command works, and which is not installed; install "
+            "softfin again",
+        ),
         ("jax.extend.no", "0.1", "needs jax.extend.no, which jax 0.1 lacks; install jax again"),
     ],
 )
@@ -81,11 +97,17 @@ def test_a_module_that_softfin_does_not_need_is_a_bug(module):
 def test_a_command_without_what_it_needs_says_so_in_one_line(module, told, tmp_path):
     code = (
         f"import sys; sys.modules[{module!r}] = None; import softfin.installation as installation\n"
-        "installation.version_of = lambda name: None; from softfin.cli import main; main(sys.argv[1:])"
+        "installation.version_of = lambda name: None; from softfin.cli import main; "
+        "main(sys.argv[1:])"
     )
     words = ("collect", "--out", "dataset", "--plant", "tank") if module == "jax" else ("doctor",)
     done = subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False
+        [sys.executable, "-c", code, *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        check=False,
     )
     assert done.returncode == 2
     assert done.stderr.startswith(f"softfin {words[0]}: {told}")

@@ -51,7 +51,9 @@ reason = "equality of two floats"
 """
 
 
-def project(root: Path, tests: str = WEAK, wider: str = WEAK, explained: str = "", module: str = LIMIT) -> Path:
+def project(
+    root: Path, tests: str = WEAK, wider: str = WEAK, explained: str = "", module: str = LIMIT
+) -> Path:
     files = {
         "src/tiny/limit.py": module,
         "tests/test_limit.py": tests,
@@ -65,7 +67,9 @@ def project(root: Path, tests: str = WEAK, wider: str = WEAK, explained: str = "
 
 
 def mutated_lines(source: str) -> set[str]:
-    return {mutation.after for mutation in mutants.find_mutations("module.py", textwrap.dedent(source))}
+    return {
+        mutation.after for mutation in mutants.find_mutations("module.py", textwrap.dedent(source))
+    }
 
 
 @pytest.mark.parametrize(
@@ -79,7 +83,12 @@ def mutated_lines(source: str) -> set[str]:
         ("half = 0.5", {"half = (0.5 + 1)", "half = (0.5 * 2)", "half = (-0.5)"}),
         ("first = 0", {"first = (0 + 1)"}),
         ("fresh = True", {"fresh = False"}),
-        ("worst = max(loads)", {"worst = min(loads)", }),
+        (
+            "worst = max(loads)",
+            {
+                "worst = min(loads)",
+            },
+        ),
         ("force = wrench[:three]", {"force = wrench[:three + 1]", "force = wrench[:three - 1]"}),
         ("motor.stop()", {"pass"}),
         ("motor.state = off", {"pass"}),
@@ -87,7 +96,7 @@ def mutated_lines(source: str) -> set[str]:
         ("if hot: stop = 'now'", {"if (not (hot)): stop = 'now'"}),
         ("x = 'µ'; late = a > b", {"x = 'µ'; late = a >= b", "x = 'µ'; late = a <= b"}),
     ],
-)  # fmt: skip
+)
 def test_each_operator_makes_its_mutants(source: str, lines: set[str]) -> None:
     assert mutated_lines(source) == lines
 
@@ -103,8 +112,14 @@ def test_annotations_and_texts_are_not_mutated() -> None:
 
 
 def test_a_statement_of_several_lines_is_named_whole() -> None:
-    (mutation,) = mutants.find_mutations("module.py", "for motor in motors:\n    motor.stop(\n        now,\n    )\n")
-    assert (mutation.line, mutation.before, mutation.after) == (2, "motor.stop(\n        now,\n    )", "pass")
+    (mutation,) = mutants.find_mutations(
+        "module.py", "for motor in motors:\n    motor.stop(\n        now,\n    )\n"
+    )
+    assert (mutation.line, mutation.before, mutation.after) == (
+        2,
+        "motor.stop(\n        now,\n    )",
+        "pass",
+    )
 
 
 def test_the_draw_is_even_over_modules_and_the_same_for_a_seed(tmp_path: Path) -> None:
@@ -113,7 +128,11 @@ def test_the_draw_is_even_over_modules_and_the_same_for_a_seed(tmp_path: Path) -
         (root / "src/tiny" / name).write_text("low = [1, 2, 3, 4, 5, 6]\nhigh = a < b\n")
     drawing = mutants.Project.load(root)
     drawn = mutants.draw(drawing, ["one.py", "two.py", "three.py"], 11, seed=5)
-    assert Counter(mutation.module for mutation in drawn) == {"one.py": 4, "two.py": 4, "three.py": 3}
+    assert Counter(mutation.module for mutation in drawn) == {
+        "one.py": 4,
+        "two.py": 4,
+        "three.py": 3,
+    }
     assert len(set(drawn)) == 11
     assert mutants.draw(drawing, ["one.py", "two.py", "three.py"], 11, seed=5) == drawn
     assert mutants.draw(drawing, ["one.py", "two.py", "three.py"], 11, seed=6) != drawn
@@ -178,7 +197,9 @@ def test_a_survivor_needs_an_explanation_and_an_explanation_its_mutant(weak: Wea
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_does_only_what_is_left(weak: Weak, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_run_does_only_what_is_left(
+    weak: Weak, monkeypatch: pytest.MonkeyPatch
+) -> None:
     root = project(weak.root)
     (journal,) = (root / "build/mutants").iterdir()
     lines = journal.read_text().splitlines(keepends=True)
@@ -195,10 +216,17 @@ def test_an_interrupted_run_does_only_what_is_left(weak: Weak, monkeypatch: pyte
 
 
 @pytest.mark.slow
-def test_a_mutant_that_never_ends_is_killed_by_its_time_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mutant_that_never_ends_is_killed_by_its_time_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(mutants, "SPARE_S", 1.0)
-    countdown = "def remaining(number, step):\n    while number:\n        number -= step\n    return number\n"
-    test = "from tiny.limit import remaining\n\ndef test_it_ends():\n    assert remaining(4, 2) == 0\n"
+    countdown = (
+        "def remaining(number, step):\n    while number:\n        number -= step\n    "
+        "return number\n"
+    )
+    test = (
+        "from tiny.limit import remaining\n\ndef test_it_ends():\n    assert remaining(4, 2) == 0\n"
+    )
     code, printed = run(project(tmp_path, tests=test, module=countdown))
     assert code == 0
     assert counts(printed) == [2, 1, 0, 0]
@@ -207,14 +235,21 @@ def test_a_mutant_that_never_ends_is_killed_by_its_time_limit(tmp_path: Path, mo
 
 def test_tests_that_fail_without_a_mutant_are_an_error(tmp_path: Path) -> None:
     root = project(tmp_path, tests=WEAK.replace("not ", ""))
-    with pytest.raises(SystemExit, match=r"test_limit\.py: failed without a mutant .*test_inside.*repair them first"):
+    with pytest.raises(
+        SystemExit,
+        match=r"test_limit\.py: failed without a mutant .*test_inside.*repair them first",
+    ):
         mutants.main(["1"], root)
 
 
-def test_a_module_that_is_not_listed_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_module_that_is_not_listed_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         mutants.main(["1", "--modules", "lmit.py"], project(tmp_path))
-    assert "lmit.py: not in tools/mutants.toml; add them with their tests" in capsys.readouterr().err
+    assert (
+        "lmit.py: not in tools/mutants.toml; add them with their tests" in capsys.readouterr().err
+    )
 
 
 def test_the_modules_and_tests_of_the_configuration_exist() -> None:

@@ -29,7 +29,9 @@ def test_a_module_that_is_there_is_imported_and_another_one_is_missing(monkeypat
     assert needs.module("json", "never").__name__ == "json"
     monkeypatch.setattr(needs, "NAMES", ("no_such_module",))
     monkeypatch.setenv("SOFTFIN_REQUIRE", "no_such_module")
-    with pytest.raises(pytest.fail.Exception, match="not installed; SOFTFIN_REQUIRE lists no_such_module"):
+    with pytest.raises(
+        pytest.fail.Exception, match="not installed; SOFTFIN_REQUIRE lists no_such_module"
+    ):
         needs.module("no_such_module", "not installed")
 
 
@@ -41,7 +43,9 @@ def test_an_unknown_name_is_refused(monkeypatch):
 
 def test_continuous_integration_requires_all_of_it():
     text = (ROOT / ".ci/run").read_text()
-    (listed,) = re.findall(r"^export SOFTFIN_REQUIRE=\$\{SOFTFIN_REQUIRE-(.*)\}$", text, re.MULTILINE)
+    (listed,) = re.findall(
+        r"^export SOFTFIN_REQUIRE=\$\{SOFTFIN_REQUIRE-(.*)\}$", text, re.MULTILINE
+    )
     # Ray, which has a run of its own.
     assert {*listed.split(), "ray"} == set(needs.NAMES)
     assert 'SOFTFIN_REQUIRE="$SOFTFIN_REQUIRE ray" make test-ray' in text

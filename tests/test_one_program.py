@@ -1,4 +1,5 @@
-"""Actions of 33 and 34 ticks have one shape, so that a program holds the plant once, and is compiled once."""
+"""Actions of 33 and 34 ticks have one shape, so that a program holds the plant once, and is
+compiled once."""
 
 from functools import partial
 from typing import Any
@@ -47,7 +48,9 @@ ACTIONS = Command(jnp.linspace(-1, 1, 7), jnp.full(7, 2.0))
 
 
 def evaluated(references: Any) -> Any:
-    return experiment._program.__wrapped__((Flapper(), MarkedFin()), references, jax.random.split(KEY, 2))
+    return experiment._program.__wrapped__(
+        (Flapper(), MarkedFin()), references, jax.random.split(KEY, 2)
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +80,10 @@ def test_the_tank_takes_the_state_that_it_gives() -> None:
     tank = Tank()
     first = jax.eval_shape(tank.init, KEY)
     assert (
-        jax.eval_shape(partial(tank.advance, ticks=1), first, jax.tree.map(jnp.float32, Command(0.1, 2.0)))[0] == first
+        jax.eval_shape(
+            partial(tank.advance, ticks=1), first, jax.tree.map(jnp.float32, Command(0.1, 2.0))
+        )[0]
+        == first
     )
 
 
@@ -86,19 +92,24 @@ def test_actions_held_are_their_commands_one_a_tick() -> None:
     state, reading = hold(fin, fin.init(KEY), ACTIONS)
     ticks = ticks_of(7)
     assert ticks == [33, 33, 34, 33, 33, 34, 33]
-    alone, each = roll(fin, fin.init(KEY), Command(*(jnp.repeat(part, np.array(ticks)) for part in ACTIONS)))
+    alone, each = roll(
+        fin, fin.init(KEY), Command(*(jnp.repeat(part, np.array(ticks)) for part in ACTIONS))
+    )
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-5), (state, reading), (alone, each))
 
 
 @pytest.mark.parametrize("ticks", [33, 34])
 def test_the_rows_of_an_action_that_count_are_those_it_is_held(ticks: int) -> None:
-    fin, command = AnalyticFin(), Command(jnp.float32(0.4), jnp.float32(2.0))
+    fin = AnalyticFin()
+    command = Command(jnp.float32(0.4), jnp.float32(2.0))
     state, reading = jax.jit(partial(hold_action, fin))(fin.init(KEY), command, ticks)
     expected_state, expected = fin.advance(fin.init(KEY), command, ticks)
     assert reading.force.shape == (MOST_TICKS, 2)
     np.testing.assert_allclose(reading.force[:ticks], expected.force, rtol=1e-5)
     np.testing.assert_allclose(state.angle, expected_state.angle, rtol=1e-5)
-    np.testing.assert_allclose(mean_of(reading.force, ticks), expected.force.mean(axis=0), rtol=1e-5)
+    np.testing.assert_allclose(
+        mean_of(reading.force, ticks), expected.force.mean(axis=0), rtol=1e-5
+    )
 
 
 def test_rows_that_count_follow_one_another() -> None:
@@ -123,5 +134,7 @@ class Careful(AnalyticFin):
 def test_the_conformance_kit_checks_a_plants_own_way_to_hold_an_action() -> None:
     assert Careful().limits == PAPER_LIMITS
     check_plant(Careful())
-    with pytest.raises(PlantError, match="Careless: hold_action for 33 ticks differs from advance by as many"):
+    with pytest.raises(
+        PlantError, match="Careless: hold_action for 33 ticks differs from advance by as many"
+    ):
         check_plant(Careless())

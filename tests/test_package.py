@@ -17,13 +17,17 @@ def test_citation_and_changes_are_of_this_version():
     assert citation["license"] == PROJECT["license"]
     assert citation["authors"] == PROJECT["authors"]
     assert [paper["url"] for paper in citation["references"]] == [PROJECT["urls"]["Paper"]]
-    assert re.search(rf"^## {re.escape(PROJECT['version'])}\b", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert re.search(
+        rf"^## {re.escape(PROJECT['version'])}\b", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE
+    )
 
 
 def test_before_a_commit_runs_what_make_lint_runs():
     recipe = re.search(r"^lint:.*\n((?:\t.*\n)+)", MAKEFILE, re.MULTILINE)[1]
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"][0]["hooks"]
-    assert [hook["entry"].removeprefix(".venv/bin/") for hook in hooks] == re.findall(r"\$\(RUN\) (.*)", recipe)
+    assert [hook["entry"].removeprefix(".venv/bin/") for hook in hooks] == re.findall(
+        r"\$\(RUN\) (.*)", recipe
+    )
     assert not any(hook["pass_filenames"] for hook in hooks)
 
 

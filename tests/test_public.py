@@ -15,14 +15,16 @@ def test_importing_softfin_and_asking_for_help_imports_nothing_heavy():
         "import sys, softfin, softfin.cli\n"
         "try: softfin.cli.main(['--help'])\n"
         "except SystemExit: pass\n"
-        "heavy = {'jax', 'numpy', 'matplotlib', 'pyarrow', 'gymnasium', 'pydantic'} & set(sys.modules)\n"
+        "heavy = {'jax', 'numpy', 'matplotlib', 'pyarrow', 'gymnasium', 'pydantic'} & "
+        "set(sys.modules)\n"
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
 def test_importing_the_stages_and_all_of_training_computes_nothing():
-    """A first computation would start JAX before the user can say on which device, and takes a second."""
+    """A first computation would start JAX before the user can say on which device, and takes a
+    second."""
     code = (
         "import importlib, pkgutil, softfin.stages.controllers, softfin.learning\n"
         "for found in pkgutil.walk_packages(softfin.learning.__path__, 'softfin.learning.'):\n"
@@ -34,9 +36,11 @@ def test_importing_the_stages_and_all_of_training_computes_nothing():
 
 
 def test_the_environment_is_known_to_gymnasium():
-    """Gymnasium 1 loads no plugins by entry points; the module in front of the ID is what it has instead."""
+    """Gymnasium 1 loads no plugins by entry points; the module in front of the ID is what it has
+    instead."""
     known = (
-        "import sys; gymnasium.spec('softfin/ForceTracking-v0'); assert not {'jax', 'matplotlib'} & set(sys.modules)"
+        "import sys; gymnasium.spec('softfin/ForceTracking-v0'); assert not {'jax', "
+        "'matplotlib'} & set(sys.modules)"
     )
     for code in (
         f"import gymnasium, softfin; {known}",

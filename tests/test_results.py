@@ -1,4 +1,5 @@
-"""README and docs state what ``results/*.json`` hold; finished steps are reused, and one seed is compared."""
+"""README and docs state what ``results/*.json`` hold; finished steps are reused, and one seed is
+compared."""
 
 import importlib.util
 import json
@@ -24,7 +25,9 @@ FILES = sorted((ROOT / "results").glob("*.json"))
 
 def test_documents_state_what_the_results_hold():
     differing = [path.relative_to(ROOT).as_posix() for path in documents.differing()]
-    assert not differing, f"{differing}: edit results/blocks/NAME.md, not the documents, and run `make figures`"
+    assert not differing, (
+        f"{differing}: edit results/blocks/NAME.md, not the documents, and run `make figures`"
+    )
     assert sum(len(documents.names(path.read_text())) for path in documents.documents()) >= 15
 
 
@@ -33,7 +36,9 @@ def test_a_figure_that_changes_makes_a_document_differ(part):
     def changed(name):
         loaded = record.load(name)
         if name == part:
-            loaded["figures"] = {key: each | {"values": [12345.0]} for key, each in loaded["figures"].items()}
+            loaded["figures"] = {
+                key: each | {"values": [12345.0]} for key, each in loaded["figures"].items()
+            }
         return loaded
 
     assert documents.differing(changed)
@@ -53,7 +58,9 @@ def test_a_figure_that_is_not_there_is_named():
         ("quite old", False),
     ],
 )
-def test_documents_may_differ_from_the_results_in_the_age_of_a_source_alone(age, is_ignored, monkeypatch):
+def test_documents_may_differ_from_the_results_in_the_age_of_a_source_alone(
+    age, is_ignored, monkeypatch
+):
     monkeypatch.setattr(record, "describe_age", lambda commits: age)
     assert (documents.differing() == []) == is_ignored
 
@@ -81,12 +88,25 @@ def test_a_result_is_of_a_part_and_says_where_it_comes_from(file):
     assert loaded["scale"] == "full"
     assert loaded["figures"]
     assert all(len(each["seeds"]) == len(each["values"]) for each in loaded["figures"].values())
-    step_keys = {"command", "commit", "changed", "date", "wall_s", "processor_s", "peak_gib", "others_cores"}
+    step_keys = {
+        "command",
+        "commit",
+        "changed",
+        "date",
+        "wall_s",
+        "processor_s",
+        "peak_gib",
+        "others_cores",
+    }
     assert all(step_keys <= set(each) for each in loaded["steps"].values())
-    assert loaded["commits"] == list(dict.fromkeys(each["commit"] for each in loaded["steps"].values()))
+    assert loaded["commits"] == list(
+        dict.fromkeys(each["commit"] for each in loaded["steps"].values())
+    )
     if history.has_full_history():
         unknown = [commit for commit in loaded["commits"] if not history.has_commit(commit)]
-        assert not unknown, f"{file.name}: measured at commits that are not in the history: {unknown}"
+        assert not unknown, (
+            f"{file.name}: measured at commits that are not in the history: {unknown}"
+        )
     assert all((ROOT / picture).is_file() for picture in PARTS[file.stem]((0,)).pictures)
 
 
@@ -96,7 +116,10 @@ def test_figures_are_stated_with_their_spread():
     assert record.shown(record.figure("N", [[1, 3], [1, 3], [1, 3]]), ".1f") == "1.0 / 3.0"
     assert record.shown(record.figure("N", [[1, 3], [2, 4]]), ".0f") == "1 and 2 / 3 and 4"
     assert record.shown(record.figure("N", [1, 2]), ".1f", "plain") == "1.5"
-    assert record.shown(record.figure("s", [3.0, 90.0, 4.0], summary="median"), ".0f") == "4 (3 to 90) s"
+    assert (
+        record.shown(record.figure("s", [3.0, 90.0, 4.0], summary="median"), ".0f")
+        == "4 (3 to 90) s"
+    )
     assert record.shown(record.figure("N", [[1, 4], [2, 3]], summary="worst"), ".0f") == "2 / 4"
     assert record.shown(record.figure("s", [2.0, None], summary="median")) == "not in 1 of 2"
 
@@ -118,13 +141,22 @@ def test_a_step_is_a_command_that_there_is_and_takes_an_hour_at_most(name, monke
 
 def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
     part = PARTS["robot"]((3, 4))
-    commands = [each.command for each in part.steps if each.command.startswith("softfin robot evaluate")]
+    commands = [
+        each.command for each in part.steps if each.command.startswith("softfin robot evaluate")
+    ]
     assert len(commands) == 2
     assert all(" --seeds 2 --seed 3 " in command for command in commands)
     rows = [
-        dict.fromkeys(("position_rms_m", "position_worst_m", "attitude_rms_deg"), 1.0) | {"seed": s} for s in (3, 4)
+        dict.fromkeys(("position_rms_m", "position_worst_m", "attitude_rms_deg"), 1.0) | {"seed": s}
+        for s in (3, 4)
     ]
-    errors = ("force_error_n", "force_error_worst_n", "moment_error_nm", "moment_error_worst_nm", "roll_ripple_ratio")
+    errors = (
+        "force_error_n",
+        "force_error_worst_n",
+        "moment_error_nm",
+        "moment_error_worst_nm",
+        "roll_ripple_ratio",
+    )
     found = dict.fromkeys(("hold", "lemniscate", "lissajous"), rows)
     found["wrenches"] = dict.fromkeys(errors, 0.1) | {"ripple": {"roll": 0.1}}
     for each in part.steps:
@@ -132,7 +164,9 @@ def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
         (tmp_path / each.name / "robot.json").write_text(
             json.dumps(found | {"reach_n": [9], "baselines": {"a": found}})
         )
-        (tmp_path / f"{each.name}.step.json").write_text(json.dumps({"resumed": False, "wall_s": 1.0}))
+        (tmp_path / f"{each.name}.step.json").write_text(
+            json.dumps({"resumed": False, "wall_s": 1.0})
+        )
     figures = part.figures(Work(tmp_path))
     for name in ("hold.position", "dead.lissajous.worst", "a.lemniscate.attitude"):
         assert figures[name]["seeds"] == [3, 4]
@@ -140,8 +174,12 @@ def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
         assert figures[name]["seeds"] == [3]
 
 
-def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_is_given(tmp_path, monkeypatch):
-    spec = importlib.util.spec_from_file_location("faster_reaction", ROOT / "docs" / "faster_reaction.py")
+def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_is_given(
+    tmp_path, monkeypatch
+):
+    spec = importlib.util.spec_from_file_location(
+        "faster_reaction", ROOT / "docs" / "faster_reaction.py"
+    )
     study = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(study)
     commands = []
@@ -157,7 +195,9 @@ def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_i
 
     monkeypatch.setattr(study, "softfin", note)
     monkeypatch.setattr(
-        sys, "argv", ["faster_reaction", "surrogate", str(tmp_path / "run"), "--seeds", "2", "--seed", "9"]
+        sys,
+        "argv",
+        ["faster_reaction", "surrogate", str(tmp_path / "run"), "--seeds", "2", "--seed", "9"],
     )
     study.main()
     for words in commands:
@@ -168,7 +208,9 @@ def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_i
             assert " --seed 10 " in line if "seed-10" in words[1] else " --seed 9 " in line
     written = json.loads((tmp_path / "run" / "faster_reaction.json").read_text())
     seeds = {name: [row["seed"] for row in rows] for name, rows in written.items()}
-    assert seeds == {name: [9] if kind == "gaits" else [9, 10] for name, (kind, _) in study.ROWS.items()}
+    assert seeds == {
+        name: [9] if kind == "gaits" else [9, 10] for name, (kind, _) in study.ROWS.items()
+    }
 
 
 def test_a_seed_that_a_part_does_not_have_is_refused_before_anything_runs(run, tmp_path, capsys):
@@ -180,7 +222,14 @@ def test_a_seed_that_a_part_does_not_have_is_refused_before_anything_runs(run, t
 
 def test_every_benchmark_is_a_part():
     files = {file.stem for file in (ROOT / "benchmarks").glob("*.py")}
-    assert files - set(BENCHMARKS) == {"__init__", "__main__", "compilation", "measure", "nets", "workers"}
+    assert files - set(BENCHMARKS) == {
+        "__init__",
+        "__main__",
+        "compilation",
+        "measure",
+        "nets",
+        "workers",
+    }
 
 
 COLLECT = "softfin collect --plant tests.plants:AnalyticFin --logs 1 --test-logs 0 --rows 40"
@@ -188,12 +237,17 @@ COLLECT = "softfin collect --plant tests.plants:AnalyticFin --logs 1 --test-logs
 
 def rows(work):
     return {
-        "rows": record.figure("", [work.json(f"short-{seed}/dataset.json")["configuration"]["rows"] for seed in (0, 1)])
+        "rows": record.figure(
+            "",
+            [work.json(f"short-{seed}/dataset.json")["configuration"]["rows"] for seed in (0, 1)],
+        )
     }
 
 
 def small(seeds):
-    steps = [step(f"short-{seed}", f"{COLLECT} --seed {seed}", 1, seed, "--rows 30") for seed in seeds]
+    steps = [
+        step(f"short-{seed}", f"{COLLECT} --seed {seed}", 1, seed, "--rows 30") for seed in seeds
+    ]
     return Part("Two short logs", tuple(steps), rows)
 
 
@@ -235,7 +289,12 @@ def test_a_part_is_run_seed_by_seed_and_its_figures_are_kept(run, tmp_path, caps
     assert not (tmp_path / "results/short.json").exists()
     assert run() == 0
     kept = record.load("short", tmp_path / "results")
-    assert kept["figures"]["rows"] == {"unit": "", "summary": "mean", "seeds": [0, 1], "values": [30, 30]}
+    assert kept["figures"]["rows"] == {
+        "unit": "",
+        "summary": "mean",
+        "seeds": [0, 1],
+        "values": [30, 30],
+    }
     assert kept["scale"] == "tiny"
     assert kept["commits"] == ["c4"]
     assert kept["seeds"] == [0, 1]
@@ -277,7 +336,10 @@ def script(tmp_path):
 @pytest.fixture
 def chain(script):
     """Steps of which the second needs the first."""
-    return (step("first", f"python {script} first 1", 1), step("second", f"python {script} second 2 first", 1))
+    return (
+        step("first", f"python {script} first 1", 1),
+        step("second", f"python {script} second 2 first", 1),
+    )
 
 
 def test_a_finished_step_is_reused_at_its_commit_alone(git, chain, tmp_path):
@@ -327,7 +389,8 @@ def test_a_step_runs_again_after_one_that_it_needs(git, chain, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("head", "has_changes", "continues"), [("c4", False, True), ("c5", False, False), ("c4", True, False)]
+    ("head", "has_changes", "continues"),
+    [("c4", False, True), ("c5", False, False), ("c4", True, False)],
 )
 def test_a_stopped_step_continues_at_the_same_commit_alone(
     git, script, head, has_changes, continues, tmp_path, monkeypatch
@@ -349,8 +412,16 @@ def test_a_stopped_step_continues_at_the_same_commit_alone(
 
 def test_again_runs_the_steps_of_a_part_again_once(git, chain, run, tmp_path, monkeypatch, capsys):
     table = {
-        "one": Part("One", chain[:1], lambda work: {"value": record.figure("N", [work.json("first/value.json")])}),
-        "two": Part("Two", chain, lambda work: {"value": record.figure("N", [work.json("second/value.json")])}),
+        "one": Part(
+            "One",
+            chain[:1],
+            lambda work: {"value": record.figure("N", [work.json("first/value.json")])},
+        ),
+        "two": Part(
+            "Two",
+            chain,
+            lambda work: {"value": record.figure("N", [work.json("second/value.json")])},
+        ),
     }
     monkeypatch.setattr(program, "PARTS", table)
     monkeypatch.setattr(program, "parts", lambda seeds: table)
@@ -362,13 +433,17 @@ def test_again_runs_the_steps_of_a_part_again_once(git, chain, run, tmp_path, mo
     assert output.count(chain[1].command) == 1
 
 
-def test_a_failed_step_is_reported_and_the_other_parts_run(run, script, tmp_path, monkeypatch, capsys):
+def test_a_failed_step_is_reported_and_the_other_parts_run(
+    run, script, tmp_path, monkeypatch, capsys
+):
     def value(name):
         return lambda work: {"value": record.figure("N", [work.json(f"{name}/value.json")])}
 
     table = {
         "fails": Part("Fails", (step("a", f"python {script} a fail", 1),), value("a")),
-        "lacks": Part("Lacks", (step("b", f"python {script} b 1", 1, extra="no_such_module"),), value("b")),
+        "lacks": Part(
+            "Lacks", (step("b", f"python {script} b 1", 1, extra="no_such_module"),), value("b")
+        ),
         "unreadable": Part("Unreadable", (step("c", f"python {script} c 1", 1),), value("d")),
         "works": Part("Works", (step("e", f"python {script} e 1", 1),), value("e")),
     }
@@ -378,7 +453,10 @@ def test_a_failed_step_is_reported_and_the_other_parts_run(run, script, tmp_path
     lines = [line[6:] for line in capsys.readouterr().out.splitlines()]
     assert f"fails: failed: a ended with exit code 3; see {tmp_path / 'work/a.log'}" in lines
     assert "lacks: not finished: no_such_module is not installed" in lines
-    assert any(line.startswith("unreadable: failed: the files of its steps are not as expected") for line in lines)
+    assert any(
+        line.startswith("unreadable: failed: the files of its steps are not as expected")
+        for line in lines
+    )
     assert [file.name for file in (tmp_path / "results").iterdir()] == ["works.json"]
 
 
@@ -407,7 +485,10 @@ def test_the_history_tells_age_and_changes(repository):
     assert history.find_oldest([newest, oldest]) == (oldest, 2)
     assert history.describe_age([oldest]).startswith("2 commits old on 20")
     assert history.describe_age([middle]).startswith("1 commit old on 20")
-    assert all(documents.AGE.fullmatch(history.describe_age([commit])) for commit in (newest, middle, oldest))
+    assert all(
+        documents.AGE.fullmatch(history.describe_age([commit]))
+        for commit in (newest, middle, oldest)
+    )
     assert history.list_changes_since(oldest) == ["uv.lock"]
     assert history.list_changes_since(newest) == []
     assert history.list_commits_since(middle) == {middle, newest}
@@ -421,7 +502,10 @@ def test_the_history_tells_age_and_changes(repository):
 def test_unknown_commits_have_no_age(repository, tmp_path, monkeypatch):
     oldest = history.run_git("log", "--format=%h", "--reverse").split()[0]
     shallow = tmp_path / "shallow"
-    assert history.run_git("clone", "--quiet", "--depth", "1", repository.as_uri(), str(shallow)) is not None
+    assert (
+        history.run_git("clone", "--quiet", "--depth", "1", repository.as_uri(), str(shallow))
+        is not None
+    )
     assert history.has_full_history()
     monkeypatch.setattr(history, "ROOT", shallow)
     assert not history.has_full_history()
@@ -430,7 +514,9 @@ def test_unknown_commits_have_no_age(repository, tmp_path, monkeypatch):
     assert history.describe_age([oldest]) == history.UNKNOWN_AGE
     with pytest.raises(ValueError, match="unknown in this clone"):
         history.list_commits_since(oldest)
-    record.write("demo", {"date": "2026-11-24", "commits": [oldest], "figures": {}, "steps": {}}, tmp_path)
+    record.write(
+        "demo", {"date": "2026-11-24", "commits": [oldest], "figures": {}, "steps": {}}, tmp_path
+    )
     assert program.describe("demo", tmp_path).endswith(
         f"age unknown: this clone does not have {oldest}; run `git fetch --unshallow`"
     )
@@ -460,7 +546,8 @@ def test_a_part_without_figures_is_listed(tmp_path):
     assert program.describe("demo", tmp_path) == "no demo.json; run `python -m results demo`"
 
 
-# t(4, 0.975) = 2.776; over 1 .. 5 with s = 1.581 the margin of a further value is 2.776 s sqrt(1 + 1/5) = 4.809.
+# t(4, 0.975) = 2.776; over 1 .. 5 with s = 1.581 the margin of a further value is 2.776 s sqrt(1 +
+# 1/5) = 4.809.
 FIVE = record.figure("N", [1, 2, 3, 4, 5])
 
 
@@ -512,12 +599,20 @@ def test_another_seed_of_a_figure_without_interval_is_not_judged(seed, verdict):
 
 
 def test_a_correct_program_passes_with_as_many_figures_outside_as_chance_puts_there():
-    """Seeds that are drawn anew: of 400 figures, about one in twenty lies outside, and none far outside."""
+    """Seeds that are drawn anew: of 400 figures, about one in twenty lies outside, and none far
+    outside."""
     random = np.random.default_rng(0)
-    stated = {str(name): record.figure("N", random.normal(3, 0.6, 5).tolist()) for name in range(200)}
-    stated |= {str(name): record.figure("N", random.normal(3, 0.6, (5, 2)).tolist()) for name in range(200, 400)}
+    stated = {
+        str(name): record.figure("N", random.normal(3, 0.6, 5).tolist()) for name in range(200)
+    }
+    stated |= {
+        str(name): record.figure("N", random.normal(3, 0.6, (5, 2)).tolist())
+        for name in range(200, 400)
+    }
     measured = {
-        name: record.figure("N", [random.normal(3, 0.6, np.shape(figure["values"][0])).tolist()], [99])
+        name: record.figure(
+            "N", [random.normal(3, 0.6, np.shape(figure["values"][0])).tolist()], [99]
+        )
         for name, figure in stated.items()
     }
     found = comparison.compare_figures(stated, measured, {}, 0.001)
@@ -538,7 +633,9 @@ def test_a_correct_program_passes_with_as_many_figures_outside_as_chance_puts_th
         ([1.0, 1.1, 0.9], None, False),
     ],
 )
-def test_a_figure_is_far_outside_if_it_has_changed_by_more_than_a_factor_of_three(values, value, is_far):
+def test_a_figure_is_far_outside_if_it_has_changed_by_more_than_a_factor_of_three(
+    values, value, is_far
+):
     stated = record.figure("N", values)
     found = comparison.compare(stated, record.figure("N", [value]), 0.001)
     assert found.is_far == is_far
@@ -553,7 +650,12 @@ def test_figures_of_the_machine_are_not_judged_and_missing_ones_are():
     }
     found = comparison.compare_figures(stated, measured, {}, 0.001)
     verdicts = {name: each.verdict for name, each in found.items()}
-    assert verdicts == {"time": "not judged", "gone": "missing", "empty": "missing", "new": "not judged"}
+    assert verdicts == {
+        "time": "not judged",
+        "gone": "missing",
+        "empty": "missing",
+        "new": "not judged",
+    }
 
 
 def test_printed_digits_are_those_of_the_blocks():
@@ -574,7 +676,9 @@ def quick_run(git, script, monkeypatch, tmp_path):
         def read(work):
             return {"error": record.figure("N", [work.json(f"{name}/value.json")])}
 
-        return Part(name, (step(name, f"python {script} {name} {value} common", 1, 0, extra=extra),), read)
+        return Part(
+            name, (step(name, f"python {script} {name} {value} common", 1, 0, extra=extra),), read
+        )
 
     def call(values, **extras):
         common = step("common", f"python {script} common 0", 1)
@@ -584,7 +688,11 @@ def quick_run(git, script, monkeypatch, tmp_path):
         monkeypatch.setattr(program, "parts", lambda seeds: asked_seeds.append(seeds) or table)
         for name in values:
             if name != "unstated":
-                record.write(name, {"title": name, "figures": {"error": FIVE}, "steps": {}}, tmp_path / "stated")
+                record.write(
+                    name,
+                    {"title": name, "figures": {"error": FIVE}, "steps": {}},
+                    tmp_path / "stated",
+                )
         return program.main()
 
     call.asked_seeds = asked_seeds
@@ -617,7 +725,9 @@ def test_a_part_that_fails_does_not_stop_the_others_of_a_quick_run(quick_run, ca
     assert "FAILED: its files are not as expected" in output
     assert "FAILED: no results/unstated.json to compare with" in output
     assert output.splitlines()[-1][6:].startswith("FAIL: 1 figures inside")
-    assert output.splitlines()[-1].endswith("0 outside (by chance at most 1), 0 missing; failed: one, three, unstated")
+    assert output.splitlines()[-1].endswith(
+        "0 outside (by chance at most 1), 0 missing; failed: one, three, unstated"
+    )
 
 
 def test_a_step_behind_one_that_failed_is_not_run(git, script, tmp_path):
@@ -645,7 +755,9 @@ def test_a_quick_run_that_compares_nothing_fails(quick_run):
     assert quick_run({"one": 3}, one="no_such_module") == 1
 
 
-def test_a_quick_run_continues_if_it_was_stopped_and_else_starts_afresh(quick_run, tmp_path, capsys):
+def test_a_quick_run_continues_if_it_was_stopped_and_else_starts_afresh(
+    quick_run, tmp_path, capsys
+):
     assert quick_run({"one": 3}) == 0
     (tmp_path / "quick/report.json").unlink()
     capsys.readouterr()

@@ -1,4 +1,5 @@
-"""The site of the documentation: what its pages are generated from, the layout for Foxglove, its links.
+"""The site of the documentation: what its pages are generated from, the layout for Foxglove, its
+links.
 
 `make docs` builds the site and runs the tutorials; here stands what can be tested without Sphinx.
 """
@@ -45,7 +46,9 @@ def test_the_configuration_page_has_every_field_with_its_description(generate):
         for configuration in configurations:
             section = text.split(f"\n### {type(configuration).__name__}\n")[1].split("\n### ")[0]
             for field in type(configuration).model_fields:
-                (row,) = (line for line in section.splitlines() if line.startswith(f"| `{field}` |"))
+                (row,) = (
+                    line for line in section.splitlines() if line.startswith(f"| `{field}` |")
+                )
                 assert row.rstrip(" |").count(" | ") >= 2
 
 
@@ -93,7 +96,9 @@ def panels(place: Any) -> list[str]:
 def test_every_path_of_the_layout_leads_to_a_value_of_a_recording(tmp_path):
     last = messages(record(tmp_path / "run.mcap", 2))
     assert sorted(panels(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
-    paths = [path["value"] for panel in LAYOUT["configById"].values() for path in panel.get("paths", ())]
+    paths = [
+        path["value"] for panel in LAYOUT["configById"].values() for path in panel.get("paths", ())
+    ]
     assert len(paths) >= 6
     for path in paths:
         assert isinstance(value_at(path, last), float), path
@@ -109,7 +114,9 @@ def test_a_dead_link_of_the_site_is_told(tmp_path):
     )
     (tmp_path / "more/page.html").write_text('<p id="place"></p><a href="../index.html"></a>')
     assert dead_links(tmp_path) == []
-    (tmp_path / "more/page.html").write_text('<a href="../index.html#nothing"></a><img src="picture.png">')
+    (tmp_path / "more/page.html").write_text(
+        '<a href="../index.html#nothing"></a><img src="picture.png">'
+    )
     assert dead_links(tmp_path) == [
         "index.html: more/page.html#place",
         "more/page.html: ../index.html#nothing",

@@ -1,4 +1,5 @@
-"""No limit on time fails a correct program on a slow or busy computer: limits only end what hangs."""
+"""No limit on time fails a correct program on a slow or busy computer: limits only end what
+hangs."""
 
 import ast
 import re
@@ -11,9 +12,23 @@ import pytest
 from tests.documents import ROOT
 from tests.patience import HANG_S
 
-SCRIPTS = [path for folder in ("tests", "docs", "examples") for path in sorted((ROOT / folder).rglob("*.py"))]
+SCRIPTS = [
+    path
+    for folder in ("tests", "docs", "examples")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+]
 
-WAITS = ("wait", "join", "communicate", "settimeout", "create_connection", "urlopen", "HTTPConnection", "run", "Popen")
+WAITS = (
+    "wait",
+    "join",
+    "communicate",
+    "settimeout",
+    "create_connection",
+    "urlopen",
+    "HTTPConnection",
+    "run",
+    "Popen",
+)
 """Names of calls that wait in real time for as long as their number or their timeout says."""
 
 SIMULATED = (
@@ -29,23 +44,40 @@ SIMULATED = (
 
 def number_of(node: ast.expr | None) -> float | None:
     """The value of a number that is written out."""
-    is_number = isinstance(node, ast.Constant) and isinstance(node.value, int | float) and node.value is not True
+    is_number = (
+        isinstance(node, ast.Constant)
+        and isinstance(node.value, int | float)
+        and node.value is not True
+    )
     return float(node.value) if is_number else None
 
 
 def limits_of(text: str) -> Iterator[tuple[int, str]]:
-    """The limits on real time in a script: numbers in calls that wait, in deadlines, in comparisons with a duration."""
+    """The limits on real time in a script: numbers in calls that wait, in deadlines, in comparisons
+    with a duration."""
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Call):
-            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            name = (
+                node.func.attr
+                if isinstance(node.func, ast.Attribute)
+                else getattr(node.func, "id", "")
+            )
             by_keyword = [word.value for word in node.keywords if word.arg == "timeout"]
             by_place = node.args[:1] if name in ("wait", "join", "settimeout") else []
-            if name in WAITS and any(number_of(value) is not None for value in (*by_keyword, *by_place)):
+            if name in WAITS and any(
+                number_of(value) is not None for value in (*by_keyword, *by_place)
+            ):
                 yield node.lineno, ast.unparse(node)
         elif isinstance(node, ast.BinOp | ast.Compare):
-            parts = [node.left, node.right] if isinstance(node, ast.BinOp) else [node.left, *node.comparators]
+            parts = (
+                [node.left, node.right]
+                if isinstance(node, ast.BinOp)
+                else [node.left, *node.comparators]
+            )
             is_sum = isinstance(node, ast.Compare) or isinstance(node.op, ast.Add)
-            has_clock = any(re.search(r"(monotonic|perf_counter)\(\)", ast.unparse(part)) for part in parts)
+            has_clock = any(
+                re.search(r"(monotonic|perf_counter)\(\)", ast.unparse(part)) for part in parts
+            )
             if is_sum and has_clock and any(number_of(part) is not None for part in parts):
                 yield node.lineno, ast.unparse(node)
 
@@ -64,7 +96,9 @@ def test_a_limit_that_is_written_out_is_found(line):
     assert [number for number, _ in limits_of(line)] == [1]
 
 
-@pytest.mark.parametrize("line", ["', '.join(names)", "thread.join(HANG_S)", "age = time.monotonic() - 3"])
+@pytest.mark.parametrize(
+    "line", ["', '.join(names)", "thread.join(HANG_S)", "age = time.monotonic() - 3"]
+)
 def test_what_is_no_limit_is_none(line):
     assert list(limits_of(line)) == []
 
@@ -80,7 +114,9 @@ def test_tests_documents_and_examples_wait_for_as_long_as_patience_says():
 
 
 def test_cells_of_the_site_are_given_as_long_as_tests():
-    (limit,) = re.findall(r"^nb_execution_timeout = (.*)$", (ROOT / "docs/conf.py").read_text(), re.MULTILINE)
+    (limit,) = re.findall(
+        r"^nb_execution_timeout = (.*)$", (ROOT / "docs/conf.py").read_text(), re.MULTILINE
+    )
     assert float(limit) >= HANG_S
 
 

@@ -1,4 +1,5 @@
-"""The wheel, installed into empty environments outside the tree: the robot's part alone, then with what trains.
+"""The wheel, installed into empty environments outside the tree: the robot's part alone, then with
+what trains.
 
 ``make test-wheel`` builds the wheel and names it, and the Pythons to try it on.
 """
@@ -26,26 +27,38 @@ VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["versi
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not PYTHONS, reason="installs softfin from a registry; make test-wheel runs it"),
+    pytest.mark.skipif(
+        not PYTHONS, reason="installs softfin from a registry; make test-wheel runs it"
+    ),
 ]
 
 OF_TESTS = str(ROOT / ".pytest_cache" / "programs")
 """Compiled programs of the tests, which are less optimised."""
 
 LARGEST_MB = 125
-"""Files of the robot's part without compiled bytecode, to which pip adds some 30 MB: together at most 150 (issue 18),
-but for Python 3.11, whose NumPy is larger."""
+"""Files of the robot's part without compiled bytecode, to which pip adds some 30 MB: together at
+most 150 (issue 18), but for Python 3.11, whose NumPy is larger."""
 
 
 def run(words: Sequence[object], folder: Path, code: int = 0) -> subprocess.CompletedProcess[str]:
     """Run a program outside the tree, as a user would who has nothing of it but the wheel."""
-    mine = {name: value for name, value in os.environ.items()
-            if not name.startswith(("PYTHON", "VIRTUAL_ENV", "JAX_", "XLA_", "UV_PROJECT"))}  # fmt: skip
+    mine = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTHON", "VIRTUAL_ENV", "JAX_", "XLA_", "UV_PROJECT"))
+    }
     if mine.get("SOFTFIN_CACHE") == OF_TESTS:
         # As for a user, so that what `make demo` has compiled is not compiled again.
         del mine["SOFTFIN_CACHE"]
-    done = subprocess.run([str(word) for word in words], cwd=folder, env=mine, capture_output=True, text=True,
-                          timeout=2 * HANG_S, check=False)  # fmt: skip
+    done = subprocess.run(
+        [str(word) for word in words],
+        cwd=folder,
+        env=mine,
+        capture_output=True,
+        text=True,
+        timeout=2 * HANG_S,
+        check=False,
+    )
     assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
     return done
 
@@ -65,12 +78,16 @@ class Environment:
     """A virtual environment with softfin, and a folder beside it to work in."""
 
     def __init__(self, folder: Path, python: str) -> None:
-        self.folder, self.work = folder / "environment", folder / "work"
+        self.folder = folder / "environment"
+        self.work = folder / "work"
         self.work.mkdir(parents=True)
         run([uv(), "venv", "--quiet", "--python", python, self.folder], self.work)
 
     def pip_install(self, *words: object) -> None:
-        run([uv(), "pip", "install", "--quiet", "--python", self.folder / "bin" / "python", *words], self.work)
+        run(
+            [uv(), "pip", "install", "--quiet", "--python", self.folder / "bin" / "python", *words],
+            self.work,
+        )
 
     def softfin(self, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
         return run([self.folder / "bin" / "softfin", *words], self.work, code)
@@ -87,7 +104,10 @@ def robot(request, tmp_path_factory):
 def test_the_robots_part_has_the_versions_that_were_tested(robot):
     constraints = wheel().with_name("constraints.txt").read_text().splitlines()
     tested = dict(line.split(" ")[0].split("==") for line in constraints if " ;" not in line)
-    listed = run([uv(), "pip", "list", "--python", robot.folder / "bin" / "python", "--format=json"], robot.work).stdout
+    listed = run(
+        [uv(), "pip", "list", "--python", robot.folder / "bin" / "python", "--format=json"],
+        robot.work,
+    ).stdout
     installed = {package["name"]: package["version"] for package in json.loads(listed)}
     shared = tested.keys() & installed.keys()
     assert {"canopen", "python-can", "rosbags"} <= shared
@@ -97,7 +117,9 @@ def test_the_robots_part_has_the_versions_that_were_tested(robot):
 @pytest.fixture(scope="module")
 def learner(robot, tmp_path_factory):
     """An environment to which the extra was added by the command that a message names."""
-    environment = Environment(tmp_path_factory.mktemp("learner"), str(robot.folder / "bin" / "python"))
+    environment = Environment(
+        tmp_path_factory.mktemp("learner"), str(robot.folder / "bin" / "python")
+    )
     environment.pip_install(wheel())
     told = environment.softfin("collect", "--plant", "tank", "--out", "dataset", code=2).stderr
     assert told.count("\n") == 1
@@ -109,9 +131,16 @@ def learner(robot, tmp_path_factory):
 
 
 def test_the_robots_part_is_small_and_has_nothing_that_trains(robot):
-    files = [path for path in robot.folder.rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    files = [
+        path
+        for path in robot.folder.rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    ]
     assert sum(path.lstat().st_size for path in files) / 1e6 < LARGEST_MB
-    names = {re.split(r"[-.]", path.name)[0].lower() for path in robot.folder.glob("lib/python*/site-packages/*")}
+    names = {
+        re.split(r"[-.]", path.name)[0].lower()
+        for path in robot.folder.glob("lib/python*/site-packages/*")
+    }
     assert not names & {"jax", "jaxlib", "scipy", "pyarrow", "matplotlib", "torch", "onnxruntime"}
 
 
@@ -135,7 +164,17 @@ def test_the_robots_part_holds_a_force_on_an_emulated_rig(robot, emulated):
     robot.softfin("example", "example")
     robot.softfin("rig", "check", "--prove", "--arm", "--yes")
     robot.softfin("rig", "zero", "--arm", "--yes")
-    words = ("--reference=2,0", "--seconds", "6", "--bag", "run.mcap", "--trim", "--arm", "--yes", "--json")
+    words = (
+        "--reference=2,0",
+        "--seconds",
+        "6",
+        "--bag",
+        "run.mcap",
+        "--trim",
+        "--arm",
+        "--yes",
+        "--json",
+    )
     result = json.loads(robot.softfin("run", "example/single", *words).stdout)
     assert max(result["error_x_n"], result["error_y_n"]) < 0.3
     watched = json.loads(robot.softfin("monitor", "run.mcap", "--json").stdout)

@@ -1,9 +1,10 @@
-"""Tests the tests of the rig: changes one small thing in a copy of its code and sees whether a test fails.
+"""Tests the tests of the rig: changes one small thing in a copy of its code and sees whether a test
+fails.
 
-``make mutants`` draws mutants evenly over the modules in ``tools/mutants.toml`` and runs the tests listed there for
-each module. The survivors then face the wider tests, many at a time. A survivor needs a better test, or an explanation
-in that file; without one the exit code is 1. ``build/mutants`` keeps each outcome, so an interrupted run resumes until
-code or tests change.
+``make mutants`` draws mutants evenly over the modules in ``tools/mutants.toml`` and runs the tests
+listed there for each module. The survivors then face the wider tests, many at a time. A survivor
+needs a better test, or an explanation in that file; without one the exit code is 1.
+``build/mutants`` keeps each outcome, so an interrupted run resumes until code or tests change.
 """
 
 import argparse
@@ -44,15 +45,51 @@ COMPARISONS = {
     "in": ("not in",),
     "not in": ("in",),
 }
-ARITHMETIC = {"+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "**": "*", "<<": ">>", ">>": "<<", "&": "|", "|": "&"}
-FUNCTIONS = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "maximum", "maximum": "minimum"}
+ARITHMETIC = {
+    "+": "-",
+    "-": "+",
+    "*": "/",
+    "/": "*",
+    "//": "*",
+    "**": "*",
+    "<<": ">>",
+    ">>": "<<",
+    "&": "|",
+    "|": "&",
+}
+FUNCTIONS = {
+    "min": "max",
+    "max": "min",
+    "any": "all",
+    "all": "any",
+    "minimum": "maximum",
+    "maximum": "minimum",
+}
 OPERATORS: dict[type[ast.AST], str] = {
-    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.Is: "is",
-    ast.IsNot: "is not", ast.In: "in", ast.NotIn: "not in", ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/",
-    ast.FloorDiv: "//", ast.Pow: "**", ast.LShift: "<<", ast.RShift: ">>", ast.BitAnd: "&", ast.BitOr: "|",
-}  # fmt: skip
+    ast.Lt: "<",
+    ast.LtE: "<=",
+    ast.Gt: ">",
+    ast.GtE: ">=",
+    ast.Eq: "==",
+    ast.NotEq: "!=",
+    ast.Is: "is",
+    ast.IsNot: "is not",
+    ast.In: "in",
+    ast.NotIn: "not in",
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.FloorDiv: "//",
+    ast.Pow: "**",
+    ast.LShift: "<<",
+    ast.RShift: ">>",
+    ast.BitAnd: "&",
+    ast.BitOr: "|",
+}
 UNORDERED = {*FUNCTIONS, "isinstance", "getattr", "setattr", "hasattr"}
-"""Functions whose arguments are not swapped: it would change nothing, or fail wherever it is reached."""
+"""Functions whose arguments are not swapped: it would change nothing, or fail wherever it is
+reached."""
 
 SPARE_S = 60.0
 """Time that a mutant's tests have beyond three times that of the unchanged code [s]."""
@@ -86,16 +123,20 @@ class Project(NamedTuple):
     tests: dict[str, list[str]]
     """Tests that should notice a mutant of a module, the likeliest first."""
     explained: list[dict[str, str]]
-    """Mutants that no test needs to notice: `module`, `source` line, its `replacement`, `reason`."""
+    """Mutants that no test needs to notice: `module`, `source` line, its `replacement`,
+    `reason`."""
 
     @classmethod
     def load(cls, root: Path) -> "Project":
         """Read the configuration of a checkout."""
         values = tomllib.loads((root / "tools" / "mutants.toml").read_text())
-        return cls(root, values["package"], values["wider"], values["tests"], values.get("explained", []))
+        return cls(
+            root, values["package"], values["wider"], values["tests"], values.get("explained", [])
+        )
 
     def reason(self, mutation: Mutation) -> str | None:
-        """Return why no test needs to notice a mutation; matched by text, since line numbers change."""
+        """Return why no test needs to notice a mutation; matched by text, since line numbers
+        change."""
         wanted = (mutation.module, mutation.before, mutation.after)
         for entry in self.explained:
             if (entry["module"], entry["source"], entry["replacement"]) == wanted:
@@ -122,7 +163,9 @@ def find_mutations(module: str, source: str) -> tuple[Mutation, ...]:
         starts.append(starts[-1] + len(line))
 
     def span(node: Any) -> tuple[int, int]:
-        return starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+        return starts[node.lineno - 1] + node.col_offset, starts[
+            node.end_lineno - 1
+        ] + node.end_col_offset
 
     found: dict[tuple[int, int, str], Mutation] = {}
     changes = (change for node in _code(ast.parse(source)) for change in _changes(node, text, span))
@@ -135,7 +178,9 @@ def find_mutations(module: str, source: str) -> tuple[Mutation, ...]:
             number = text.count(b"\n", 0, start) + 1
             before = text[first:last].decode().strip()
             after = mutant[first : last + len(mutant) - len(text)].decode().strip()
-            found[start, end, replacement] = Mutation(module, kind, number, start, end, replacement, before, after)
+            found[start, end, replacement] = Mutation(
+                module, kind, number, start, end, replacement, before, after
+            )
     return tuple(found.values())
 
 
@@ -162,15 +207,21 @@ def _operator_changes(node: ast.AST, text: bytes, span: Span) -> Iterator[Change
                 sign = OPERATORS[type(operator)]
                 for new in COMPARISONS[sign]:
                     yield from _between("comparison", text, span(one)[1], span(other)[0], sign, new)
-        case ast.BinOp(left=left, op=operator, right=right) if not _is_text(left) and not _is_text(right):
+        case ast.BinOp(left=left, op=operator, right=right) if not _is_text(left) and not _is_text(
+            right
+        ):
             sign = OPERATORS.get(type(operator), "")
             if sign in ARITHMETIC:
-                yield from _between("arithmetic", text, span(left)[1], span(right)[0], sign, ARITHMETIC[sign])
+                yield from _between(
+                    "arithmetic", text, span(left)[1], span(right)[0], sign, ARITHMETIC[sign]
+                )
         case ast.AugAssign(target=target, op=operator, value=value):
             sign = OPERATORS.get(type(operator), "")
             if sign in ARITHMETIC:
                 new = ARITHMETIC[sign] + "="
-                yield from _between("arithmetic", text, span(target)[1], span(value)[0], sign + "=", new)
+                yield from _between(
+                    "arithmetic", text, span(target)[1], span(value)[0], sign + "=", new
+                )
 
 
 def _condition_changes(node: ast.AST, text: bytes, span: Span) -> Iterator[Change]:
@@ -233,13 +284,16 @@ def _call_changes(node: ast.Call, text: bytes, span: Span) -> Iterator[Change]:
         return
     start, first_end = span(first)
     second_start, end = span(second)
-    one, between, other = text[start:first_end], text[first_end:second_start], text[second_start:end]
+    one = text[start:first_end]
+    between = text[first_end:second_start]
+    other = text[second_start:end]
     if one != other:
         yield ("arguments", start, end, (other + between + one).decode())
 
 
 def _between(kind: str, text: bytes, start: int, end: int, sign: str, new: str) -> Iterator[Change]:
-    """Yield the replacement of an operator between its operands, round which there may be brackets."""
+    """Yield the replacement of an operator between its operands, round which there may be
+    brackets."""
     pattern = r"\s+".join(map(re.escape, sign.split()))
     place = re.search(pattern.encode(), text[start:end])
     if place is not None:
@@ -253,7 +307,8 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def _code(node: ast.AST) -> Iterator[ast.AST]:
-    """Walk through code that runs: neither annotations nor texts, in which no test should look for numbers."""
+    """Walk through code that runs: neither annotations nor texts, in which no test should look for
+    numbers."""
     yield node
     for name, field in ast.iter_fields(node):
         if name in ("annotation", "returns", "decorator_list") or isinstance(node, ast.JoinedStr):
@@ -264,7 +319,8 @@ def _code(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def draw(project: Project, modules: Sequence[str], number: int, seed: int) -> list[Mutation]:
-    """Draw mutations evenly over modules, and within a module evenly over kinds, so that constants do not prevail."""
+    """Draw mutations evenly over modules, and within a module evenly over kinds, so that constants
+    do not prevail."""
     drawn = []
     for index, module in enumerate(modules):
         source = (project.root / project.package / module).read_text()
@@ -285,7 +341,8 @@ def draw(project: Project, modules: Sequence[str], number: int, seed: int) -> li
 
 
 class Workshop:
-    """Copies of the checkout in a temporary folder, one per worker; the checkout itself is never touched."""
+    """Copies of the checkout in a temporary folder, one per worker; the checkout itself is never
+    touched."""
 
     def __init__(self, project: Project, folder: Path, workers: int) -> None:
         self._project = project
@@ -315,8 +372,11 @@ class Workshop:
             file = copy / self._project.package / mutation.module
             content = file.read_bytes()
             originals.setdefault(file, (content, file.stat().st_mtime))
-            file.write_bytes(content[: mutation.start] + mutation.replacement.encode() + content[mutation.end :])
-        # Python takes bytecode for current if size and second of its source agree, so no two mutants share a second.
+            file.write_bytes(
+                content[: mutation.start] + mutation.replacement.encode() + content[mutation.end :]
+            )
+        # Python takes bytecode for current if size and second of its source agree, so no two
+        # mutants share a second.
         for file in originals:
             modified_s = next(self._modified_s)
             os.utime(file, (modified_s, modified_s))
@@ -342,7 +402,8 @@ def _files_of(root: Path) -> list[str]:
 def _run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> Outcome:
     """Run tests in a copy until the first one fails."""
     started = time.monotonic()
-    # Mutants draw the same examples as the unchanged code, so that an outcome is not a matter of chance.
+    # Mutants draw the same examples as the unchanged code, so that an outcome is not a matter of
+    # chance.
     plugins = ["-p", "no:cacheprovider", "-p", "_hypothesis_pytestplugin", "--hypothesis-seed=0"]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-o", "addopts=-rfE", *plugins]
     paths = os.pathsep.join([str(copy / "src"), str(copy)])
@@ -350,9 +411,14 @@ def _run_tests(copy: Path, tests: Sequence[str], limit_s: float) -> Outcome:
     environment = os.environ | {"PYTHONPATH": paths, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     with tempfile.TemporaryFile("w+") as output:
         process = subprocess.Popen(
-            [*command, *tests], cwd=copy, env=environment, stdout=output, stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+            [*command, *tests],
+            cwd=copy,
+            env=environment,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         try:
             code = process.wait(limit_s)
         except subprocess.TimeoutExpired:
@@ -388,7 +454,9 @@ class Journal:
         if self._file.exists():
             for line in self._file.read_text().splitlines():
                 entry = json.loads(line)
-                self._outcomes[entry["run"]] = Outcome(entry["status"], entry["by"], entry["seconds"])
+                self._outcomes[entry["run"]] = Outcome(
+                    entry["status"], entry["by"], entry["seconds"]
+                )
 
     def outcome(self, name: str, run: Callable[[], Outcome]) -> Outcome:
         """Return the outcome of a run, which is done unless it was done before."""
@@ -416,18 +484,28 @@ class Run:
             f"baseline {' '.join(tests)}", lambda: self._workshop.run([], tests, limit_s=3600)
         )
         if outcome.status != "survived":
-            raise SystemExit(f"{' '.join(tests)}: failed without a mutant ({outcome.by}); repair them first")
+            raise SystemExit(
+                f"{' '.join(tests)}: failed without a mutant ({outcome.by}); repair them first"
+            )
         return outcome.seconds
 
     def outcomes(self, mutations: Sequence[Mutation]) -> dict[Mutation, Outcome]:
         """Run the tests of each mutant's module, then the wider tests on all survivors."""
         modules = sorted({mutation.module for mutation in mutations})
-        baselines = self._pool.map(lambda module: self.baseline(self._project.tests[module]), modules)
-        limits = {module: 3 * seconds + SPARE_S for module, seconds in zip(modules, baselines, strict=True)}
+        baselines = self._pool.map(
+            lambda module: self.baseline(self._project.tests[module]), modules
+        )
+        limits = {
+            module: 3 * seconds + SPARE_S
+            for module, seconds in zip(modules, baselines, strict=True)
+        }
 
         def run_own(mutation: Mutation) -> Outcome:
-            tests, limit_s = self._project.tests[mutation.module], limits[mutation.module]
-            return self._journal.outcome(name_of(mutation), lambda: self._workshop.run([mutation], tests, limit_s))
+            tests = self._project.tests[mutation.module]
+            limit_s = limits[mutation.module]
+            return self._journal.outcome(
+                name_of(mutation), lambda: self._workshop.run([mutation], tests, limit_s)
+            )
 
         outcomes = dict(zip(mutations, self._pool.map(run_own, mutations), strict=True))
         survivors = [
@@ -437,14 +515,19 @@ class Run:
         ]
         if survivors and self._project.wider:
             limit_s = 3 * self.baseline(self._project.wider) + SPARE_S
-            for found in self._pool.map(lambda group: self._run_wider(group, limit_s), apart(survivors)):
+            for found in self._pool.map(
+                lambda group: self._run_wider(group, limit_s), apart(survivors)
+            ):
                 outcomes.update(found)
         return outcomes
 
     def _run_wider(self, group: list[Mutation], limit_s: float) -> dict[Mutation, Outcome]:
-        """Run the wider tests on many mutants at once, and on either half if they fail: most survivors survive."""
+        """Run the wider tests on many mutants at once, and on either half if they fail: most
+        survivors survive."""
         name = "wider " + " + ".join(map(name_of, group))
-        outcome = self._journal.outcome(name, lambda: self._workshop.run(group, self._project.wider, limit_s))
+        outcome = self._journal.outcome(
+            name, lambda: self._workshop.run(group, self._project.wider, limit_s)
+        )
         if outcome.status == "survived":
             return dict.fromkeys(group, outcome)
         if len(group) == 1:
@@ -473,7 +556,10 @@ def _touch(one: Mutation, other: Mutation) -> bool:
 def name_of(mutation: Mutation) -> str:
     """Return the name by which a mutant is known in the journal and in the table."""
     before, after = (" ".join(text.split()) for text in (mutation.before, mutation.after))
-    return f"{mutation.module}:{mutation.line} {mutation.kind} `{before}` -> `{after}` @{mutation.start}"
+    return (
+        f"{mutation.module}:{mutation.line} {mutation.kind} `{before}` -> `{after}` "
+        f"@{mutation.start}"
+    )
 
 
 def report(project: Project, outcomes: dict[Mutation, Outcome]) -> bool:
@@ -504,12 +590,15 @@ def report(project: Project, outcomes: dict[Mutation, Outcome]) -> bool:
 
 
 def stale_explanations(project: Project) -> list[str]:
-    """Return the explanations of mutants that can no longer be drawn, since the source has changed."""
+    """Return the explanations of mutants that can no longer be drawn, since the source has
+    changed."""
     stale = []
     for entry in project.explained:
         file = project.root / project.package / entry["module"]
         mutations = find_mutations(entry["module"], file.read_text()) if file.exists() else ()
-        if not any((m.before, m.after) == (entry["source"], entry["replacement"]) for m in mutations):
+        if not any(
+            (m.before, m.after) == (entry["source"], entry["replacement"]) for m in mutations
+        ):
             stale.append(f"{entry['module']}: `{entry['source']}` -> `{entry['replacement']}`")
     return stale
 
@@ -517,10 +606,16 @@ def stale_explanations(project: Project) -> list[str]:
 def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
     """Run the mutants; the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("number", nargs="?", type=int, default=200, help="mutants to draw (default: 200)")
+    parser.add_argument(
+        "number", nargs="?", type=int, default=200, help="mutants to draw (default: 200)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the draw (default: 0)")
-    parser.add_argument("--workers", type=int, default=2, help="mutants that run at a time (default: 2)")
-    parser.add_argument("--modules", nargs="+", metavar="MODULE", help="modules to mutate (default: all)")
+    parser.add_argument(
+        "--workers", type=int, default=2, help="mutants that run at a time (default: 2)"
+    )
+    parser.add_argument(
+        "--modules", nargs="+", metavar="MODULE", help="modules to mutate (default: all)"
+    )
     options = parser.parse_args(arguments)
     project = Project.load(root)
     modules = options.modules or list(project.tests)
@@ -528,10 +623,16 @@ def main(arguments: Sequence[str] | None = None, root: Path = ROOT) -> int:
         parser.error(f"{', '.join(unknown)}: not in tools/mutants.toml; add them with their tests")
     stale = stale_explanations(project)
     for explanation in stale:
-        sys.stdout.write(f"tools/mutants.toml: {explanation}: no such mutant; remove the explanation\n")
+        sys.stdout.write(
+            f"tools/mutants.toml: {explanation}: no such mutant; remove the explanation\n"
+        )
     mutations = draw(project, modules, options.number, options.seed)
-    # The pool ends before its folder goes: the tests of an interrupted run must not fail for want of their files.
-    with tempfile.TemporaryDirectory(prefix="softfin-mutants-") as folder, ThreadPoolExecutor(options.workers) as pool:
+    # The pool ends before its folder goes: the tests of an interrupted run must not fail for want
+    # of their files.
+    with (
+        tempfile.TemporaryDirectory(prefix="softfin-mutants-") as folder,
+        ThreadPoolExecutor(options.workers) as pool,
+    ):
         workshop = Workshop(project, Path(folder), options.workers)
         outcomes = Run(project, workshop, pool).outcomes(mutations)
     is_explained = report(project, outcomes)

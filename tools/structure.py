@@ -16,13 +16,18 @@ SURROGATES = {"Surrogate", "StreamingSurrogate"}
 
 def main() -> None:
     """Print rooms with their lines, then the counts."""
-    trees = {file.relative_to(PACKAGE): ast.parse(file.read_text()) for file in sorted(PACKAGE.rglob("*.py"))}
+    trees = {
+        file.relative_to(PACKAGE): ast.parse(file.read_text())
+        for file in sorted(PACKAGE.rglob("*.py"))
+    }
     lines = {file: len((PACKAGE / file).read_text().splitlines()) for file in trees}
     rooms: Counter[str] = Counter()
     for file, count in lines.items():
         rooms[file.parts[0] if len(file.parts) > 1 else "(top)"] += count
     for room, count in rooms.most_common():
-        modules = [file for file in lines if (file.parts[0] if len(file.parts) > 1 else "(top)") == room]
+        modules = [
+            file for file in lines if (file.parts[0] if len(file.parts) > 1 else "(top)") == room
+        ]
         sys.stdout.write(f"{room:12} {count:6,} lines in {len(modules):3} files\n")
     classes = defaultdict(list)
     steps = defaultdict(list)
@@ -34,10 +39,16 @@ def main() -> None:
                 methods = {inner.name for inner in node.body if isinstance(inner, ast.FunctionDef)}
                 if "act" in methods and "Protocol" not in map(ast.unparse, node.bases):
                     steps[node.name].append(str(file))
-            if isinstance(node, ast.Call) and ast.unparse(node.func) == "isinstance" and file.parts[0] != "surrogate":
+            if (
+                isinstance(node, ast.Call)
+                and ast.unparse(node.func) == "isinstance"
+                and file.parts[0] != "surrogate"
+            ):
                 named = {name.id for name in ast.walk(node.args[1]) if isinstance(name, ast.Name)}
                 tests += [f"{file}:{node.lineno}"] if SURROGATES & named else []
-    shared = {name: files for name, files in classes.items() if len(files) > 1 and name != "Arguments"}
+    shared = {
+        name: files for name, files in classes.items() if len(files) > 1 and name != "Arguments"
+    }
     found = [line for file in sorted(PACKAGE.rglob("*.py")) for line in words.check_code(file)]
     long = [f"{file} ({count})" for file, count in lines.items() if count > 300]
     short = [file for file, count in lines.items() if count < 40 and file.name != "__init__.py"]

@@ -1,4 +1,5 @@
-"""Checks the words of softfin: names, docstrings, messages and documents use the field's terms; part of ``make lint``.
+"""Checks the words of softfin: names, docstrings, messages and documents use the field's terms;
+part of ``make lint``.
 
 Exits with 1 and one line for each word that is not to be used, with the one to use instead.
 """
@@ -13,37 +14,91 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "softfin"
 
 NAMES = {
-    "fresh": "is_first", "seen_after": "next_privileged_observation", "log_density": "log_prob",
-    "log_deviation": "log_std", "gradient_norm": "max_grad_norm", "value_weight": "value_coef",
-    "rollout_actions": "num_steps", "minibatches": "num_minibatches", "Lesson": "Batch", "Lane": "AgentState",
-    "having_seen": "update_statistics", "scorings": "num_evaluations", "judge": "evaluate", "judged": "evaluate",
-    "teacher": "warm_start", "imitate": "warm_start", "Shown": "Demonstrations", "CommonConfig": "SharedPretraining",
-    "common_start": "pretrain_shared_policy", "beat": "gait", "Made": "GaitResponse", "made": "simulate_gait",
-    "steady": "steady_state_force", "Found": "GaitSearchResult", "missed": "force_error", "known": "force_map",
-    "Known": "ForceMap", "known_of": "load_force_map", "pulled": "project", "least_box": "bounding_box",
-    "grown": "expanded", "admitted": "resolve_reference", "held_n": "tracked_reference_n", "in_charge": "active_cell",
-    "taken_over": "warm_up_memory", "Said": "ForcePrediction, LiveReference", "said": "a noun", "foretold":
-    "predicted_motion", "heard": "predicted_motion", "Freed": "FreeRunPrediction", "freed": "prediction",
-    "beyond_data": "out_of_distribution_fraction", "Doubt": "SurrogateUncertainty", "doubt":
-    "stop_unconfirmed, uncertainty", "Place": "Segment", "Piece": "Segment", "Stretch": "Segment", "Subject":
-    "EvaluationTarget", "Spread": "DomainRandomization", "drawn": "sample_tank", "randomised": "sample_tank",
-    "Conditions": "DomainRandomization", "under": "with_parameters", "Facts": "LogStatistics", "facts": "metadata",
-    "Finding": "Issue", "also": "extra_files", "described": "to_dict", "Workspace": "RunDirectory", "workspace":
-    "run_directory", "Bench": "RobotSetup", "TrimState": "DisturbanceObserverState", "TrimConfig":
-    "DisturbanceObserverConfig", "TrimmedController": "DisturbanceObserver",
-}  # fmt: skip
+    "fresh": "is_first",
+    "seen_after": "next_privileged_observation",
+    "log_density": "log_prob",
+    "log_deviation": "log_std",
+    "gradient_norm": "max_grad_norm",
+    "value_weight": "value_coef",
+    "rollout_actions": "num_steps",
+    "minibatches": "num_minibatches",
+    "Lesson": "Batch",
+    "Lane": "AgentState",
+    "having_seen": "update_statistics",
+    "scorings": "num_evaluations",
+    "judge": "evaluate",
+    "judged": "evaluate",
+    "teacher": "warm_start",
+    "imitate": "warm_start",
+    "Shown": "Demonstrations",
+    "CommonConfig": "SharedPretraining",
+    "common_start": "pretrain_shared_policy",
+    "beat": "gait",
+    "Made": "GaitResponse",
+    "made": "simulate_gait",
+    "steady": "steady_state_force",
+    "Found": "GaitSearchResult",
+    "missed": "force_error",
+    "known": "force_map",
+    "Known": "ForceMap",
+    "known_of": "load_force_map",
+    "pulled": "project",
+    "least_box": "bounding_box",
+    "grown": "expanded",
+    "admitted": "resolve_reference",
+    "held_n": "tracked_reference_n",
+    "in_charge": "active_cell",
+    "taken_over": "warm_up_memory",
+    "Said": "ForcePrediction, LiveReference",
+    "said": "a noun",
+    "foretold": "predicted_motion",
+    "heard": "predicted_motion",
+    "Freed": "FreeRunPrediction",
+    "freed": "prediction",
+    "beyond_data": "out_of_distribution_fraction",
+    "Doubt": "SurrogateUncertainty",
+    "doubt": "stop_unconfirmed, uncertainty",
+    "Place": "Segment",
+    "Piece": "Segment",
+    "Stretch": "Segment",
+    "Subject": "EvaluationTarget",
+    "Spread": "DomainRandomization",
+    "drawn": "sample_tank",
+    "randomised": "sample_tank",
+    "Conditions": "DomainRandomization",
+    "under": "with_parameters",
+    "Facts": "LogStatistics",
+    "facts": "metadata",
+    "Finding": "Issue",
+    "also": "extra_files",
+    "described": "to_dict",
+    "Workspace": "RunDirectory",
+    "workspace": "run_directory",
+    "Bench": "RobotSetup",
+    "TrimState": "DisturbanceObserverState",
+    "TrimConfig": "DisturbanceObserverConfig",
+    "TrimmedController": "DisturbanceObserver",
+}
 """Names of classes, functions, arguments, variables and attributes -> the name to use."""
 
 LOCAL_NAMES = {
     "learning": {
-        "cut": "truncated", "raw": "pre_tanh_action", "seen": "observation", "deviation": "init_std",
-        "trace": "gae_lambda", "clip": "clip_ratio", "entropy": "entropy_coef", "environments": "num_envs",
-        "epochs": "num_epochs", "score": "evaluate", "show": "record_demonstrations",
+        "cut": "truncated",
+        "raw": "pre_tanh_action",
+        "seen": "observation",
+        "deviation": "init_std",
+        "trace": "gae_lambda",
+        "clip": "clip_ratio",
+        "entropy": "entropy_coef",
+        "environments": "num_envs",
+        "epochs": "num_epochs",
+        "score": "evaluate",
+        "show": "record_demonstrations",
     },
     "gaits": {"wave": "waveform"},
     "control": {"share": "blend", "said": "action"},
     "surrogate": {"floor": "noise_floor"},
-}  # fmt: skip
+}
 """The same for names that mean something else in other rooms."""
 
 PHRASES = {
@@ -63,7 +118,8 @@ PHRASES = {
 """Phrases of docstrings, messages, help and documents -> what to write."""
 
 OPENINGS = re.compile(
-    r"^(Of|From|Likewise|The same|As the(re)?|As here|What|Those|Its|Their|They|It|In words|Which|Why|Where)\b"
+    r"^(Of|From|Likewise|The same|As the(re)?|As here|What|Those|Its|Their|They|It|In "
+    r"words|Which|Why|Where)\b"
 )
 """Beginnings of docstrings that cannot be understood alone."""
 
@@ -84,7 +140,11 @@ def check_code(file: Path) -> Iterator[str]:
     tree = ast.parse(file.read_text())
     modules = {name for node in ast.walk(tree) for name in modules_of(node)}
     for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
+        if (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id in modules
+        ):
             # A name of another library, such as jnp.clip.
             continue
         for name in names_of(node):
@@ -94,7 +154,10 @@ def check_code(file: Path) -> Iterator[str]:
             yield from check_text(file, node.lineno, node.value)
         match node:
             case ast.Expr(ast.Constant(str(text))) if opening := OPENINGS.match(text):
-                yield f"{file.relative_to(ROOT)}:{node.lineno}: docstring begins with {opening[0]!r} -> name the thing"
+                yield (
+                    f"{file.relative_to(ROOT)}:{node.lineno}: docstring begins with "
+                    f"{opening[0]!r} -> name the thing"
+                )
 
 
 def check_text(file: Path, line: int, text: str) -> Iterator[str]:

@@ -1,4 +1,5 @@
-"""The parts: the steps of each, and how its figures are read from what these wrote; each is a ``results/NAME.json``."""
+"""The parts: the steps of each, and how its figures are read from what these wrote; each is a
+``results/NAME.json``."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -27,12 +28,25 @@ SEEDS = (10, 11, 12, 13, 14)
 """No setting of softfin was chosen on these seeds; 0 to 9 were used while settings were chosen."""
 
 BENCHMARKS = {
-    "tank": (2, 5), "task": (2, 5), "surrogate": (1, 5), "fit": (2, 5), "ppo": (6, 3), "controllers": (7, 3),
-    "cells": (3, 3), "compile": (6, 1), "memory": (6, 1), "controller_step": (1, 5), "recording": (1, 5), "rig": (3, 3),
-    "rig_deaths": (60, 1), "activation": (8, 3),
-    "robot": (2, 3), "explore": (1, 5),
-}  # fmt: skip
-"""Benchmarks: minutes of each run, and runs. Those of few runs take long, or count what hardly varies."""
+    "tank": (2, 5),
+    "task": (2, 5),
+    "surrogate": (1, 5),
+    "fit": (2, 5),
+    "ppo": (6, 3),
+    "controllers": (7, 3),
+    "cells": (3, 3),
+    "compile": (6, 1),
+    "memory": (6, 1),
+    "controller_step": (1, 5),
+    "recording": (1, 5),
+    "rig": (3, 3),
+    "rig_deaths": (60, 1),
+    "activation": (8, 3),
+    "robot": (2, 3),
+    "explore": (1, 5),
+}
+"""Benchmarks: minutes of each run, and runs. Those of few runs take long, or count what hardly
+varies."""
 
 
 def demo(seeds: Sequence[int]) -> Part:
@@ -43,8 +57,12 @@ def demo(seeds: Sequence[int]) -> Part:
     runs = [step(f"demo-{seed}", f"{command} {seed}", 2.5, seed) for seed in seeds]
 
     def read(work: Work) -> Figures:
-        names, found = names_of(runs), [work.json(f"{run.name}/results.json") for run in runs]
-        figures = {key: work.spent([[name] for name in names], seeds, key) for key in ("wall_s", "processor_s")}
+        names = names_of(runs)
+        found = [work.json(f"{run.name}/results.json") for run in runs]
+        figures = {
+            key: work.spent([[name] for name in names], seeds, key)
+            for key in ("wall_s", "processor_s")
+        }
         for key, name in (("error", "controllers"), ("feedback", "trimmed")):
             for kind in found[0].get(name) or ():
                 means = [row[name][kind]["mean"] for row in found]
@@ -71,8 +89,10 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
     """A benchmark, each run in a process of its own."""
 
     def make(seeds: Sequence[int]) -> Part:
-        extra, (minutes, count) = "sb3_contrib" if name == "ppo" else None, BENCHMARKS[name]
-        command, seeds = f"python -m benchmarks {name}", seeds[:count]
+        extra = "sb3_contrib" if name == "ppo" else None
+        (minutes, count) = BENCHMARKS[name]
+        command = f"python -m benchmarks {name}"
+        seeds = seeds[:count]
         runs = [step(f"bench-{name}-{seed}", command, minutes, seed, extra=extra) for seed in seeds]
 
         def read(work: Work) -> Figures:
@@ -82,11 +102,14 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
                 title = rows[0]["figure"].replace(":", "")
                 for key in sorted(rows[0].keys() - {"met"}):
                     values = [row.get(key) for row in rows]
-                    # A time of something that no run reached is no figure; one that some reached has nulls.
+                    # A time of something that no run reached is no figure; one that some reached
+                    # has nulls.
                     if any(isinstance(value, int | float) for value in values):
                         unit = rows[0].get("unit", "") if key == "value" else ""
                         name = title if key == "value" else f"{title}.{key}"
-                        figures[name] = figure(unit, values, seeds, "median", machine_dependent=True)
+                        figures[name] = figure(
+                            unit, values, seeds, "median", machine_dependent=True
+                        )
             return figures
 
         return Part(f"Benchmark {name}", tuple(runs), read)
@@ -95,14 +118,25 @@ def bench(name: str) -> Callable[[Sequence[int]], Part]:
 
 
 PARTS: dict[str, Callable[[Sequence[int]], Part]] = {
-    "surrogates": surrogates, "controllers-published": controllers_published,
-    "ppo-published": ppo_published, "controllers-tank": controllers_tank,
-    "controllers-paper": controllers_paper, "baselines-published": baselines_published,
-    "baselines-tank": baselines_tank, "recurrent": recurrent, "choices": choices,
-    "whole-map": whole_map, "faster": faster, "ablation": ablation, "data-efficiency": data_efficiency, "tank": tank,
-    "demo": demo, "rig-day": rig_day, "robot": robot,
+    "surrogates": surrogates,
+    "controllers-published": controllers_published,
+    "ppo-published": ppo_published,
+    "controllers-tank": controllers_tank,
+    "controllers-paper": controllers_paper,
+    "baselines-published": baselines_published,
+    "baselines-tank": baselines_tank,
+    "recurrent": recurrent,
+    "choices": choices,
+    "whole-map": whole_map,
+    "faster": faster,
+    "ablation": ablation,
+    "data-efficiency": data_efficiency,
+    "tank": tank,
+    "demo": demo,
+    "rig-day": rig_day,
+    "robot": robot,
     **{f"bench-{name.replace('_', '-')}": bench(name) for name in BENCHMARKS},
-}  # fmt: skip
+}
 """Parts by name, in the order in which they are run."""
 
 

@@ -1,8 +1,9 @@
 """What parts are made of: steps that several share, and how their files are read.
 
-Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate that is fitted to
-them and the controllers that are trained in it come from N; the tanks, noise and drift of their evaluation, and the
-search of baselines, come from `evaluation_seed` of N. The faster study and RecurrentPPO evaluate with N itself.
+Names end in the seed. Whole chains are repeated. In the chain of seed N the logs, the surrogate
+that is fitted to them and the controllers that are trained in it come from N; the tanks, noise and
+drift of their evaluation, and the search of baselines, come from `evaluation_seed` of N. The faster
+study and RecurrentPPO evaluate with N itself.
 """
 
 import json
@@ -29,13 +30,19 @@ class Work(NamedTuple):
         """The ``evaluation.json`` of some steps."""
         return [self.json(f"{name}/evaluation.json") for name in names]
 
-    def spent(self, steps: Sequence[Sequence[str]], seeds: Sequence[int], kind: str = "wall_s") -> dict[str, Any]:
+    def spent(
+        self, steps: Sequence[Sequence[str]], seeds: Sequence[int], kind: str = "wall_s"
+    ) -> dict[str, Any]:
         """Wall or processor time [s], or peak memory [GiB], of the steps of each seed.
 
         Seeds of which a step was stopped in between are left out: what it took before is not known.
         """
         records = [[self.json(f"{name}.step.json") for name in names] for names in steps]
-        whole = [(seed, each) for seed, each in zip(seeds, records, strict=True) if not any(r["resumed"] for r in each)]
+        whole = [
+            (seed, each)
+            for seed, each in zip(seeds, records, strict=True)
+            if not any(r["resumed"] for r in each)
+        ]
         values = [round(sum(record[kind] for record in each), 2) for _, each in whole]
         unit = "GiB" if kind == "peak_gib" else "s"
         return figure(unit, values, [seed for seed, _ in whole], "median", machine_dependent=True)
@@ -67,38 +74,56 @@ def scores_of(rows: Sequence[Mapping[str, Any]], *scores: str, factor: float = 1
     return [value if len(value) > 1 else value[0] for value in values]
 
 
-def step_times(figures: Figures, key: str, judged: Sequence[Mapping[str, Any]], seeds: Sequence[int]) -> None:
-    """Add the settling time of each of the default steps, and the longest, at the slowest of the plant's seeds."""
+def step_times(
+    figures: Figures, key: str, judged: Sequence[Mapping[str, Any]], seeds: Sequence[int]
+) -> None:
+    """Add the settling time of each of the default steps, and the longest, at the slowest of the
+    plant's seeds."""
     rows = [[row["longest_settling_s"] for row in each["moving"]] for each in judged]
     for index in range(len(rows[0])):
-        figures[f"{key}.step_{index + 1}"] = figure("s", [row[index] for row in rows], seeds, "median")
-    figures[f"{key}.settling"] = figure("s", [None if None in row else max(row) for row in rows], seeds, "median")
+        figures[f"{key}.step_{index + 1}"] = figure(
+            "s", [row[index] for row in rows], seeds, "median"
+        )
+    figures[f"{key}.settling"] = figure(
+        "s", [None if None in row else max(row) for row in rows], seeds, "median"
+    )
 
 
 PUBLISHED = step(
     "published",
-    "softfin import-keras $SOFTFIN_PUBLISHED/cnn_pos_net.keras $SOFTFIN_PUBLISHED/lstm_force_net.keras "
-    "--scalers $SOFTFIN_PUBLISHED/scalers.json",
+    "softfin import-keras $SOFTFIN_PUBLISHED/cnn_pos_net.keras "
+    "$SOFTFIN_PUBLISHED/lstm_force_net.keras --scalers $SOFTFIN_PUBLISHED/scalers.json",
     0.2,
 )
 
 
 def dataset(seed: int) -> Step:
     """The paper's number of logs of the tank."""
-    return step(f"dataset-{seed}", f"softfin collect --plant tank --seed {seed}", 0.5, seed,
-                "--logs 12 --test-logs 1 --rows 1500")  # fmt: skip
+    return step(
+        f"dataset-{seed}",
+        f"softfin collect --plant tank --seed {seed}",
+        0.5,
+        seed,
+        "--logs 12 --test-logs 1 --rows 1500",
+    )
 
 
 def same_tank_logs(seed: int) -> tuple[Step, Step]:
-    """Logs of the same tank that no surrogate has seen, as training logs and as the test logs of a dataset."""
+    """Logs of the same tank that no surrogate has seen, as training logs and as the test logs of a
+    dataset."""
     command = f"softfin collect --plant tank --logs 12 --test-logs 0 --seed {700 + seed}"
     collected = step(f"same-logs-{seed}", command, 1, seed, "--logs 2 --rows 1500")
-    return collected, step(f"same-{seed}", f"python -m results.scripts as-test same-logs-{seed} same-{seed}", 0.2, seed)
+    return collected, step(
+        f"same-{seed}", f"python -m results.scripts as-test same-logs-{seed} same-{seed}", 0.2, seed
+    )
 
 
 def perturbed_tank_logs(seed: int) -> Step:
-    """Logs of 120 perturbed tanks: so many show how often intervals hold, since drift is correlated within a log."""
-    command = f"softfin collect --plant tank --logs 1 --test-logs 120 --rows 3400 --seed {800 + seed}"
+    """Logs of 120 perturbed tanks: so many show how often intervals hold, since drift is correlated
+    within a log."""
+    command = (
+        f"softfin collect --plant tank --logs 1 --test-logs 120 --rows 3400 --seed {800 + seed}"
+    )
     return step(f"perturbed-{seed}", command, 1, seed, "--test-logs 2 --rows 1500")
 
 
@@ -107,16 +132,20 @@ TINY_POLICY = "--set num_evaluations=1 --set policy.units=8 --set policy.width=8
 
 
 TINY = {
-    "gaits": "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 --set spacing_n=1",
+    "gaits": "--set gaits.steps=6 --set survey.directions=8 --set survey.pushes=0 "
+    "--set spacing_n=1",
     "ppo": f"{TINY_POLICY} --set steps=960",
-    "gradient": f"{TINY_POLICY} --set steps=144 --set gradient.num_envs=4 --set gradient.warm_start=false",
+    "gradient": f"{TINY_POLICY} --set steps=144 --set gradient.num_envs=4 --set "
+    "gradient.warm_start=false",
 }
 """Options of `softfin train` at the tiny scale, by what it trains."""
 
 
 def streaming(seed: int) -> Step:
     """Fit of the streaming surrogate on the paper's rows."""
-    return step(f"streaming-{seed}", f"softfin fit dataset-{seed} --seed {seed}", 3, seed, TINY_NETS)
+    return step(
+        f"streaming-{seed}", f"softfin fit dataset-{seed} --seed {seed}", 3, seed, TINY_NETS
+    )
 
 
 def paper(seed: int) -> Step:
@@ -140,7 +169,8 @@ CONTROLLERS = {
 def train(kind: str, options: str, surrogate: str, seed: int | None, minutes: float) -> Step:
     """Training of one controller."""
     # Gaits are searched without any randomness of their own.
-    name, chance = f"{kind}-{surrogate}", "" if kind == "gaits" else f" --seed {seed}"
+    name = f"{kind}-{surrogate}"
+    chance = "" if kind == "gaits" else f" --seed {seed}"
     if kind != "gaits" and not surrogate.endswith(f"-{seed}"):
         name += f"-{seed}"
     tiny = TINY["gaits" if kind == "gaits" else "ppo" if "ppo" in options else "gradient"]

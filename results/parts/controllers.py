@@ -34,23 +34,30 @@ def controllers_published(seeds: Sequence[int]) -> Part:
         "docs/error_map.png": f"judged-single-published-{seeds[0]}/error_map.png",
         "docs/experiments.png": f"judged-grid-published-{seeds[0]}/experiments.png",
     }
-    part = _in_published("Controllers in the published surrogate", ("gaits", "single", "grid"), seeds)
+    part = _in_published(
+        "Controllers in the published surrogate", ("gaits", "single", "grid"), seeds
+    )
     return part._replace(pictures=pictures)
 
 
 def ppo_published(seeds: Sequence[int]) -> Part:
-    """LSTM-PPO of the paper's budgets, plain and with hindsight relabelling, in the authors' published surrogate."""
+    """LSTM-PPO of the paper's budgets, plain and with hindsight relabelling, in the authors'
+    published surrogate."""
     kinds = ("single-ppo", "grid-ppo", "single-hindsight", "grid-hindsight")
     return _in_published("LSTM-PPO in the published surrogate", kinds, seeds)
 
 
 def _in_published(title: str, kinds: Sequence[str], seeds: Sequence[int]) -> Part:
-    trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
+    trained = dict[str, list[Step]]()
+    judged = dict[str, list[Step]]()
     for kind in kinds:
         options, minutes = CONTROLLERS[kind]
         own = (None,) if kind == "gaits" else seeds
         trained[kind] = [train(kind, options, "published", seed, minutes) for seed in own]
-        judged[kind] = [evaluate(each, "published", "judged", f"{JUDGED} --error-map", 0.5) for each in trained[kind]]
+        judged[kind] = [
+            evaluate(each, "published", "judged", f"{JUDGED} --error-map", 0.5)
+            for each in trained[kind]
+        ]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
@@ -82,24 +89,42 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
         "perturbed": "--randomize 0.15 --seeds 20",
         "perturbed-feedback": "--randomize 0.15 --seeds 20 --trim --moving step",
     }
-    return _in_tank("Controllers from streaming surrogates in the tank", kinds, "streaming", streaming, seeds, ways)
+    return _in_tank(
+        "Controllers from streaming surrogates in the tank",
+        kinds,
+        "streaming",
+        streaming,
+        seeds,
+        ways,
+    )
 
 
 def controllers_paper(seeds: Sequence[int]) -> Part:
     """The paper's method in the tank: Tables I and II."""
-    kinds, ways = ("single-ppo", "grid-ppo"), {"within": "", "tank": ""}
+    kinds = ("single-ppo", "grid-ppo")
+    ways = {"within": "", "tank": ""}
     part = _in_tank("The paper's method in the tank", kinds, "paper", paper, seeds, ways)
 
     def read(work: Work) -> Figures:
         figures = part.figures(work)
         for way in ways:
-            # Both are trained in the same surrogate and see the same noise, so the seeds are compared in pairs.
-            pairs = zip(figures[f"single-ppo.{way}"]["values"], figures[f"grid-ppo.{way}"]["values"], strict=True)
-            differences = [[one - other for one, other in zip(*each, strict=True)] for each in pairs]
+            # Both are trained in the same surrogate and see the same noise, so the seeds are
+            # compared in pairs.
+            pairs = zip(
+                figures[f"single-ppo.{way}"]["values"],
+                figures[f"grid-ppo.{way}"]["values"],
+                strict=True,
+            )
+            differences = [
+                [one - other for one, other in zip(*each, strict=True)] for each in pairs
+            ]
             figures[f"single_minus_grid.{way}"] = figure("N", differences, seeds)
         found = [work.json(f"paper-{seed}/surrogate.json")["scores"] for seed in seeds]
         for net in ("posnet", "forcenet_measured", "forcenet_free_running"):
-            for scale, scores in (("physical", ("rmse", "mae", "dtw_mae")), ("scaled", ("rmse", "mae"))):
+            for scale, scores in (
+                ("physical", ("rmse", "mae", "dtw_mae")),
+                ("scaled", ("rmse", "mae")),
+            ):
                 for score in scores:
                     unit = "" if scale == "scaled" else "rad" if net == "posnet" else "N"
                     values = [each[net][scale][score] for each in found]
@@ -110,10 +135,15 @@ def controllers_paper(seeds: Sequence[int]) -> Part:
 
 
 def _in_tank(
-    title: str, kinds: Sequence[str], model: str, fit: Callable[[int], Step], seeds: Sequence[int],
+    title: str,
+    kinds: Sequence[str],
+    model: str,
+    fit: Callable[[int], Step],
+    seeds: Sequence[int],
     ways: Mapping[str, str],
-) -> Part:  # fmt: skip
-    """Controllers trained in the surrogate of each seed, judged in some ways in the tank, or within that surrogate."""
+) -> Part:
+    """Controllers trained in the surrogate of each seed, judged in some ways in the tank, or within
+    that surrogate."""
     steps = []
     for seed in seeds:
         steps += [dataset(seed), fit(seed)]
@@ -121,7 +151,10 @@ def _in_tank(
             options, minutes = CONTROLLERS[kind]
             trained = train(kind, options, f"{model}-{seed}", seed, minutes)
             plants = {"within": f"{model}-{seed}"}
-            judged = [evaluate(trained, plants.get(name, "tank"), name, way, 0.5) for name, way in ways.items()]
+            judged = [
+                evaluate(trained, plants.get(name, "tank"), name, way, 0.5)
+                for name, way in ways.items()
+            ]
             steps += [trained, *judged]
 
     def read(work: Work) -> Figures:
@@ -147,7 +180,9 @@ def _in_tank(
                     x, y = row["reference_n"]
                     own = [each["references"][index] for each in rows]
                     figures[f"{key}.{x:g},{y:g}"] = figure("N", [pair(each) for each in own], seeds)
-                    figures[f"{key}.std.{x:g},{y:g}"] = figure("N", [pair(each, "std_n") for each in own], seeds)
+                    figures[f"{key}.std.{x:g},{y:g}"] = figure(
+                        "N", [pair(each, "std_n") for each in own], seeds
+                    )
                 if "moving" in rows[0]:
                     step_times(figures, key, rows, seeds)
         return figures
@@ -167,10 +202,18 @@ def baselines_tank(seeds: Sequence[int]) -> Part:
 
 
 def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
-    tiny = "--seconds 6 --seeds 1 --set search.gaits=8 --set search.kept=1 --set search.refinements=0"
+    tiny = (
+        "--seconds 6 --seeds 1 --set search.gaits=8 --set search.kept=1 --set search.refinements=0"
+    )
     command = f"softfin baselines {options} --seed"
     steps = [
-        step(f"baselines-{plant}-{seed}", f"{command.format(seed)} {evaluation_seed(seed)}", 2, seed, tiny)
+        step(
+            f"baselines-{plant}-{seed}",
+            f"{command.format(seed)} {evaluation_seed(seed)}",
+            2,
+            seed,
+            tiny,
+        )
         for seed in seeds
     ]
     return Part(f"Baselines, {plant}", (*before, *steps), lambda work: _means(work, plant, seeds))
@@ -179,7 +222,9 @@ def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence
 def _means(work: Work, plant: str, seeds: Sequence[int]) -> Figures:
     found = [work.json(f"baselines-{plant}-{seed}/baselines.json")["baselines"] for seed in seeds]
     return {
-        name: figure("N", [pair(row[name]["mean"]) if name in row else None for row in found], seeds)
+        name: figure(
+            "N", [pair(row[name]["mean"]) if name in row else None for row in found], seeds
+        )
         for name in dict.fromkeys(name for row in found for name in row)
     }
 
@@ -204,9 +249,12 @@ def choices(seeds: Sequence[int]) -> Part:
         "untrained": ("single", "--set steps=576 --set num_evaluations=1"),
         "no-gaits": ("single", "--set gradient.warm_start=false"),
     }
-    trained, judged = dict[str, list[Step]](), dict[str, list[Step]]()
+    trained = dict[str, list[Step]]()
+    judged = dict[str, list[Step]]()
     for name, (kind, options) in variants.items():
-        trained[name] = [train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 2) for seed in seeds]
+        trained[name] = [
+            train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 2) for seed in seeds
+        ]
     options = "softfin train published --controller gaits --set gaits.halvings=0"
     trained["coarse-gaits"] = [step("coarse-gaits-published", options, 1, tiny=TINY["gaits"])]
     for name, those in trained.items():
@@ -215,7 +263,8 @@ def choices(seeds: Sequence[int]) -> Part:
     def read(work: Work) -> Figures:
         figures: Figures = {}
         for name, those in judged.items():
-            rows, own = work.evaluations(names_of(those)), [each.seed or 0 for each in those]
+            rows = work.evaluations(names_of(those))
+            own = [each.seed or 0 for each in those]
             figures[f"{name}.error"] = figure("N", [pair(row["mean"]) for row in rows], own)
             for score in ("mean", "worst"):
                 drawn = [pair(row["random"], f"{score}_n") for row in rows]
@@ -232,7 +281,10 @@ def whole_map(seeds: Sequence[int]) -> Part:
     mapped = step("map", "softfin map published", 3, tiny=TINY["gaits"])
     gaits = step("map-gaits", "softfin train published --controller gaits --map map", 0.5)
     options = "--controller single --map map --range map"
-    trained = {"gaits": [gaits], "single": [train("map-single", options, "published", seed, 2) for seed in seeds]}
+    trained = {
+        "gaits": [gaits],
+        "single": [train("map-single", options, "published", seed, 2) for seed in seeds],
+    }
     judged = {
         kind: [evaluate(each, "published", "judged", "--seeds 1 --random 100", 1) for each in those]
         for kind, those in trained.items()
@@ -241,20 +293,28 @@ def whole_map(seeds: Sequence[int]) -> Part:
     def read(work: Work) -> Figures:
         figures = {"map_s": work.spent([["map"]], (0,))}
         for kind, those in judged.items():
-            rows, own = work.evaluations(names_of(those)), [each.seed or 0 for each in those]
+            rows = work.evaluations(names_of(those))
+            own = [each.seed or 0 for each in those]
             for score in ("mean", "worst"):
                 drawn = [pair(row["random"], f"{score}_n") for row in rows]
                 figures[f"{kind}.random_{score}"] = figure("N", drawn, own, score)
         return figures
 
-    steps = (PUBLISHED, mapped, *(each for kind in trained for each in (*trained[kind], *judged[kind])))
+    steps = (
+        PUBLISHED,
+        mapped,
+        *(each for kind in trained for each in (*trained[kind], *judged[kind])),
+    )
     return Part("Over the whole map of the published surrogate", steps, read)
 
 
 def faster(seeds: Sequence[int]) -> Part:
     """Settling time against ripple, with other action rates and windows."""
     first = seeds[0]
-    command = f"python docs/faster_reaction.py streaming-{first} faster --seeds {len(seeds)} --seed {first}"
+    command = (
+        f"python docs/faster_reaction.py streaming-{first} faster --seeds {len(seeds)} "
+        f"--seed {first}"
+    )
     study = step("faster", command, 20, tiny="--tiny")
 
     def read(work: Work) -> Figures:
@@ -262,7 +322,9 @@ def faster(seeds: Sequence[int]) -> Part:
         for name, rows in work.json("faster/faster_reaction.json").items():
             key = name.replace(",", "")
             own = [row["seed"] for row in rows]
-            figures[f"{key}.settling"] = figure("s", [row["settling_s"] for row in rows], own, "median")
+            figures[f"{key}.settling"] = figure(
+                "s", [row["settling_s"] for row in rows], own, "median"
+            )
             for score in ("error", "std", "raw_std"):
                 figures[f"{key}.{score}"] = figure("N", [row[score] for row in rows], own)
         return figures

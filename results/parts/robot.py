@@ -27,23 +27,35 @@ def robot(seeds: Sequence[int]) -> Part:
                 rows = found[task]
                 trials = [row["seed"] for row in rows]
                 for key, score, factor in (
-                    ("position", "position_rms_m", 100), ("worst", "position_worst_m", 100),
+                    ("position", "position_rms_m", 100),
+                    ("worst", "position_worst_m", 100),
                     ("attitude", "attitude_rms_deg", 1),
-                ):  # fmt: skip
+                ):
                     unit = "degrees" if key == "attitude" else "cm"
-                    figures[f"{prefix}{task}.{key}"] = figure(unit, [factor * row[score] for row in rows], trials)
+                    figures[f"{prefix}{task}.{key}"] = figure(
+                        unit, [factor * row[score] for row in rows], trials
+                    )
             if "wrenches" in found:
-                for key in ("force_error_n", "force_error_worst_n", "moment_error_nm", "moment_error_worst_nm",
-                            "roll_ripple_ratio"):  # fmt: skip
+                for key in (
+                    "force_error_n",
+                    "force_error_worst_n",
+                    "moment_error_nm",
+                    "moment_error_worst_nm",
+                    "roll_ripple_ratio",
+                ):
                     figures[key] = figure("", [found["wrenches"][key]], first)
         for name, row in work.json("robot/robot.json")["baselines"].items():
             key = name.replace(" ", "-")
             for score in ("force_error_n", "moment_error_nm"):
                 figures[f"{key}.{score}"] = figure("", [row["wrenches"][score]], first)
-            figures[f"{key}.roll_ripple"] = figure("N m", [row["wrenches"]["ripple"]["roll"]], first)
+            figures[f"{key}.roll_ripple"] = figure(
+                "N m", [row["wrenches"]["ripple"]["roll"]], first
+            )
             for task in ("hold", "lemniscate"):
                 trials = [each["seed"] for each in row[task]]
-                figures[f"{key}.{task}"] = figure("cm", [100 * each["position_rms_m"] for each in row[task]], trials)
+                figures[f"{key}.{task}"] = figure(
+                    "cm", [100 * each["position_rms_m"] for each in row[task]], trials
+                )
                 figures[f"{key}.{task}.attitude"] = figure(
                     "degrees", [each["attitude_rms_deg"] for each in row[task]], trials
                 )

@@ -33,13 +33,23 @@ ERRORS = {
 def surrogates(seeds: Sequence[int]) -> Part:
     """Both surrogates on the same rows."""
     sets = {"same": ("same", ""), "other": ("perturbed", " --horizons 30")}
-    fits = {"streaming": [streaming(seed) for seed in seeds], "paper": [paper(seed) for seed in seeds]}
+    fits = {
+        "streaming": [streaming(seed) for seed in seeds],
+        "paper": [paper(seed) for seed in seeds],
+    }
     floor = "--noise-floor tank"
     compared = [
-        step(f"compare-{name}-{seed}", f"softfin compare streaming-{seed} paper-{seed} --dataset {logs}-{seed} {floor} "
-             f"--seed {seed}{horizons}", 1, seed, "--horizons 2")
-        for seed in seeds for name, (logs, horizons) in sets.items()
-    ]  # fmt: skip
+        step(
+            f"compare-{name}-{seed}",
+            f"softfin compare streaming-{seed} paper-{seed} --dataset {logs}-{seed} {floor} "
+            f"--seed {seed}{horizons}",
+            1,
+            seed,
+            "--horizons 2",
+        )
+        for seed in seeds
+        for name, (logs, horizons) in sets.items()
+    ]
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
@@ -56,11 +66,19 @@ def surrogates(seeds: Sequence[int]) -> Part:
                     flops = [group["flops_per_tick"] for group in groups]
                     figures[f"{model}.flops"] = figure("FLOPs a tick", flops, seeds)
         for model, steps in fits.items():
-            for key, kind in (("fit", "wall_s"), ("fit_processor", "processor_s"), ("peak", "peak_gib")):
+            for key, kind in (
+                ("fit", "wall_s"),
+                ("fit_processor", "processor_s"),
+                ("peak", "peak_gib"),
+            ):
                 figures[f"{model}.{key}"] = work.spent([[each.name] for each in steps], seeds, kind)
         return figures
 
-    logs = [each for seed in seeds for each in (dataset(seed), *same_tank_logs(seed), perturbed_tank_logs(seed))]
+    logs = [
+        each
+        for seed in seeds
+        for each in (dataset(seed), *same_tank_logs(seed), perturbed_tank_logs(seed))
+    ]
     steps = (*logs, *fits["streaming"], *fits["paper"], *compared)
     pictures = {"docs/surrogates.png": f"compare-same-{seeds[0]}/comparison.png"}
     return Part("Surrogates, free-running for 30 s", steps, read, pictures)
@@ -103,7 +121,8 @@ def data_efficiency(seeds: Sequence[int]) -> Part:
         figures: Figures = {}
         for case in sorted((work.folder / "efficiency" / "scores").iterdir()):
             files = sorted(case.glob("*.json"))
-            own, found = [int(file.stem[5:]) for file in files], [json.loads(file.read_text()) for file in files]
+            own = [int(file.stem[5:]) for file in files]
+            found = [json.loads(file.read_text()) for file in files]
             for name, scores in found[0].items():
                 for score in scores:
                     values = [each[name].get(score) for each in found]
@@ -117,22 +136,37 @@ def data_efficiency(seeds: Sequence[int]) -> Part:
 def tank(seeds: Sequence[int]) -> Part:
     """The default tank against the published fin."""
     others = [11 + seed for seed in seeds]
-    command = "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml --evaluations 0"
-    tiny = "--set segments=10 --set test_segments=2 --set segment_s=6 --set iterations=1 --set step=0.3"
+    command = (
+        "softfin calibrate published --velocity 0.5,1.57 --config docs/calibration.yaml "
+        "--evaluations 0"
+    )
+    tiny = (
+        "--set segments=10 --set test_segments=2 --set segment_s=6 --set iterations=1 --set "
+        "step=0.3"
+    )
     fitted = step("calibration", command, 30, tiny=tiny)
-    judged = step("tank-r2", f"python -m results.scripts tank-r2 published tank-r2 {' '.join(map(str, others))}", 10)
+    judged = step(
+        "tank-r2",
+        f"python -m results.scripts tank-r2 published tank-r2 {' '.join(map(str, others))}",
+        10,
+    )
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        calibration, found = work.json("calibration/calibration.json"), work.json("tank-r2/r2.json")
+        calibration = work.json("calibration/calibration.json")
+        found = work.json("tank-r2/r2.json")
         for name, row in calibration["parameters"].items():
             figures[f"value of {name}"] = figure(row["unit"], [row["value"]])
             figures[f"error of {name}"] = figure(row["unit"], [row["standard_error"]])
         for channel in ("angle", "force_x", "force_y"):
-            figures[f"fitted.{channel}"] = figure("R2", [calibration["scores"]["test"][channel]["r2"]])
+            figures[f"fitted.{channel}"] = figure(
+                "R2", [calibration["scores"]["test"][channel]["r2"]]
+            )
             for low, rows in found.items():
                 figures[f"from_{low}.{channel}"] = figure("R2", scores_of(rows, channel), others)
         return figures
 
     pictures = {"docs/calibration.png": "calibration/calibration.png"}
-    return Part("The default tank against the published fin", (PUBLISHED, fitted, judged), read, pictures)
+    return Part(
+        "The default tank against the published fin", (PUBLISHED, fitted, judged), read, pictures
+    )

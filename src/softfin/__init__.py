@@ -9,9 +9,9 @@ The stages of the main job, the records that pass between them, and what plants 
     softfin.train("surrogate", Path("controller"))
     softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
 
-``__init__.pyi`` lists the public names; each is imported when it is first used, so that ``import softfin`` costs
-nothing. Gymnasium makes the environment ``softfin.gym:softfin/ForceTracking-v0``; where it was imported before softfin,
-``softfin/ForceTracking-v0`` will do.
+``__init__.pyi`` lists the public names; each is imported when it is first used, so that ``import
+softfin`` costs nothing. Gymnasium makes the environment ``softfin.gym:softfin/ForceTracking-v0``;
+where it was imported before softfin, ``softfin/ForceTracking-v0`` will do.
 """
 
 import sys

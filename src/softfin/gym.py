@@ -1,4 +1,5 @@
-"""The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any reinforcement-learning library takes.
+"""The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any
+reinforcement-learning library takes.
 
 gymnasium.make("softfin.gym:softfin/ForceTracking-v0", plant=surrogate, render_mode="rgb_array")
 """
@@ -31,12 +32,14 @@ register()
 class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Hold a reference force. Never terminates; truncated after `config.episode_actions`.
 
-    Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``, its Sobolev term
-    ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every tick that the action was held.
+    Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``,
+    its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every
+    tick that the action was held.
 
-    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder, package.module:plant. An
-    environment keeps to what it is when it is made; make another one where it has changed. In the render mode
-    ``rgb_array``, `render` draws the fin, its force, the reference and the traces of the episode so far.
+    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder,
+    package.module:plant. An environment keeps to what it is when it is made; make another one where
+    it has changed. In the render mode ``rgb_array``, `render` draws the fin, its force, the
+    reference and the traces of the episode so far.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
@@ -56,7 +59,10 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         # Half a turn of the shaft, the references, the actions.
         greatest = np.abs([references.low, references.high]).max(axis=0)
         actions = [1.0] * (self.task.config.observations - 3)
-        high = np.array([np.pi / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions], np.float32)
+        high = np.array(
+            [np.pi / ANGLE_SCALE_RAD, *greatest / self.task.config.force_scale_n, *actions],
+            np.float32,
+        )
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
         # New functions, since JAX keeps what it traced of those of a task that is equal.
@@ -76,31 +82,44 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, else it is drawn."""
+        """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, else it is
+        drawn."""
         super().reset(seed=seed)
         references = self.references
         if options and "reference" in options:
             x, y = (float(value) for value in options["reference"])
             if references.distance((x, y)) > 0:
-                raise InputError(f"{ID}: reference ({x:g}, {y:g}) N is outside {references}; make a wider environment")
+                raise InputError(
+                    f"{ID}: reference ({x:g}, {y:g}) N is outside {references}; make a wider "
+                    "environment"
+                )
             references = Cell(low=(x, y), high=(x, y))
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, References.of(references))
         self._actions = 0
         if self._film is not None:
             self._film.reset(self._state.plant, np.array(self._state.reference))
-        return np.array(self._observe(self._state)), {"reference_n": np.array(self._state.reference)}
+        return np.array(self._observe(self._state)), {
+            "reference_n": np.array(self._state.reference)
+        }
 
-    def step(self, action: Float[np.ndarray, "2"]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Float[np.ndarray, "2"]
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold an action for its 33 or 34 ticks."""
         if self._state is None:
             raise InputError(f"{ID}: step before reset; call reset first")
         if not self.action_space.contains(np.asarray(action, np.float32)):
-            raise InputError(f"{ID}: action {action} is not two numbers in [-1, 1]; clip it or squash it")
+            raise InputError(
+                f"{ID}: action {action} is not two numbers in [-1, 1]; clip it or squash it"
+            )
         reference = np.array(self._state.reference)
-        ticks, held = ACTION_TICKS[self._actions % len(ACTION_TICKS)], jnp.asarray(action, jnp.float32)
+        ticks = ACTION_TICKS[self._actions % len(ACTION_TICKS)]
+        held = jnp.asarray(action, jnp.float32)
         if self._film is not None:
-            self._film.add(self._state.plant, command_of(self.task.plant.limits, held), ticks, reference)
+            self._film.add(
+                self._state.plant, command_of(self.task.plant.limits, held), ticks, reference
+            )
         self._state, outcome = self._step(self._state, held, ticks)
         self._actions += 1
         truncated = self._actions >= self.task.config.episode_actions
@@ -115,5 +134,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     def render(self) -> Any:
         """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
         if self._film is None or self._state is None:
-            raise InputError(f'{ID}: make it with render_mode="rgb_array", and reset it before it is rendered')
+            raise InputError(
+                f'{ID}: make it with render_mode="rgb_array", and reset it before it is rendered'
+            )
         return self._film.frame()

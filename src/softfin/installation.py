@@ -1,4 +1,5 @@
-"""How softfin was installed, the extras that are there, and the command that adds one; the standard library alone."""
+"""How softfin was installed, the extras that are there, and the command that adds one; the standard
+library alone."""
 
 import importlib.metadata
 import json
@@ -8,11 +9,16 @@ from typing import Any
 from urllib.parse import unquote, urlparse
 
 EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3")
-"""Parts of softfin beside the robot's, as pyproject.toml has them; `learn` records in simulation, learns and draws."""
+"""Parts of softfin beside the robot's, as pyproject.toml has them; `learn` records in simulation,
+learns and draws."""
 
 DISTRIBUTIONS = {
-    "PIL": "pillow", "can": "python-can", "jaxlib": "jax", "stable_baselines3": "sb3-contrib", "yaml": "pyyaml",
-}  # fmt: skip
+    "PIL": "pillow",
+    "can": "python-can",
+    "jaxlib": "jax",
+    "stable_baselines3": "sb3-contrib",
+    "yaml": "pyyaml",
+}
 """Distributions of modules that have another name."""
 
 
@@ -25,7 +31,8 @@ def version_of(distribution: str) -> str | None:
 
 
 def requirements_of(extra: str | None) -> list[str]:
-    """Distributions that softfin itself needs, or that an extra of it adds, with those of an extra that it brings."""
+    """Distributions that softfin itself needs, or that an extra of it adds, with those of an extra
+    that it brings."""
     names: list[str] = []
     for line in importlib.metadata.requires("softfin") or ():
         requirement, _, marker = line.partition(";")
@@ -43,30 +50,44 @@ def missing_from(extra: str | None) -> list[str]:
 
 
 def what_is_missing(error: ModuleNotFoundError) -> str | None:
-    """Message of what softfin lacks where a module was not there, with the way out; None where it needs no such one."""
+    """Message of what softfin lacks where a module was not there, with the way out; None where it
+    needs no such one."""
     module = (error.name or "").partition(".")[0]
     distribution = DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
     parts = [extra for extra in (None, *EXTRAS) if distribution in requirements_of(extra)]
     if not parts:
         return None
     if (version := version_of(distribution)) is not None:
-        return f"needs {error.name}, which {distribution} {version} lacks; install {distribution} again"
+        return (
+            f"needs {error.name}, which {distribution} {version} lacks; install {distribution} "
+            "again"
+        )
     if parts[0] is None:
-        return f"needs {error.name}, without which no command works, and which is not installed; install softfin again"
-    return f"needs {error.name}, of the extra {parts[0]!r}, which is not installed: {how_to_add(parts[0])}"
+        return (
+            f"needs {error.name}, without which no command works, and which is not installed; "
+            "install softfin again"
+        )
+    return (
+        f"needs {error.name}, of the extra {parts[0]!r}, which is not installed: "
+        f"{how_to_add(parts[0])}"
+    )
 
 
 def how_to_add(extra: str) -> str:
-    """The command that adds an extra to this installation, from the wheel, folder or commit that it came from."""
-    source, install = origin(), "pip install"
+    """The command that adds an extra to this installation, from the wheel, folder or commit that it
+    came from."""
+    source = origin()
+    install = "pip install"
     if installer() == "uv":
         # Its environments have no pip.
         install = f"uv pip install --python {sys.executable}"
     if source is None:
-        # Nothing is published: by its name alone pip would find nothing, or somebody else's package.
+        # Nothing is published: by its name alone pip would find nothing, or somebody else's
+        # package.
         wheel = f"dist/softfin-{version_of('softfin')}-py3-none-any.whl"
         return f'make wheel, in a checkout of softfin, then {install} "{wheel}[{extra}]"'
-    url, vcs = source["url"], source.get("vcs_info")
+    url = source["url"]
+    vcs = source.get("vcs_info")
     if source.get("dir_info", {}).get("editable"):
         return f'{install} -e "{unquote(urlparse(url).path)}[{extra}]"'
     if vcs is not None:
@@ -80,6 +101,7 @@ def installer() -> str:
 
 
 def origin() -> dict[str, Any] | None:
-    """The wheel, folder or repository that softfin was installed from (PEP 610); None where nobody knows."""
+    """The wheel, folder or repository that softfin was installed from (PEP 610); None where nobody
+    knows."""
     text = importlib.metadata.distribution("softfin").read_text("direct_url.json")
     return json.loads(text) if text else None

@@ -1,4 +1,5 @@
-"""Conformance kit: `check_plant` holds a plant against the Plant contract, here and in the tests of its users."""
+"""Conformance kit: `check_plant` holds a plant against the Plant contract, here and in the tests of
+its users."""
 
 import itertools
 from collections.abc import Iterator
@@ -23,11 +24,12 @@ Problem = tuple[str, ...]
 def check_plant(plant: Any) -> None:
     """Raise PlantError, with what is wrong and what is asked, unless `plant` meets the contract.
 
-    Checked: the members, the limits, shapes and types, time, finite readings at the corners of the limits, that the
-    same state and command give the same readings (purity), that it can be told from plants with other parameters
-    (`softfin.core.plant_identity.identity`), that ticks held are ticks one by one, that `jit`, `vmap`, `scan` and
-    `grad` go through, that `hold_action`, where it has one, does what `advance` does, and that `true_force`, where it
-    has one, is a finite force that `jit` and `vmap` go through and that leaves the state as it is.
+    Checked: the members, the limits, shapes and types, time, finite readings at the corners of the
+    limits, that the same state and command give the same readings (purity), that it can be told
+    from plants with other parameters (`softfin.core.plant_identity.identity`), that ticks held are
+    ticks one by one, that `jit`, `vmap`, `scan` and `grad` go through, that `hold_action`, where it
+    has one, does what `advance` does, and that `true_force`, where it has one, is a finite force
+    that `jit` and `vmap` go through and that leaves the state as it is.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     problem = next((found for check in checks for found in check(plant)), None)
@@ -36,7 +38,8 @@ def check_plant(plant: Any) -> None:
 
 
 def _stroke(plant: Plant) -> Command:
-    """Return a command within any plant's limits that moves it: half of the way from rest to the further limit."""
+    """Return a command within any plant's limits that moves it: half of the way from rest to the
+    further limit."""
     limits = Limits(*plant.limits)
     furthest = max(limits.angle_max, limits.angle_min, key=abs)
     return Command(jnp.float32(furthest / 2), jnp.float32(limits.velocity_max))
@@ -51,7 +54,10 @@ def _corners(plant: Plant) -> Iterator[Command]:
 
 def _members(plant: Any) -> Iterator[Problem]:
     if missing := [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]:
-        yield f"has no {', '.join(missing)}", "a plant has limits, init(key) and advance(state, command, ticks)"
+        yield (
+            f"has no {', '.join(missing)}",
+            "a plant has limits, init(key) and advance(state, command, ticks)",
+        )
     try:
         limits = Limits(*(float(value) for value in plant.limits))
     except (TypeError, ValueError):
@@ -69,19 +75,28 @@ def _purity(plant: Plant) -> Iterator[Problem]:
     if not all(isinstance(result, tuple) and isinstance(result[-1], Reading) for result in results):
         yield "advance does not return a Reading", "it must return (state, softfin.Reading)"
     if str(jax.tree.structure(results[0][0])) != str(jax.tree.structure(state)):
-        yield "advance changes the structure of the state", "init and advance return the same structure"
+        yield (
+            "advance changes the structure of the state",
+            "init and advance return the same structure",
+        )
     first, second = (reading for _, reading in results)
     for name, values in first._asdict().items():
         shape = (STROKE_TICKS, 2) if name == "force" else (STROKE_TICKS,)
         if jnp.shape(values) != shape:
-            yield f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks", f"it must be {shape}"
+            yield (
+                f"reading.{name} has shape {jnp.shape(values)} for {STROKE_TICKS} ticks",
+                f"it must be {shape}",
+            )
         if jnp.asarray(values).dtype != jnp.float32:
             yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings are float32"
     if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
         asked = "a plant keeps everything, random keys too, in its state"
         yield "the same state and command give other readings the second time", asked
     if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
-        yield f"time goes {np.asarray(first.time)[:3]} ...", "each tick is 0.01 s and time starts at 0"
+        yield (
+            f"time goes {np.asarray(first.time)[:3]} ...",
+            "each tick is 0.01 s and time starts at 0",
+        )
 
 
 def _batches(plant: Plant) -> Iterator[Problem]:
@@ -91,7 +106,9 @@ def _batches(plant: Plant) -> Iterator[Problem]:
     velocities = jnp.full_like(angles, plant.limits.velocity_max)
 
     def strokes(key: Any, commands: Command) -> Any:
-        return jax.lax.scan(lambda s, c: plant.advance(s, c, STROKE_TICKS), plant.init(key), commands)[1].force
+        return jax.lax.scan(
+            lambda s, c: plant.advance(s, c, STROKE_TICKS), plant.init(key), commands
+        )[1].force
 
     try:
         together = jax.jit(jax.vmap(strokes))(keys, Command(angles, velocities))
@@ -100,10 +117,16 @@ def _batches(plant: Plant) -> Iterator[Problem]:
         yield f"jit, vmap or scan does not go through it ({str(error).splitlines()[0]})", asked
         return
     commands = Command(*(jnp.repeat(x[0], STROKE_TICKS) for x in (angles, velocities)))
-    alone = jax.jit(lambda: roll(plant, plant.init(keys[0]), commands))()[1].force.reshape(together[0].shape)
+    alone = jax.jit(lambda: roll(plant, plant.init(keys[0]), commands))()[1].force.reshape(
+        together[0].shape
+    )
     if not np.allclose(together[0], alone, rtol=1e-2, atol=1e-2):
         asked = "advance by n ticks is n times advance by one, and nothing is shared between fins"
-        yield "a fin in a batch whose commands are held differs from the same fin alone, tick by tick", asked
+        yield (
+            "a fin in a batch whose commands are held differs from the same fin alone, "
+            "tick by tick",
+            asked,
+        )
 
 
 def _strokes(plant: Plant) -> Iterator[Problem]:
@@ -116,7 +139,10 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
         state, reading = stroke(state, command)
         for name, values in reading._asdict().items():
             if not jnp.isfinite(values).all():
-                yield f"reading.{name} is not finite under {command}", "readings are finite within the limits"
+                yield (
+                    f"reading.{name} is not finite under {command}",
+                    "readings are finite within the limits",
+                )
 
 
 def _gradient(plant: Plant) -> Iterator[Problem]:
@@ -126,7 +152,10 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
 
     slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):
-        yield f"the gradient of the force by the command is {slope}", "it must be finite; look for sqrt at 0"
+        yield (
+            f"the gradient of the force by the command is {slope}",
+            "it must be finite; look for sqrt at 0",
+        )
 
 
 def _held_action(plant: Plant) -> Iterator[Problem]:
@@ -138,7 +167,10 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         after, reading = whole(state, ticks)
         expected_after, expected = plant.advance(state, command, ticks)
         if jnp.shape(reading.force) != (MOST_TICKS, 2):
-            yield f"hold_action gives forces of shape {jnp.shape(reading.force)}", f"it must be ({MOST_TICKS}, 2)"
+            yield (
+                f"hold_action gives forces of shape {jnp.shape(reading.force)}",
+                f"it must be ({MOST_TICKS}, 2)",
+            )
         pairs = zip(
             jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),
             jax.tree.leaves((expected_after, expected.force, expected.angle)),
@@ -168,7 +200,10 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
         yield f"jit or vmap does not go through true_force ({str(error).splitlines()[0]})", asked
         return
     if not isinstance(forces, jax.Array):
-        yield f"true_force returns a {type(forces).__name__}", "it must return an array of shape (2,)"
+        yield (
+            f"true_force returns a {type(forces).__name__}",
+            "it must return an array of shape (2,)",
+        )
         return
     if forces.shape[1:] != (2,):
         yield f"true_force has shape {forces.shape[1:]}", "it must be (2,)"

@@ -1,4 +1,5 @@
-"""The command line on a terminal: a process whose standard input is a pty, which the test types into."""
+"""The command line on a terminal: a process whose standard input is a pty, which the test types
+into."""
 
 import os
 import pty
@@ -25,8 +26,13 @@ class Terminal:
         hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "softfin.cli", *map(str, words)],
-            stdin=slave, stdout=slave, stderr=slave, cwd=folder, env=environment, start_new_session=True,
-        )  # fmt: skip
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            cwd=folder,
+            env=environment,
+            start_new_session=True,
+        )
         signal.signal(signal.SIGHUP, hangup)
         os.close(slave)
         self.said = ""

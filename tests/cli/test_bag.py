@@ -29,7 +29,12 @@ def test_a_recording_that_was_cut_off_is_recovered_then_converted(cut, tmp_path,
     text = capsys.readouterr().out
     assert text.startswith(f"{tmp_path / 'run.recovered.mcap'}: ")
     assert "saved" in text
-    assert softfin("bag", "convert", tmp_path / "run.recovered.mcap", "--out", tmp_path / "run.parquet") == 0
+    assert (
+        softfin(
+            "bag", "convert", tmp_path / "run.recovered.mcap", "--out", tmp_path / "run.parquet"
+        )
+        == 0
+    )
     rows = len(read_log(tmp_path / "run.parquet").reading.time)
     assert f"{rows} rows" in capsys.readouterr().out
     assert rows > 200

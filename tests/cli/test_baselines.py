@@ -6,16 +6,36 @@ from softfin.cli import main
 from softfin.cli.evaluation import baselines_table
 from tests.cli.test_cli import fails
 
-QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "2", "--set", "search.seconds=3")
-FEW = ("search.centres=3", "search.amplitudes=2", "search.frequencies_hz=[1]", "search.refinements=0")
+QUICK = (
+    "--plant",
+    "tests.plants:AnalyticFin",
+    "--seconds",
+    "3",
+    "--seeds",
+    "2",
+    "--set",
+    "search.seconds=3",
+)
+FEW = (
+    "search.centres=3",
+    "search.amplitudes=2",
+    "search.frequencies_hz=[1]",
+    "search.refinements=0",
+)
 
 
 def test_baselines_are_a_table_and_a_json(capsys, tmp_path):
-    small = [word for change in (*FEW, "search.gaits=4", "references=[[1,-1]]") for word in ("--set", change)]
+    small = [
+        word
+        for change in (*FEW, "search.gaits=4", "references=[[1,-1]]")
+        for word in ("--set", change)
+    ]
     main(["baselines", *QUICK, *small, "--out", str(tmp_path / "x"), "--json"])
     result = json.loads(capsys.readouterr().out)
     assert result == json.loads((tmp_path / "x" / "baselines.json").read_text())
-    assert {"still", "sine", "inverse_2.1_hz", "recalibrated_1.1_hz", "random_search"} < set(result["baselines"])
+    assert {"still", "sine", "inverse_2.1_hz", "recalibrated_1.1_hz", "random_search"} < set(
+        result["baselines"]
+    )
     assert result["plant"] == result["searched_in"] == "tests.plants:AnalyticFin"
     assert result["configuration"]["search"]["gaits"] == 4
     lines = baselines_table(result["baselines"], {"recurrent_ppo": "no sb3"}).splitlines()

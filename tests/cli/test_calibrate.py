@@ -15,8 +15,14 @@ from tests.cli.test_cli import fails
             ["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"],
             "no 'fin.lenght_m'; did you mean 'fin.length_m'?",
         ),
-        (["tank", "--set", "parameters.fin.length_m=3"], "parameters.fin.length_m = 3: Input should be a valid tuple"),
-        (["tank", "--evaluations", "-1"], "evaluations = -1: Input should be greater than or equal to 0"),
+        (
+            ["tank", "--set", "parameters.fin.length_m=3"],
+            "parameters.fin.length_m = 3: Input should be a valid tuple",
+        ),
+        (
+            ["tank", "--evaluations", "-1"],
+            "evaluations = -1: Input should be greater than or equal to 0",
+        ),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, words, expected):
@@ -33,8 +39,18 @@ RESULT = {
         for part in ("train", "test")
     },
     "parameters": {
-        "fin.length_m": {"value": 0.2, "standard_error": 0.013, "unit": "m", "determined": "roughly"},
-        "drive.lag_s": {"value": 0.003, "standard_error": None, "unit": "s", "determined": "low end"},
+        "fin.length_m": {
+            "value": 0.2,
+            "standard_error": 0.013,
+            "unit": "m",
+            "determined": "roughly",
+        },
+        "drive.lag_s": {
+            "value": 0.003,
+            "standard_error": None,
+            "unit": "s",
+            "determined": "low end",
+        },
     },
     "trades": [{"parameters": ["fin.length_m", "water.drag_coefficient"], "correlation": -0.95}],
 }
@@ -48,7 +64,18 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
         return RESULT
 
     monkeypatch.setattr("softfin.stages.surrogates.calibrate", stage)
-    words = ["calibrate", "tank", "--preset", "quick", "--velocity", "1,2", "--seed", "3", "--evaluations", "5"]
+    words = [
+        "calibrate",
+        "tank",
+        "--preset",
+        "quick",
+        "--velocity",
+        "1,2",
+        "--seed",
+        "3",
+        "--evaluations",
+        "5",
+    ]
     main([*words, "--resume", "--out", str(tmp_path / "x")])
     assert (seen["data"], seen["seed"], seen["resume"]) == ("tank", 3, True)
     assert (seen["config"].velocity_rad_s, seen["config"].evaluations) == ((1.0, 2.0), 5)
@@ -62,4 +89,7 @@ def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
     assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
     assert "fin.length_m    0.2  0.013  m        roughly" in text
     assert "drive.lag_s   0.003         s        low end" in text
-    assert "fin.length_m and water.drag_coefficient trade against each other: correlation -0.95" in text
+    assert (
+        "fin.length_m and water.drag_coefficient trade against each other: correlation -0.95"
+        in text
+    )

@@ -27,9 +27,15 @@ def test_help_lists_every_command(capsys):
     ("words", "expected"),
     [
         (["colect"], "unknown command 'colect'; there are example, collect, "),
-        (["collect", "--out", "x", "--logs", "0"], "logs = 0: Input should be greater than or equal to 1"),
+        (
+            ["collect", "--out", "x", "--logs", "0"],
+            "logs = 0: Input should be greater than or equal to 1",
+        ),
         (["collect", "--out", "x", "--set", "excitation.hold_min=1"], "did you mean 'hold_min_s'?"),
-        (["train", "tests.plants:AnalyticFin", "--steps", "3", "--out", "x"], "steps = 3: fewer than one rollout"),
+        (
+            ["train", "tests.plants:AnalyticFin", "--steps", "3", "--out", "x"],
+            "steps = 3: fewer than one rollout",
+        ),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, words, expected):
@@ -48,7 +54,10 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
     monkeypatch.setattr("softfin.stages.surrogates.fit", interrupted)
     (tmp_path / "log.csv").touch()
     line, code = fails(capsys, "fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "s"))
-    assert line == "softfin fit: stopped, nothing is half-written; the same command with --resume goes on"
+    assert (
+        line
+        == "softfin fit: stopped, nothing is half-written; the same command with --resume goes on"
+    )
     assert code == 1
 
 
@@ -64,7 +73,17 @@ def test_a_full_disk_is_one_line_that_names_the_folder(capsys, tmp_path, monkeyp
 
 def test_debug_shows_the_traceback():
     run = subprocess.run(
-        [sys.executable, "-m", "softfin.cli", "collect", "--plant", "pool", "--out", "x", "--debug"],
+        [
+            sys.executable,
+            "-m",
+            "softfin.cli",
+            "collect",
+            "--plant",
+            "pool",
+            "--out",
+            "x",
+            "--debug",
+        ],
         capture_output=True,
         text=True,
     )

@@ -9,7 +9,21 @@ FIN = "tests.plants:AnalyticFin"
 
 def test_a_dataset_names_its_plant_and_its_excitation(tmp_path):
     out = tmp_path / "random"
-    main(["collect", "--plant", FIN, "--out", str(out), "--logs", "2", "--test-logs", "1", "--rows", "300"])
+    main(
+        [
+            "collect",
+            "--plant",
+            FIN,
+            "--out",
+            str(out),
+            "--logs",
+            "2",
+            "--test-logs",
+            "1",
+            "--rows",
+            "300",
+        ]
+    )
     data = Dataset.open(out)
     assert data.description["commands"] == {"excitation": "random"}
     assert data.description["plant_identity"].startswith("tests.plants.AnalyticFin ")

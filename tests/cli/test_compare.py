@@ -15,7 +15,13 @@ def folders(tmp_path_factory):
     """Three seeds, a dataset with short test logs, one without."""
     root = tmp_path_factory.mktemp("compare")
     for seed in range(3):
-        save_surrogate(root / f"s{seed}", small.surrogate(seed), None, {"data_hash": "d"}, configuration={"epochs": 1})
+        save_surrogate(
+            root / f"s{seed}",
+            small.surrogate(seed),
+            None,
+            {"data_hash": "d"},
+            configuration={"epochs": 1},
+        )
     logs = [small.log(rows=340, seed=seed) for seed in range(3)]
     write_dataset(root / "data", logs[:1], logs[1:], {})
     write_dataset(root / "untested", logs[:1], [], {})
@@ -26,12 +32,22 @@ def folders(tmp_path_factory):
     ("words", "expected"),
     [
         (["s0", "s1", "s0"], "s0: given twice, or a copy of another; give each surrogate once"),
-        (["s0", "--dataset", "untested"], "untested: holds no test logs to compare on; put Parquet logs into"),
-        (["s0"], "test log 0: 340 rows; 12 to begin with and a horizon of 30 s need 3012; record longer test logs"),
+        (
+            ["s0", "--dataset", "untested"],
+            "untested: holds no test logs to compare on; put Parquet logs into",
+        ),
+        (
+            ["s0"],
+            "test log 0: 340 rows; 12 to begin with and a horizon of 30 s need 3012; record "
+            "longer test logs",
+        ),
         (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),
         (["s0", "--horizons", "nan"], "horizons.0 = nan"),
         (["s0", "--horizons", "0,1"], "horizons are at least 0.1 s"),
-        (["s0", "--horizons", "1", "--noise-floor", "pool"], "plant pool: unknown (does not exist)"),
+        (
+            ["s0", "--horizons", "1", "--noise-floor", "pool"],
+            "plant pool: unknown (does not exist)",
+        ),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(capsys, folders, monkeypatch, words, expected):
@@ -43,9 +59,22 @@ def test_wrong_input_is_one_line_and_exit_code_2(capsys, folders, monkeypatch, w
     assert not (folders / "x").exists()
 
 
-def test_surrogates_are_compared_and_the_result_is_a_table_a_json_and_a_folder(capsys, folders, monkeypatch, tmp_path):
+def test_surrogates_are_compared_and_the_result_is_a_table_a_json_and_a_folder(
+    capsys, folders, monkeypatch, tmp_path
+):
     monkeypatch.chdir(folders)
-    words = ["compare", "s0", "s1", "s2", "--dataset", "data", "--horizons", "2.5,1", "--noise-floor", "tank"]
+    words = [
+        "compare",
+        "s0",
+        "s1",
+        "s2",
+        "--dataset",
+        "data",
+        "--horizons",
+        "2.5,1",
+        "--noise-floor",
+        "tank",
+    ]
     main([*words, "--out", str(tmp_path / "x"), "--json"])
     result = json.loads(capsys.readouterr().out)
     assert result["horizons_s"] == [1, 2.5]
@@ -65,12 +94,20 @@ def cell(mean, half=None):
 
 def horizon(seconds, half=None, **more):
     scores = {
-        "angle_rmse_rad": 0.0123, "angle_mae_rad": 0.0012, "force_x_rmse_n": 0.203, "force_y_rmse_n": 0.25,
-        "force_mae_n": 0.1, "force_x_r2": 0.99, "force_y_r2": -1234.5,
-    }  # fmt: skip
+        "angle_rmse_rad": 0.0123,
+        "angle_mae_rad": 0.0012,
+        "force_x_rmse_n": 0.203,
+        "force_y_rmse_n": 0.25,
+        "force_mae_n": 0.1,
+        "force_x_r2": 0.99,
+        "force_y_r2": -1234.5,
+    }
     for quantity, unit in (("angle", "rad"), ("force", "n")):
         scores |= {f"{quantity}_dtw_mae_{unit}": 12.345, f"{quantity}_dtw_mae_scaled": 1e-7}
-    return {"horizon_s": seconds, **{name: cell(value, half) for name, value in (scores | more).items()}}
+    return {
+        "horizon_s": seconds,
+        **{name: cell(value, half) for name, value in (scores | more).items()},
+    }
 
 
 MEANS = {f"mean_force_{name}_n": 0.05 for name in ("x_mae", "y_mae", "mae", "p95", "worst")}
@@ -80,15 +117,30 @@ SUMMARY = {
     "scored": [{"rows": 100}, {"rows": 54000}],
     "flops_ratio_to": "paper",
     "groups": [
-        {"name": "paper", "seeds": 1, "flops_ratio": 1.0, **GROUP, "horizons": [horizon(1), horizon(30, **MEANS)]},
         {
-            "name": "streaming", "seeds": 3, "flops_ratio": 0.1234, **GROUP,
-            "horizons": [horizon(1, 0.011), horizon(30, 0.011, **MEANS, coverage=0.912, half_width_n=0.07)],
+            "name": "paper",
+            "seeds": 1,
+            "flops_ratio": 1.0,
+            **GROUP,
+            "horizons": [horizon(1), horizon(30, **MEANS)],
+        },
+        {
+            "name": "streaming",
+            "seeds": 3,
+            "flops_ratio": 0.1234,
+            **GROUP,
+            "horizons": [
+                horizon(1, 0.011),
+                horizon(30, 0.011, **MEANS, coverage=0.912, half_width_n=0.07),
+            ],
         },
     ],
-    "noise_floor": {"name": "second recording (tank)", "horizons": [horizon(1), horizon(30, **MEANS)]},
+    "noise_floor": {
+        "name": "second recording (tank)",
+        "horizons": [horizon(1), horizon(30, **MEANS)],
+    },
     "notes": ["paper: 1 seed; fit at least 3 before a difference is believed"],
-}  # fmt: skip
+}
 
 
 def test_the_tables_fit_120_columns_and_no_two_cells_touch():
@@ -96,13 +148,21 @@ def test_the_tables_fit_120_columns_and_no_two_cells_touch():
     assert max(map(len, text.splitlines())) <= 120
     row = next(line for line in text.splitlines() if line.startswith("  30 s") and "±" in line)
     assert row[8:].replace(" \N{PLUS-MINUS SIGN}", "\N{PLUS-MINUS SIGN}").split() == [
-        "12.30±11.00", "1.200±11.000", "0.203±0.011", "0.250±0.011", "0.100±0.011", "0.990±0.011", "-1234±0",
-    ]  # fmt: skip
+        "12.30±11.00",
+        "1.200±11.000",
+        "0.203±0.011",
+        "0.250±0.011",
+        "0.100±0.011",
+        "0.990±0.011",
+        "-1234±0",
+    ]
 
 
 def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
     text = comparison_tables(SUMMARY)
-    assert "54,000 rows at the longest horizon; mean over the seeds ± half of its 95% interval" in text
+    assert (
+        "54,000 rows at the longest horizon; mean over the seeds ± half of its 95% interval" in text
+    )
     assert "streaming: 3 seeds, 12,345 parameters, 1,000 FLOPs a tick (0.123 of paper's)" in text
     assert "paper: 1 seed, 12,345 parameters, 1,000 FLOPs a tick\n" in text
     assert "Mean force over 200 samples, and the intervals stated for it at 90%" in text

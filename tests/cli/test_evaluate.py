@@ -24,7 +24,9 @@ class Loaded(Covering):
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
     monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Loaded())
-    monkeypatch.setattr("softfin.storage.artifact.load_description", lambda folder, kind: {"controller": "single"})
+    monkeypatch.setattr(
+        "softfin.storage.artifact.load_description", lambda folder, kind: {"controller": "single"}
+    )
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")
@@ -34,18 +36,35 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
     file = tmp_path / "reference.csv"
     file.write_text("time_s,force_x_n,force_y_n\n0,1,-1\n3,2,0\n")
     out = tmp_path / "out"
-    options = ("--reference-file", str(file), "--error-map", "--set", "error_map=3", "--moving", "sine")
+    options = (
+        "--reference-file",
+        str(file),
+        "--error-map",
+        "--set",
+        "error_map=3",
+        "--moving",
+        "sine",
+    )
     main(["evaluate", controller, *QUICK, "--out", str(out), *options])
     text = capsys.readouterr().out
     assert "references that move" in text
-    assert [line.split()[-1] for line in text.splitlines() if " step (1, -1) to (2, 0) N at 3 s " in line] == ["never"]
+    assert [
+        line.split()[-1]
+        for line in text.splitlines()
+        if " step (1, -1) to (2, 0) N at 3 s " in line
+    ] == ["never"]
     assert sum("sine about" in line for line in text.splitlines()) == 2
-    assert "error map, 3 x 3 references over x 0.5 .. 3.5, y -1.5 .. 1.5 N, 3 not covered: mean " in text
+    assert (
+        "error map, 3 x 3 references over x 0.5 .. 3.5, y -1.5 .. 1.5 N, 3 not covered: mean "
+        in text
+    )
     written = json.loads((out / "evaluation.json").read_text())
     assert [row["kind"] for row in written["moving"]] == ["sine", "sine", "recorded"]
 
 
-def test_seven_by_seven_references_make_the_map_where_nothing_else_is_asked(controller, capsys, tmp_path):
+def test_seven_by_seven_references_make_the_map_where_nothing_else_is_asked(
+    controller, capsys, tmp_path
+):
     main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), "--error-map", "--json"])
     assert json.loads(capsys.readouterr().out)["error_map"]["points"] == 7
 
@@ -65,19 +84,35 @@ def test_random_references_are_one_line_and_the_configuration_is_kept(controller
 @pytest.mark.parametrize(
     ("rows", "words"),
     [
-        ("time_s,force_x_n,force_y_n\n0,1,nan\n", "row 1, column force_y_n: nan is not a finite number"),
+        (
+            "time_s,force_x_n,force_y_n\n0,1,nan\n",
+            "row 1, column force_y_n: nan is not a finite number",
+        ),
         (
             "time_s,force_x_kn,force_y_n\n0,1,1\n",
-            "no column force_x_n, or several, among time_s, force_x_kn, force_y_n; it needs one in newton",
+            "no column force_x_n, or several, among time_s, force_x_kn, force_y_n; it needs one "
+            "in newton",
         ),
         ("time_s,force_x_n,force_y_n\n0,9,1\n", "reference (9.0, 1.0): not covered"),
     ],
 )
-def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(controller, capsys, tmp_path, rows, words):
+def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
+    controller, capsys, tmp_path, rows, words
+):
     file = tmp_path / "reference.csv"
     file.write_text(rows)
     with pytest.raises(SystemExit) as stop:
-        main(["evaluate", controller, *QUICK, "--out", str(tmp_path / "out"), "--reference-file", str(file)])
+        main(
+            [
+                "evaluate",
+                controller,
+                *QUICK,
+                "--out",
+                str(tmp_path / "out"),
+                "--reference-file",
+                str(file),
+            ]
+        )
     (line,) = capsys.readouterr().err.splitlines()
     assert words in line
     assert stop.value.code == 2
@@ -85,7 +120,9 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(controller, capsy
 
 
 def test_a_randomization_that_is_a_whole_number_is_one(controller):
-    with pytest.raises(ConfigurationError, match=r"--randomize 0 needs the virtual tank as plant, got"):
+    with pytest.raises(
+        ConfigurationError, match=r"--randomize 0 needs the virtual tank as plant, got"
+    ):
         softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", randomize=0)
 
 
@@ -97,9 +134,15 @@ def test_a_randomization_of_0_is_the_very_same_tank(controller):
 
 @pytest.mark.parametrize(
     ("part", "told"),
-    [("-1", " -1: give a part from 0"), ("5", " 5: give a part from 0"), ("nan", "randomize = nan: Input should be a")],
+    [
+        ("-1", " -1: give a part from 0"),
+        ("5", " 5: give a part from 0"),
+        ("nan", "randomize = nan: Input should be a"),
+    ],
 )
-def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(controller, capsys, tmp_path, part, told):
+def test_a_randomization_out_of_range_is_one_line_that_says_what_is_allowed(
+    controller, capsys, tmp_path, part, told
+):
     with pytest.raises(SystemExit) as stop:
         main(["evaluate", controller, f"--randomize={part}", "--out", str(tmp_path / "out")])
     (line,) = capsys.readouterr().err.splitlines()

@@ -55,14 +55,18 @@ def fails(capsys, *words):
     ("words", "config"),
     [
         ([], StreamingConfig()),
-        (["--model", "streaming", "--set", "members=2", "--set", "drive.units=3"],
-         StreamingConfig(members=2, drive={"units": 3})),
+        (
+            ["--model", "streaming", "--set", "members=2", "--set", "drive.units=3"],
+            StreamingConfig(members=2, drive={"units": 3}),
+        ),
         (["--model", "paper", "--epochs", "3"], FitConfig(epochs=3)),
     ],
-)  # fmt: skip
+)
 def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked, words, config):
     out = tmp_path / "s"
-    said = json.loads(run(capsys, "fit", dataset, *words, "--seed", "4", "--out", str(out), "--json"))
+    said = json.loads(
+        run(capsys, "fit", dataset, *words, "--seed", "4", "--out", str(out), "--json")
+    )
     assert asked == [(config, 4, 3)]
     assert said["model"] == "streaming"
     description = artifacts.load_description(out, "surrogate")
@@ -84,10 +88,15 @@ def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
         (["--set", "force.wakes=3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
         (["--set", "burn_in=900"], "burn_in must be less than ticks = 250"),
         (["--epochs", "3"], "--epochs with --model streaming: only --model paper counts in epochs"),
-        (["--set", "ticks=300", "--set", "burn_in=10"], "has 300 rows; 321 are needed in one piece; record longer"),
+        (
+            ["--set", "ticks=300", "--set", "burn_in=10"],
+            "has 300 rows; 321 are needed in one piece; record longer",
+        ),
     ],
 )
-def test_what_cannot_be_fitted_is_one_line_and_leaves_nothing(capsys, tmp_path, dataset, words, expected):
+def test_what_cannot_be_fitted_is_one_line_and_leaves_nothing(
+    capsys, tmp_path, dataset, words, expected
+):
     assert expected in fails(capsys, "fit", dataset, *words, "--out", str(tmp_path / "s"))
     assert not (tmp_path / "s").exists()
 
@@ -100,7 +109,9 @@ def faulty(index):
 @pytest.mark.parametrize("key", ["ignore_errors", "accepted"])
 def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, asked, key):
     for accepted in (False, True):
-        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], {key: accepted}, overwrite=accepted)
+        write_dataset(
+            tmp_path / "d", [faulty(1), faulty(2)], [], {key: accepted}, overwrite=accepted
+        )
         words = ["fit", str(tmp_path / "d"), "--out", str(tmp_path / "s")]
         if accepted:
             main(words)
@@ -114,7 +125,10 @@ def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, ask
 @pytest.mark.parametrize(
     ("counts", "line"),
     [
-        ({"error": 0, "warning": 2, "note": 1}, "d: 2 warnings, 1 note; softfin inspect d lists them\n"),
+        (
+            {"error": 0, "warning": 2, "note": 1},
+            "d: 2 warnings, 1 note; softfin inspect d lists them\n",
+        ),
         ({"error": 0, "warning": 0, "note": 3}, ""),
     ],
 )
@@ -125,7 +139,10 @@ def test_warnings_are_told_in_one_line_and_notes_alone_are_not(counts, line):
 def test_one_log_is_too_few(capsys, tmp_path):
     write_dataset(tmp_path / "one", [small.recorded(700)], [], {})
     line = fails(capsys, "fit", str(tmp_path / "one"), "--out", str(tmp_path / "s"))
-    assert "1 training log: at least 2 are needed, one to learn from and one held out; record more" in line
+    assert (
+        "1 training log: at least 2 are needed, one to learn from and one held out; record more"
+        in line
+    )
 
 
 def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
@@ -137,4 +154,6 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)
-    assert "holds an unfinished run; go on with --resume, or drop it with --overwrite" in fails(capsys, *words)
+    assert "holds an unfinished run; go on with --resume, or drop it with --overwrite" in fails(
+        capsys, *words
+    )

@@ -29,34 +29,67 @@ SLIPS: list[tuple[list[str], str]] = [
     (["collect", *OUT, "--plant", "pool"], "plant pool: unknown (does not exist); give tank, "),
     (["collect", *OUT, "--plant", "no_such_module:plant"], "No module named 'no_such_module'"),
     (["collect", *OUT, "--surrogate", "no"], "no: no such folder; it should be a surrogate"),
-    (["collect", *OUT, "--config", "no.yaml"], "no.yaml: cannot be read (No such file or directory)"),
+    (
+        ["collect", *OUT, "--config", "no.yaml"],
+        "no.yaml: cannot be read (No such file or directory)",
+    ),
     (["collect", "--out", "full"], "full: exists already; give another --out, or --overwrite"),
     (["collect", *OUT, "--seed", "-1"], "--seed -1: a seed is a whole number from 0 to"),
     (["collect", *OUT, "--arm"], "--arm: tank is simulated"),
-    (["example", "full"], "full: exists already; give another folder, or --overwrite to replace it"),
+    (
+        ["example", "full"],
+        "full: exists already; give another folder, or --overwrite to replace it",
+    ),
     (["example"], "DIR: required, and missing"),
-    (["inspect", "nowhere"], "nowhere: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags"),
+    (
+        ["inspect", "nowhere"],
+        "nowhere: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags",
+    ),
     (["inspect", "log.csv", "--rate", "-1"], "rate_hz = -1.0: Input should be greater than 0"),
-    (["inspect", "log.csv"], "log.csv: empty: it has no header; the first line must name the columns"),
+    (
+        ["inspect", "log.csv"],
+        "log.csv: empty: it has no header; the first line must name the columns",
+    ),
     (["import-logs", "full", *OUT], "full: holds no recordings; they are .csv, "),
     (["fit", "log.csv", *OUT, "--epochs", "3"], "only --model paper counts in epochs"),
     (["calibrate", "full", *OUT], "full: not a dataset"),
     (["calibrate", "tank", *OUT, "--velocity", "3"], "--velocity 3: not a range; write LOW,HIGH"),
-    (["compare", "no", "--dataset", "no", *OUT, "--horizons", "1,soon"], "--horizons 1,soon: not numbers"),
-    (["train", "tank", *OUT, "--cells", "3"], "--cells 3: neither paper, nor a lattice such as 3x3"),
+    (
+        ["compare", "no", "--dataset", "no", *OUT, "--horizons", "1,soon"],
+        "--horizons 1,soon: not numbers",
+    ),
+    (
+        ["train", "tank", *OUT, "--cells", "3"],
+        "--cells 3: neither paper, nor a lattice such as 3x3",
+    ),
     (["train", "tank", *OUT, "--range", "3"], "--range 3: not four numbers"),
     (["train", "tank", *OUT, "--seeds", "few"], "--seeds few: neither a number nor a list"),
-    (["train", "tank", *OUT, "--controller", "gaits", "--steps", "3"], "--steps: gaits are found, not trained"),
-    (["evaluate", "made", *OUT, "--reference-file", "no.csv"], "--reference-file no.csv: cannot be read"),
+    (
+        ["train", "tank", *OUT, "--controller", "gaits", "--steps", "3"],
+        "--steps: gaits are found, not trained",
+    ),
+    (
+        ["evaluate", "made", *OUT, "--reference-file", "no.csv"],
+        "--reference-file no.csv: cannot be read",
+    ),
     (["evaluate", "made", *OUT, "--reference", "one"], "--reference one: not a force"),
     (["explore", "--out", "new.html"], "CONTROLLER ...: required, and missing"),
     (["explore", "no", "--out", "new.html"], "no: no such folder; it should be a controller"),
-    (["explore", "made", "--out", "new.pdf"], "--out new.pdf: a page is written as .html; name it so"),
-    (["explore", "made", "--out", "new.html", "--plant", "pool"], "plant pool: unknown (does not exist); give tank, "),
+    (
+        ["explore", "made", "--out", "new.pdf"],
+        "--out new.pdf: a page is written as .html; name it so",
+    ),
+    (
+        ["explore", "made", "--out", "new.html", "--plant", "pool"],
+        "plant pool: unknown (does not exist); give tank, ",
+    ),
     (["explore", "made", "--out", "full"], "--out full: a page is written as .html"),
     (["rig", "check"], "rig.yaml: cannot be read (No such file or directory); docs/rig.md has one"),
     (["run", "no", "--reference=1,1"], "no: no such folder; it should be a controller"),
-    (["run", "made", "--reference=1,1", "--bag", "a.txt"], "--bag a.txt: a recording is a file NAME.mcap"),
+    (
+        ["run", "made", "--reference=1,1", "--bag", "a.txt"],
+        "--bag a.txt: a recording is a file NAME.mcap",
+    ),
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
     (["bag", "convert", "no.mcap"], "convert needs --out"),
     (["doctor", "--rig", "no.yaml"], "no.yaml: cannot be read"),
@@ -73,7 +106,12 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Any:
         (folder / name).touch()
     asked = [[name, "--help"] for name in COMMANDS] + [words for words, _ in SLIPS]
     done = subprocess.run(
-        [sys.executable, "-c", ANSWER], input=json.dumps(asked), cwd=folder, capture_output=True, text=True, check=True
+        [sys.executable, "-c", ANSWER],
+        input=json.dumps(asked),
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert sorted(path.name for path in folder.iterdir()) == ["full", "log.csv", "made"]
     answered, heavy = json.loads(done.stdout)
@@ -96,19 +134,24 @@ def test_a_slip_is_one_line_before_jax_is_imported(answers: Any) -> None:
 
 
 def test_a_command_lets_numpy_count_on_one_thread_unless_the_user_says_otherwise() -> None:
-    """Threads of OpenBLAS spin while they wait; their number is read when NumPy is imported, so not before that."""
+    """Threads of OpenBLAS spin while they wait; their number is read when NumPy is imported, so not
+    before that."""
     code = (
         "import os, sys, softfin.cli; assert 'numpy' not in sys.modules\n"
         "try: softfin.cli.main(['inspect', 'nowhere'])\n"
         "except SystemExit: print(os.environ.get('OPENBLAS_NUM_THREADS'))"
     )
     rest = {
-        name: value for name, value in os.environ.items() if name not in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
     }
 
     def threads(**given: str) -> str:
         command = [sys.executable, "-c", code]
-        return subprocess.run(command, env=rest | given, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            command, env=rest | given, capture_output=True, text=True, check=True
+        ).stdout.strip()
 
     assert threads() == "1"
     assert threads(OPENBLAS_NUM_THREADS="3") == "3"

@@ -27,7 +27,10 @@ def confirm(monkeypatch, text="", terminal=True, **options):
 
 def test_nothing_moves_without_arm_whatever_else_is_said(monkeypatch):
     for options in ({}, {"yes": True}):
-        with pytest.raises(ConfigurationError, match="free fin: answers, and stays still: nothing moves without --arm"):
+        with pytest.raises(
+            ConfigurationError,
+            match="free fin: answers, and stays still: nothing moves without --arm",
+        ):
             confirm(monkeypatch, "move\n", **options)
 
 

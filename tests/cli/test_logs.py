@@ -9,12 +9,16 @@ from softfin.cli import main
 from softfin.storage.dataset import Dataset
 from tests.data.faulty import columns_of, tank_logs
 
-COLUMNS = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
+COLUMNS = (
+    "angle=position,command_angle=command angle,command_velocity=command "
+    "velocity,force_x=force x,force_y=force y"
+)
 
 
 @pytest.fixture(scope="module")
 def authors(tmp_path_factory):
-    """As the paper's authors lay theirs out: logs end to end without a time, test sets beside; here in degrees."""
+    """As the paper's authors lay theirs out: logs end to end without a time, test sets beside; here
+    in degrees."""
     path = tmp_path_factory.mktemp("authors")
     logs = [columns_of(log) for log in tank_logs(3)]
 
@@ -60,7 +64,12 @@ def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
     assert softfin("inspect", authors, *options("--json", "--out", tmp_path / "i")) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "i" / "inspection.json").read_text())
-    assert {one["name"] for one in printed["issues"]} == {"degrees", "force axes", "columns", "velocity derived"}
+    assert {one["name"] for one in printed["issues"]} == {
+        "degrees",
+        "force axes",
+        "columns",
+        "velocity derived",
+    }
     assert printed["options"]["rows_per_log"] == 6000
     assert softfin("inspect", authors, *options("--out", tmp_path / "i")) == 2
     assert softfin("inspect", authors, *options("--out", tmp_path / "i", "--overwrite")) == 0
@@ -83,7 +92,9 @@ def test_import_refuses_errors_and_writes_nothing(authors, tmp_path, capsys):
 
 
 def test_import_takes_them_as_they_are_when_errors_are_ignored(authors, tmp_path):
-    assert softfin("import-logs", authors, *options("--out", tmp_path / "d", "--ignore-errors")) == 0
+    assert (
+        softfin("import-logs", authors, *options("--out", tmp_path / "d", "--ignore-errors")) == 0
+    )
     data = Dataset.open(tmp_path / "d")
     (log,) = data.load(data.test)
     assert np.abs(log.reading.angle).max() > 10
@@ -121,14 +132,23 @@ def test_logs_to_score_on_alone_are_inspected_but_not_learnt_from(authors, tmp_p
     assert "0 + 1 logs, 6,000 rows" in capsys.readouterr().out
     for command in ("import-logs", "fit"):
         assert softfin(command, logs, *right, "--out", tmp_path / ".out") == 2
-        assert "no training logs: all of its 1 logs are test logs; see --test" in capsys.readouterr().err
+        assert (
+            "no training logs: all of its 1 logs are test logs; see --test"
+            in capsys.readouterr().err
+        )
 
 
 def test_an_unknown_unit_of_angles_is_told_the_known_ones(authors, capsys):
     assert softfin("inspect", authors, *options("--angles", "degrees")) == 2
-    assert "'degrees' is not a unit of angles; allowed are rad, mrad, deg, turn" in capsys.readouterr().err
+    assert (
+        "'degrees' is not a unit of angles; allowed are rad, mrad, deg, turn"
+        in capsys.readouterr().err
+    )
     assert softfin("inspect", authors, *options("--angles", "angle=degrees")) == 2
-    assert "'degrees' is not a unit of angles; allowed are rad, mrad, deg, turn" in capsys.readouterr().err
+    assert (
+        "'degrees' is not a unit of angles; allowed are rad, mrad, deg, turn"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_frame_that_begins_with_a_minus_is_taken_as_it_is_printed(authors, capsys):

@@ -7,10 +7,17 @@ from tests.cli.test_cli import fails
 
 QUICK = [
     word
-    for change in ("survey.cycles=2", "survey.batch=256", "survey.directions=8", "survey.pushes=1", "gaits.cycles=2",
-                   "gaits.steps=6", "box={low: [0.5, -0.5], high: [1.5, 0.5]}")
+    for change in (
+        "survey.cycles=2",
+        "survey.batch=256",
+        "survey.directions=8",
+        "survey.pushes=1",
+        "gaits.cycles=2",
+        "gaits.steps=6",
+        "box={low: [0.5, -0.5], high: [1.5, 0.5]}",
+    )
     for word in ("--set", change)
-]  # fmt: skip
+]
 
 
 def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
@@ -20,7 +27,10 @@ def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
     assert summary["held"] >= 8
     assert summary["area_n2"] > 2
     assert (tmp_path / "x" / "map.png").is_file()
-    assert json.loads((tmp_path / "x" / "map.json").read_text())["configuration"]["gaits"]["steps"] == 6
+    assert (
+        json.loads((tmp_path / "x" / "map.json").read_text())["configuration"]["gaits"]["steps"]
+        == 6
+    )
 
 
 @pytest.mark.parametrize(

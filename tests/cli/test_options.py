@@ -1,4 +1,5 @@
-"""Options are the fields of a configuration: read, suggested, refused in one line, listed as help."""
+"""Options are the fields of a configuration: read, suggested, refused in one line, listed as
+help."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -43,12 +44,32 @@ class Example(Base):
 
 
 def test_words_become_the_fields_of_the_command() -> None:
-    words = ["a", "--out", "b", "--test-rows=3", "--rate", "-1.5", "--kind", "second", "--loud", "c", "d",
-             "--reference", "-1,2", "--reference=3,4"]  # fmt: skip
+    words = [
+        "a",
+        "--out",
+        "b",
+        "--test-rows=3",
+        "--rate",
+        "-1.5",
+        "--kind",
+        "second",
+        "--loud",
+        "c",
+        "d",
+        "--reference",
+        "-1,2",
+        "--reference=3,4",
+    ]
     assert parse(Example, words) == Example(
-        source=Path("a"), out=Path("b"), test_rows=3, rate=-1.5, kind="second", loud=True, more=("c", "d"),
+        source=Path("a"),
+        out=Path("b"),
+        test_rows=3,
+        rate=-1.5,
+        kind="second",
+        loud=True,
+        more=("c", "d"),
         reference=((-1.0, 2.0), (3.0, 4.0)),
-    )  # fmt: skip
+    )
 
 
 def test_underscores_are_hyphens() -> None:
@@ -83,14 +104,18 @@ class Checked(Configuration):
     """A command whose paths must be there."""
 
     path: Annotated[Path | None, Option(check=lambda path, command: command.refuse(path))] = None
-    paths: Annotated[tuple[Path, ...], Option(check=lambda path, command: command.refuse(path))] = ()
+    paths: Annotated[
+        tuple[Path, ...], Option(check=lambda path, command: command.refuse(path))
+    ] = ()
 
     def refuse(self, path: Path) -> None:
         raise ArtifactError(f"{path}: refused")
 
 
 def test_one_argument_too_many_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="'a': one argument too many; the command takes only options"):
+    with pytest.raises(
+        ConfigurationError, match="'a': one argument too many; the command takes only options"
+    ):
         parse(Checked, ["a"])
 
 
@@ -101,7 +126,9 @@ def test_each_value_that_was_given_is_checked() -> None:
             check(parse(Checked, words))
 
 
-def test_help_shows_what_is_required_first_and_every_default(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_shows_what_is_required_first_and_every_default(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(HelpRequested):
         parse(Example, ["--zzz-is-not-looked-at=1", "-h"][1:])
@@ -133,7 +160,9 @@ options:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_help_of_every_command_names_kinds_of_values_and_describes_each_option(name: str) -> None:
+def test_the_help_of_every_command_names_kinds_of_values_and_describes_each_option(
+    name: str,
+) -> None:
     text = help_of(arguments_of(name), f"softfin {name}")
     assert "None" not in text
     assert "STR" not in text

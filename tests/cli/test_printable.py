@@ -38,7 +38,8 @@ def test_results_are_shown_without_escapes_and_in_lines(capsys):
 @pytest.mark.parametrize("is_terminal", [True, False])
 def test_progress_shows_neither_escapes_nor_markup(capsys, monkeypatch, is_terminal):
     monkeypatch.setattr(
-        "rich.console.Console", lambda stderr: Console(stderr=stderr, force_terminal=is_terminal, width=150)
+        "rich.console.Console",
+        lambda stderr: Console(stderr=stderr, force_terminal=is_terminal, width=150),
     )
     with progress() as report:
         report("read", 0.5, HOSTILE + "[/nothing] [blink]x")

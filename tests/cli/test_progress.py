@@ -1,4 +1,5 @@
-"""Progress where the output is no terminal: a line at both ends of a stage, and one every ten seconds."""
+"""Progress where the output is no terminal: a line at both ends of a stage, and one every ten
+seconds."""
 
 import pytest
 
@@ -36,7 +37,8 @@ def test_a_stage_that_has_ended_is_told_once(lines, capsys):
 
 
 def test_the_time_left_follows_from_what_was_done_since_the_first_report(lines, capsys):
-    """The first report of a resumed stage, and of one that was compiled, says nothing of its pace."""
+    """The first report of a resumed stage, and of one that was compiled, says nothing of its
+    pace."""
     lines.report(100.0, "train", 0.5, "")
     lines.report(110.0, "train", 0.6, "")
     assert capsys.readouterr().err.splitlines()[-1] == "train: 60% (about 0:40 left)"

@@ -148,7 +148,11 @@ def test_a_drive_that_was_left_powered_is_stopped_by_a_command_without_arm(file,
 
 def test_zeroing_the_force_needs_no_arm(file, capsys):
     main(["rig", "zero", "--rig", file, "--force", "--json"])
-    assert set(json.loads(capsys.readouterr().out)) == {"force_before_n", "force_after_n", "noise_n"}
+    assert set(json.loads(capsys.readouterr().out)) == {
+        "force_before_n",
+        "force_after_n",
+        "noise_n",
+    }
 
 
 def test_an_emulated_rig_in_real_time_runs_until_ctrl_c(tmp_path):
@@ -171,20 +175,25 @@ def test_every_message_that_suggests_to_zero_the_fin_gives_a_command_that_is_not
         assert "--arm" in text or "--force" in text, text
 
 
-def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(tmp_path, capsys, monkeypatch):
+def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(
+    tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     main(["rig", "emulate", "--seed", "3"])
     told = capsys.readouterr().out
     assert (
-        "Next: softfin rig check --prove --arm, then softfin rig zero --arm, then softfin collect --plant rig --arm"
-        in told
+        "Next: softfin rig check --prove --arm, then softfin rig zero --arm, then softfin collect "
+        "--plant rig --arm" in told
     )
     config = load_rig(tmp_path / "rig.yaml")
     assert config.emulation.seed == 3
     assert config.drive.heartbeat_s == 0.2
     assert config.safety == SafetyConfig(current_peak_a=3.0, current_sustained_a=1.5)
     line, code = fails(capsys, "rig", "emulate")
-    assert (line.endswith("rig.yaml: exists; give another --rig, or --overwrite to replace it"), code) == (True, 2)
+    assert (
+        line.endswith("rig.yaml: exists; give another --rig, or --overwrite to replace it"),
+        code,
+    ) == (True, 2)
     (tmp_path / "rig.state.json").write_text("of the rig before")
     main(["rig", "emulate", "--overwrite"])
     assert not (tmp_path / "rig.state.json").exists()

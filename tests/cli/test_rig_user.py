@@ -1,4 +1,5 @@
-"""What a new user gets wrong, and what must not be done to files: every time one line, and nothing moves."""
+"""What a new user gets wrong, and what must not be done to files: every time one line, and nothing
+moves."""
 
 import io
 import sys
@@ -55,16 +56,42 @@ def test_a_key_of_the_rigs_file_is_named_where_it_is_misspelt_or_missing(
     ratio = drive.pop("gear_ratio")
     drive |= {} if name is None else {name: ratio}
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump(values | {"drive": drive}))
-    told = ["run", str(controller), "--plant", f"rig:{tmp_path / 'rig.yaml'}", "--reference=1,0", "--arm", "--yes"]
+    told = [
+        "run",
+        str(controller),
+        "--plant",
+        f"rig:{tmp_path / 'rig.yaml'}",
+        "--reference=1,0",
+        "--arm",
+        "--yes",
+    ]
     refused(capsys, told, words)
 
 
-def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(controller, tmp_path, capsys):
+def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(
+    controller, tmp_path, capsys
+):
     (tmp_path / "a.mcap").write_text("of yesterday")
     (tmp_path / "folder.mcap").mkdir()
-    run = ["run", str(controller), "--reference=1,0", "--arm", "--yes", "--plant", f"rig:{tmp_path / 'no.yaml'}"]
-    refused(capsys, [*run, "--bag", str(tmp_path / "a.mcap")], "a.mcap: exists already; give another --bag")
-    refused(capsys, [*run, "--bag", str(tmp_path / "folder.mcap"), "--overwrite"], "folder.mcap: exists and is not")
+    run = [
+        "run",
+        str(controller),
+        "--reference=1,0",
+        "--arm",
+        "--yes",
+        "--plant",
+        f"rig:{tmp_path / 'no.yaml'}",
+    ]
+    refused(
+        capsys,
+        [*run, "--bag", str(tmp_path / "a.mcap")],
+        "a.mcap: exists already; give another --bag",
+    )
+    refused(
+        capsys,
+        [*run, "--bag", str(tmp_path / "folder.mcap"), "--overwrite"],
+        "folder.mcap: exists and is not",
+    )
     assert (tmp_path / "a.mcap").read_text() == "of yesterday"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "folder.mcap"]
 
@@ -72,7 +99,9 @@ def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(contr
 def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     config = RigConfig.build(values)
     robot = RobotSetup(Rig(config), config.safety)
-    with pytest.raises(ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"):
+    with pytest.raises(
+        ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"
+    ):
         Armed().confirm(robot, "the motor is powered")
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))
     Armed(arm=True).confirm(robot, "the motor is powered")
@@ -97,7 +126,10 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     machine = FreeFin()
     session = Session(machine, Guard(SafetyConfig(), machine.limits))
     driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), (0.0, 0.0), 1)
-    assert session.stop_request.trip == ("emergency_stop", "nobody reads its lines any more (Broken pipe)")
+    assert session.stop_request.trip == (
+        "emergency_stop",
+        "nobody reads its lines any more (Broken pipe)",
+    )
 
 
 def test_a_file_is_never_written_through_a_link_that_stands_in_its_way(tmp_path, monkeypatch):
@@ -115,7 +147,9 @@ def test_a_narrow_terminal_keeps_what_is_left_of_the_day(monkeypatch):
     from rich.console import Console
 
     said = io.StringIO()
-    monkeypatch.setattr("rich.console.Console", lambda stderr: Console(file=said, force_terminal=True, width=80))
+    monkeypatch.setattr(
+        "rich.console.Console", lambda stderr: Console(file=said, force_terminal=True, width=80)
+    )
     with progress() as report:
         report("collect", 0.5, "6:03:00 left, train-0000: (+1.23, -0.45) N, -1.20 rad")
     assert "6:03:00 left, train-0000: (+1.2" in said.getvalue()

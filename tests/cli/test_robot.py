@@ -31,20 +31,50 @@ def test_check_prints_rank_and_reach(capsys):
 
 def test_check_warns_of_a_body_that_does_not_stay_upright(capsys, tmp_path, ucat_file):
     file = tmp_path / "unstable.yaml"
-    file.write_text(ucat_file.replace("centre_of_buoyancy_m: [0, 0, 0.03]", "centre_of_buoyancy_m: [0, 0, -0.03]"))
+    file.write_text(
+        ucat_file.replace(
+            "centre_of_buoyancy_m: [0, 0, 0.03]", "centre_of_buoyancy_m: [0, 0, -0.03]"
+        )
+    )
     main(["robot", "check", str(file)])
-    assert "warning: body: unstable in roll and pitch: weight and buoyancy turn it" in capsys.readouterr().out
+    assert (
+        "warning: body: unstable in roll and pitch: weight and buoyancy turn it"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.slow
 def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
     out = tmp_path / "out"
-    main(["robot", "evaluate", "ucat", "--hold", "--wrenches", "--seeds", "1", "--out", str(out), "--json",
-          "--set", "hold_s=20", "--set", "settled_s=6", "--set", "wrenches=2"])  # fmt: skip
+    main(
+        [
+            "robot",
+            "evaluate",
+            "ucat",
+            "--hold",
+            "--wrenches",
+            "--seeds",
+            "1",
+            "--out",
+            str(out),
+            "--json",
+            "--set",
+            "hold_s=20",
+            "--set",
+            "settled_s=6",
+            "--set",
+            "wrenches=2",
+        ]
+    )
     found = json.loads(capsys.readouterr().out)
     assert found["wrenches"]["count"] == 2
     assert json.loads((out / "robot.json").read_text())["hold"][0]["seed"] == 0
-    assert {file.name for file in out.iterdir()} == {"robot.json", "hold.html", "hold.png", "hold.svg"}
+    assert {file.name for file in out.iterdir()} == {
+        "robot.json",
+        "hold.html",
+        "hold.png",
+        "hold.svg",
+    }
     page = (out / "hold.html").read_text()
     # Nothing is fetched; the library is in the page, with its licence.
     assert "src=" not in page
@@ -54,7 +84,19 @@ def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
 @pytest.mark.slow
 def test_view_writes_a_page(capsys, tmp_path):
     page = tmp_path / "lem.html"
-    main(["robot", "view", "--lemniscate", "--out", str(page), "--set", "path_s=20", "--set", "settled_s=5"])
+    main(
+        [
+            "robot",
+            "view",
+            "--lemniscate",
+            "--out",
+            str(page),
+            "--set",
+            "path_s=20",
+            "--set",
+            "settled_s=5",
+        ]
+    )
     assert "lemniscate" in capsys.readouterr().out
     assert page.stat().st_size < 2_500_000
 
@@ -72,8 +114,14 @@ def test_view_writes_a_page(capsys, tmp_path):
         (("check", "--dead"), "--dead goes with robot evaluate and robot view"),
         (("ros2", "ucat", "--hold"), "robot ros2 runs no trial"),
         (("ros2", "ucat"), "max_thrust: missing"),
-        (("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"), "stop_topic = 'stop'"),
-        (("ros2", "ucat", "--set", "max_thrust.tail=3"), "max_thrust is of tail; U-CAT has the fins front_right"),
+        (
+            ("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"),
+            "stop_topic = 'stop'",
+        ),
+        (
+            ("ros2", "ucat", "--set", "max_thrust.tail=3"),
+            "max_thrust is of tail; U-CAT has the fins front_right",
+        ),
         (("ros2", "ucat", "--domain", "300"), "connection.domain = 300"),
     ],
 )
@@ -83,7 +131,8 @@ def test_what_cannot_be_done_is_told_in_one_line(capsys, transport, words, told)
 
 def test_fins_that_the_simulation_does_not_know_are_refused(capsys, tmp_path, ucat_file):
     text = ucat_file.replace(
-        "    shaft_axis: [0.5, 0.8660254, 0]", "    shaft_axis: [0.5, 0.8660254, 0]\n    range_rad: [-1, 1]"
+        "    shaft_axis: [0.5, 0.8660254, 0]",
+        "    shaft_axis: [0.5, 0.8660254, 0]\n    range_rad: [-1, 1]",
     )
     file = tmp_path / "limited.yaml"
     file.write_text(text)
@@ -104,18 +153,37 @@ def test_a_stop_by_its_topic_ends_the_node_with_the_exit_code_of_a_stop(capsys, 
     assert stop.value.code == 3
     told = capsys.readouterr().err
     assert "in memory" in told
-    assert told.endswith("softfin robot: emergency stop on /robot/stop; every fin was told to stop\n")
+    assert told.endswith(
+        "softfin robot: emergency stop on /robot/stop; every fin was told to stop\n"
+    )
     assert all(
-        transport.sent[f"/{name}_{side}/stop"][-1].data for name in ("front", "back") for side in ("left", "right")
+        transport.sent[f"/{name}_{side}/stop"][-1].data
+        for name in ("front", "back")
+        for side in ("left", "right")
     )
     assert transport.closed
 
 
 def test_fins_that_are_not_there_end_the_node_in_one_line(capsys, transport):
     with pytest.raises(SystemExit) as stop:
-        main(["robot", "ros2", "ucat", "--set", "max_thrust=3", "--set", "wait_s=0.1", "--set", "fin_prefix=/ucat"])
+        main(
+            [
+                "robot",
+                "ros2",
+                "ucat",
+                "--set",
+                "max_thrust=3",
+                "--set",
+                "wait_s=0.1",
+                "--set",
+                "fin_prefix=/ucat",
+            ]
+        )
     assert stop.value.code == 1
-    assert "after 0.1 s nobody publishes /ucat/front_right/joint_states, " in capsys.readouterr().err.splitlines()[-1]
+    assert (
+        "after 0.1 s nobody publishes /ucat/front_right/joint_states, "
+        in capsys.readouterr().err.splitlines()[-1]
+    )
 
 
 @pytest.fixture

@@ -31,10 +31,15 @@ TOPICS = {
 class StillFin:
     """A machine that stays at angle 0."""
 
-    name, limits, notes, stop_unconfirmed = "still", LIMITS, (), None
+    name = "still"
+    limits = LIMITS
+    notes = ()
+    stop_unconfirmed = None
 
     def __init__(self):
-        self.commands, self.stops, self.on_enable = [], 0, lambda: None
+        self.commands = []
+        self.stops = 0
+        self.on_enable = lambda: None
         self.reads = 0
 
     def open(self):
@@ -64,7 +69,10 @@ class StillFin:
 class Controller(LoadedController):
     """Notes what it is asked for; asks for nothing but angle 0."""
 
-    limits, cells, reachable, artifact = LIMITS, (), None, Artifact()
+    limits = LIMITS
+    cells = ()
+    reachable = None
+    artifact = Artifact()
 
     def __init__(self):
         object.__setattr__(self, "asked", [])
@@ -87,7 +95,9 @@ def there(monkeypatch, tmp_path):
     (tmp_path / "controller").mkdir()
     for file in ("controller/controller.json", "rig.yaml", "ros2.yaml"):
         (tmp_path / file).touch()
-    fin, controller, transport = StillFin(), Controller(), MemoryTransport(time.monotonic)
+    fin = StillFin()
+    controller = Controller()
+    transport = MemoryTransport(time.monotonic)
     safety = SafetyConfig(stale_s=1.0, force_stale_s=1.0, overrun_s=1.0, watchdog_s=2.0)
     assert isinstance(fin, Machine)
     monkeypatch.setattr(driving, "load_controller", lambda folder: controller)
@@ -108,11 +118,27 @@ def test_references_of_the_topic_are_held_and_every_sample_goes_out(there, tmp_p
             there.transport.put("/ask", messages.wrench(0, "", (x, -1.0, 0.0, 0.0, 0.0, 0.0)))
 
     there.fin.on_enable = ask
-    run("--reference=0,0.5", "--arm", "--yes", "--seconds", "3", "--bag", str(tmp_path / "run.mcap"), "--json",
-        "--set", "reference_topic=/ask", "--set", "reference_timeout_s=1.5")  # fmt: skip
+    run(
+        "--reference=0,0.5",
+        "--arm",
+        "--yes",
+        "--seconds",
+        "3",
+        "--bag",
+        str(tmp_path / "run.mcap"),
+        "--json",
+        "--set",
+        "reference_topic=/ask",
+        "--set",
+        "reference_timeout_s=1.5",
+    )
     assert there.controller.asked[0] == (1.0, -1.0)
     assert there.controller.asked[-1] == (0.0, 0.5), "too old: what was said beforehand"
-    assert len(there.transport.sent["/fin/joint_states"]) == len(there.transport.sent["/fin/wrench"]) == there.fin.reads
+    assert (
+        len(there.transport.sent["/fin/joint_states"])
+        == len(there.transport.sent["/fin/wrench"])
+        == there.fin.reads
+    )
     assert there.transport.sent["/fin/command"]
     out, err = capsys.readouterr()
     assert '"references_refused": 2' in out
@@ -128,7 +154,15 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
     messages = there.transport.messages
     there.transport.put("/fin/stop", messages.make("std_msgs/msg/Bool", True))
     with pytest.raises(SystemExit) as stop:
-        run("--reference=0,0", "--arm", "--yes", "--seconds", "5", "--bag", str(tmp_path / "run.mcap"))
+        run(
+            "--reference=0,0",
+            "--arm",
+            "--yes",
+            "--seconds",
+            "5",
+            "--bag",
+            str(tmp_path / "run.mcap"),
+        )
     assert stop.value.code == 3
     assert "emergency stop on /fin/stop" in capsys.readouterr().err
     assert not there.controller.asked
@@ -144,7 +178,10 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
         (["--set", "joint_topic=joint"], "joint_topic = 'joint'"),
         (["--domain", "300"], "connection.domain = 300"),
         (["--fin", "left fin"], "fin 'left fin': cannot be in the name of a topic"),
-        (["--fin", "left", "--set", "reference_timeout_s=null"], "reference_lost = stop: needs an age"),
+        (
+            ["--fin", "left", "--set", "reference_timeout_s=null"],
+            "reference_lost = stop: needs an age",
+        ),
     ],
 )
 def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, said, capsys):
@@ -156,15 +193,29 @@ def test_what_cannot_be_is_told_in_one_line_before_anything_moves(there, words, 
     assert not there.fin.commands
 
 
-def test_a_fin_of_a_robot_has_its_own_topics_and_stops_with_exit_code_3_when_references_end(there, tmp_path, capsys):
+def test_a_fin_of_a_robot_has_its_own_topics_and_stops_with_exit_code_3_when_references_end(
+    there, tmp_path, capsys
+):
     messages = there.transport.messages
 
     def ask():
-        there.transport.put("/tail/reference", messages.wrench(0, "", (2.0, -1.0, 0.0, 0.0, 0.0, 0.0)))
+        there.transport.put(
+            "/tail/reference", messages.wrench(0, "", (2.0, -1.0, 0.0, 0.0, 0.0, 0.0))
+        )
 
     there.fin.on_enable = ask
     with pytest.raises(SystemExit) as stop:
-        run("--reference=0,0", "--fin", "tail", "--arm", "--yes", "--seconds", "60", "--bag", str(tmp_path / "a.mcap"))
+        run(
+            "--reference=0,0",
+            "--fin",
+            "tail",
+            "--arm",
+            "--yes",
+            "--seconds",
+            "60",
+            "--bag",
+            str(tmp_path / "a.mcap"),
+        )
     assert stop.value.code == 3
     assert "/tail/reference: no reference for 1 s" in capsys.readouterr().err
     assert there.controller.asked[0] == (2.0, -1.0)

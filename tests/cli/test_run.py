@@ -51,9 +51,24 @@ def still(emulated):
 RUN = ("--reference=1,-1", "--seconds", "1")
 
 
-def test_a_controller_runs_for_so_long_and_says_what_it_made(controller, plant, emulated, tmp_path, capsys):
+def test_a_controller_runs_for_so_long_and_says_what_it_made(
+    controller, plant, emulated, tmp_path, capsys
+):
     bag = tmp_path / "a.mcap"
-    main(["run", str(controller), "--plant", plant, *RUN, "--arm", "--yes", "--bag", str(bag), "--json"])
+    main(
+        [
+            "run",
+            str(controller),
+            "--plant",
+            plant,
+            *RUN,
+            "--arm",
+            "--yes",
+            "--bag",
+            str(bag),
+            "--json",
+        ]
+    )
     told = json.loads(capsys.readouterr().out)
     assert told["seconds"] == 1.0
     assert told["counters"]["sensor_records"] > 0
@@ -83,20 +98,38 @@ def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys
         (["--reference=nan,1"], "nan"),
     ],
 )
-def test_bad_input_is_one_line_before_anything_is_opened(words, expected, controller, plant, capsys):
+def test_bad_input_is_one_line_before_anything_is_opened(
+    words, expected, controller, plant, capsys
+):
     plant = [] if "--plant" in words else ["--plant", plant]
     line, code = fails(capsys, "run", str(controller), *plant, *words, "--arm", "--yes")
     assert expected in line
     assert code == 2
 
 
-def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(controller, emulated, tmp_path, capsys):
-    file, bag = tmp_path / "rig.yaml", tmp_path / "a.mcap"
+def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(
+    controller, emulated, tmp_path, capsys
+):
+    file = tmp_path / "rig.yaml"
+    bag = tmp_path / "a.mcap"
     narrow = {"force_peak_n": 0.2, "force_sustained_n": 0.1}
     with filed(emulated, file, **narrow), pytest.raises(SystemExit) as ended:
         # Long enough for a peak; the first one ends it.
-        main(["run", str(controller), "--plant", f"rig:{file}", RUN[0], "--seconds", "30", "--arm", "--yes",
-              "--bag", str(bag)])  # fmt: skip
+        main(
+            [
+                "run",
+                str(controller),
+                "--plant",
+                f"rig:{file}",
+                RUN[0],
+                "--seconds",
+                "30",
+                "--arm",
+                "--yes",
+                "--bag",
+                str(bag),
+            ]
+        )
     assert ended.value.code == 3
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("softfin run: stopped, motor disabled: force ")
@@ -114,7 +147,9 @@ def started(terminal):
 LIVE = ("--reference=1,-1", "--arm", "--bag", "a.mcap")
 
 
-def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(controller, elsewhere, tmp_path):
+def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(
+    controller, elsewhere, tmp_path
+):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         started(terminal)
         terminal.type("2,0.5\n")
@@ -123,15 +158,21 @@ def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(controller, 
         terminal.wait_for("write X,Y in newton")
         terminal.type("\n")
         assert terminal.ended() == 3
-        assert terminal.said.rstrip().endswith("softfin run: stopped, motor disabled: stopped by a key")
+        assert terminal.said.rstrip().endswith(
+            "softfin run: stopped, motor disabled: stopped by a key"
+        )
         assert "Traceback" not in terminal.said
         assert "Fatal" not in terminal.said
     still(elsewhere)
     assert events_of(tmp_path / "a.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
 
 
-def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(controller, elsewhere, tmp_path):
-    with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE, "--seconds", "1"], tmp_path) as terminal:
+def test_a_run_that_ends_by_itself_leaves_no_thread_at_the_terminal(
+    controller, elsewhere, tmp_path
+):
+    with Terminal(
+        ["run", controller, "--plant", "rig:other.yaml", *LIVE, "--seconds", "1"], tmp_path
+    ) as terminal:
         started(terminal)
         assert terminal.ended() == 0, terminal.said
         assert "Fatal" not in terminal.said
@@ -179,8 +220,13 @@ def test_without_the_word_nothing_moves(answer, controller, elsewhere, tmp_path)
 
 
 def test_topics_are_refused_where_time_is_simulated(controller, plant, capsys):
-    line, code = fails(capsys, "ros2", str(controller), "--plant", plant, "--reference=1,0", "--arm", "--yes")
-    assert "rig of emulated: emulated in simulated time, in which no topic can be heard; start softfin rig" in line
+    line, code = fails(
+        capsys, "ros2", str(controller), "--plant", plant, "--reference=1,0", "--arm", "--yes"
+    )
+    assert (
+        "rig of emulated: emulated in simulated time, in which no topic can be heard; start "
+        "softfin rig" in line
+    )
     assert code == 2
 
 
@@ -192,7 +238,18 @@ def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated,
 
     emulated.clock.spawn(interrupt, "somebody at the terminal")
     with pytest.raises(SystemExit) as ended:
-        main(["run", str(controller), "--plant", plant, *LIVE[:2], "--yes", "--bag", str(tmp_path / "a.mcap")])
+        main(
+            [
+                "run",
+                str(controller),
+                "--plant",
+                plant,
+                *LIVE[:2],
+                "--yes",
+                "--bag",
+                str(tmp_path / "a.mcap"),
+            ]
+        )
     assert ended.value.code == 3
     assert capsys.readouterr().err.rstrip().endswith("stopped, motor disabled: stopped by Ctrl-C")
     still(emulated)
@@ -205,7 +262,9 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewh
         "collect": ["collect", "--logs", "1", "--test-logs", "0", "--rows", "20000"],
         "evaluate": ["evaluate", controller, "--seconds", "300", "--seeds", "1"],
     }[command]
-    with Terminal([*words, "--plant", "rig:other.yaml", "--out", "out", "--arm"], tmp_path) as terminal:
+    with Terminal(
+        [*words, "--plant", "rig:other.yaml", "--out", "out", "--arm"], tmp_path
+    ) as terminal:
         # The word between is coloured, as everything in quotes above a progress bar.
         terminal.wait_for(" and Enter: ")
         terminal.type("move\n")
@@ -221,7 +280,9 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewh
 
 def test_a_job_in_the_background_does_not_read_the_terminal(monkeypatch):
     monkeypatch.setattr("softfin.cli.driving.on_terminal", lambda: True)
-    monkeypatch.setattr("softfin.cli.driving.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal"))
+    monkeypatch.setattr(
+        "softfin.cli.driving.listen_to_keyboard", lambda *_: pytest.fail("reads the terminal")
+    )
     master, slave = pty.openpty()
     with os.fdopen(master), os.fdopen(slave) as terminal:
         monkeypatch.setattr("sys.stdin", terminal)

@@ -35,13 +35,25 @@ def test_without_options_the_configuration_stands_and_paper_is_its_default() -> 
 @pytest.mark.parametrize(
     ("controller", "cells", "span", "message"),
     [
-        ("single", "3x3", None, "--cells 3x3: single has no cells; give --range, or --controller grid"),
-        ("grid", None, "0,0,1,1", r"--range 0,0,1,1: the cells \(paper\) have places of their own \(x 0.5 .. 3.5"),
+        (
+            "single",
+            "3x3",
+            None,
+            "--cells 3x3: single has no cells; give --range, or --controller grid",
+        ),
+        (
+            "grid",
+            None,
+            "0,0,1,1",
+            r"--range 0,0,1,1: the cells \(paper\) have places of their own \(x 0.5 .. 3.5",
+        ),
         ("grid", "0x3", None, "--cells 0x3: 0 cells"),
         ("grid", "3x3", "0,0,nan,1", "--range 0,0,nan,1: high.0"),
     ],
 )
-def test_what_does_not_go_together_is_refused(controller: str, cells: str, span: str, message: str) -> None:
+def test_what_does_not_go_together_is_refused(
+    controller: str, cells: str, span: str, message: str
+) -> None:
     with pytest.raises(ConfigurationError, match=message):
         asked_cells(controller, cells, span)
 

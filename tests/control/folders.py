@@ -20,7 +20,8 @@ from tests.control.test_controllers import SIZE, untrained
 from tests.gaits.test_map_store import KNOWN
 
 KINDS = ("single", "phased", "grid", "cold", "gaits")
-"""Phased and grid: with the phase observed, and gaits in the policies; cold: a grid without any of it."""
+"""Phased and grid: with the phase observed, and gaits in the policies; cold: a grid without any of
+it."""
 
 
 def folder_of(kind: str, folder: Path) -> Path:
@@ -50,11 +51,16 @@ def _phased(config: TrainConfig) -> TrainingResult:
     task = config.task.model_copy(update={"phase": True, "past_actions": 2})
     run = untrained(config.model_copy(update={"task": task}))
     keys = jax.random.split(jax.random.key(1), run.policies.log_std.shape[:2])
-    table, unit = KNOWN.gaits.table, task.force_scale_n
+    table = KNOWN.gaits.table
+    unit = task.force_scale_n
     gaits = table._replace(low=table.low / unit, high=table.high / unit)
-    policies = jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, task.observations, gaits=gaits)))(keys)
+    policies = jax.vmap(
+        jax.vmap(lambda key: Policy.create(key, SIZE, task.observations, gaits=gaits))
+    )(keys)
     loud = jax.tree.map(lambda x: 3 * x, policies)
-    return _normalised(run._replace(policies=eqx.tree_at(lambda policy: policy.gaits, loud, policies.gaits)))
+    return _normalised(
+        run._replace(policies=eqx.tree_at(lambda policy: policy.gaits, loud, policies.gaits))
+    )
 
 
 def _normalised(run: TrainingResult) -> TrainingResult:
@@ -66,4 +72,6 @@ def _normalised(run: TrainingResult) -> TrainingResult:
         return jax.numpy.asarray(numbers.uniform(low, high, shape), jax.numpy.float32)
 
     statistics = Normalisation(some(-1, 1), some(0, 2), jax.numpy.ones(shape[:-1]))
-    return run._replace(policies=jax.vmap(jax.vmap(lambda p, n: p.with_normalisation(n)))(run.policies, statistics))
+    return run._replace(
+        policies=jax.vmap(jax.vmap(lambda p, n: p.with_normalisation(n)))(run.policies, statistics)
+    )

@@ -53,13 +53,17 @@ assert not {"jax", "jaxlib"} & set(sys.modules), "imported"
 
 
 def run(script: str, *words: str) -> str:
-    done = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, timeout=HANG_S
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_every_kind_acts_with_what_the_robots_part_installs(tmp_path: Path) -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
     names = [re.split(r"[<>=]", line)[0] for line in extras["learn"]]
     lacking = ["jaxlib", "PIL", *(name.replace("-", "_") for name in names)]
     said = run(WITHOUT, " ".join(lacking), *(str(folder_of(kind, tmp_path)) for kind in KINDS))

@@ -1,4 +1,5 @@
-"""Controllers: they act as their policies do in the task, cover what they were trained for, and come back from disk."""
+"""Controllers: they act as their policies do in the task, cover what they were trained for, and
+come back from disk."""
 
 import json
 import tempfile
@@ -35,13 +36,18 @@ SEEDS = (3, 5)
 def untrained(config: TrainConfig) -> TrainingResult:
     """As if trained: loud random policies."""
     config = config.model_copy(update={"policy": SIZE})
-    cells, points = len(config.cells), config.lattice**2
+    cells = len(config.cells)
+    points = config.lattice**2
     keys = jax.random.split(jax.random.key(0), (len(SEEDS), cells))
     policies = jax.jit(jax.vmap(jax.vmap(lambda key: Policy.create(key, SIZE, 11))))(keys)
     loud = jax.tree.map(lambda x: jnp.asarray(3 * np.asarray(x)), policies)
     shape = (len(SEEDS), cells, points, 2)
     return TrainingResult(
-        config, PAPER_LIMITS, SEEDS, loud, PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5))
+        config,
+        PAPER_LIMITS,
+        SEEDS,
+        loud,
+        PolicyEvaluation(jnp.full(shape, 0.25), jnp.full(shape, 0.5)),
     )
 
 
@@ -51,7 +57,8 @@ def controller_of(trained: TrainingResult, seed: int) -> LoadedController:
         return load_controller(Path(folder) / "controller")
 
 
-GRID_RUN, SINGLE_RUN = untrained(GRID), untrained(SINGLE)
+GRID_RUN = untrained(GRID)
+SINGLE_RUN = untrained(SINGLE)
 
 
 @pytest.fixture(params=[SINGLE_RUN, GRID_RUN], ids=["single", "grid"])
@@ -65,7 +72,9 @@ def commands(controller: Controller, references: Any, angles: Any) -> np.ndarray
         state, command = controller.act(state, Measured(angle, jnp.zeros(2)), reference)
         return state, jnp.stack(command)
 
-    return np.asarray(jax.jit(lambda a, r: jax.lax.scan(act, controller.init(), (a, r)))(angles, references)[1])
+    return np.asarray(
+        jax.jit(lambda a, r: jax.lax.scan(act, controller.init(), (a, r)))(angles, references)[1]
+    )
 
 
 def test_controllers_meet_the_contract(run: TrainingResult) -> None:
@@ -75,22 +84,30 @@ def test_controllers_meet_the_contract(run: TrainingResult) -> None:
 def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
     task = ForceTracking(AnalyticFin(), GRID.task)
     controller = controller_of(GRID_RUN, 5)
-    act, step = jax.jit(lambda *now: controller.act(*now)), jax.jit(task.step)
+    act = jax.jit(lambda *now: controller.act(*now))
+    step = jax.jit(task.step)
     for index, reference in enumerate(PAPER_REFERENCES[:3]):
         policy = jax.tree.map(lambda leaf, i=index: leaf[1, i], GRID_RUN.policies)
         at = References.of(Cell(low=reference, high=reference))
-        fin, state, memory = task.reset(jax.random.key(0), at), controller.init(), policy.init()
+        fin = task.reset(jax.random.key(0), at)
+        state = controller.init()
+        memory = policy.init()
         for i in range(4):
             memory, action = policy.act(memory, task.observe(fin))
             state, command = act(state, Measured(fin.angle, jnp.zeros(2)), fin.reference)
-            np.testing.assert_allclose(command, command_of(PAPER_LIMITS, action), rtol=1e-4, atol=1e-5)
+            np.testing.assert_allclose(
+                command, command_of(PAPER_LIMITS, action), rtol=1e-4, atol=1e-5
+            )
             fin, _ = step(fin, action, ACTION_TICKS[i % 3])
 
 
 def test_each_reference_is_served_by_its_cell_and_the_nearest_beyond_the_grid() -> None:
     step = controller_of(GRID_RUN, 3).step
     assert isinstance(step, GridStep)
-    first = [int(step.active_cell(NUMPY, step.init(), np.asarray(r, np.float32))) for r in PAPER_REFERENCES]
+    first = [
+        int(step.active_cell(NUMPY, step.init(), np.asarray(r, np.float32)))
+        for r in PAPER_REFERENCES
+    ]
     assert first == [0, 1, 2, 3, 4, 5]
     assert int(step.active_cell(NUMPY, step.init(), np.array([9.0, 0.0]))) == 3
 
@@ -99,16 +116,25 @@ def test_without_a_switch_the_memory_goes_on() -> None:
     controller = controller_of(GRID_RUN, 3)
     reference = jnp.tile(jnp.array([2.0, 0.0]), (6, 1))
     cell = jax.tree.map(lambda leaf: leaf[:, 2:3], GRID_RUN.policies)
-    config = GRID_RUN.config.model_copy(update={"controller": "single", "cells": GRID_RUN.config.cells[2:3]})
+    config = GRID_RUN.config.model_copy(
+        update={"controller": "single", "cells": GRID_RUN.config.cells[2:3]}
+    )
     alone = controller_of(GRID_RUN._replace(config=config, policies=cell), 3)
     angles = jnp.linspace(-0.5, 0.5, 6)
-    np.testing.assert_allclose(commands(controller, reference, angles), commands(alone, reference, angles), rtol=1e-5)
+    np.testing.assert_allclose(
+        commands(controller, reference, angles), commands(alone, reference, angles), rtol=1e-5
+    )
 
 
 def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
-    with pytest.raises(CoverageError, match=r"\(3, 2\) N: 0.71 N outside the nearest of 6 cells \(x 1.5 .. 2.5, y 0.5"):
+    with pytest.raises(
+        CoverageError,
+        match=r"\(3, 2\) N: 0.71 N outside the nearest of 6 cells \(x 1.5 .. 2.5, y 0.5",
+    ):
         controller_of(GRID_RUN, 3).check((3.0, 2.0))
-    with pytest.raises(CoverageError, match=r"\(5, 0\) N: 1.5 N outside what .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)"):
+    with pytest.raises(
+        CoverageError, match=r"\(5, 0\) N: 1.5 N outside what .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)"
+    ):
         controller_of(SINGLE_RUN, 3).check((5.0, 0.0))
 
 
@@ -138,7 +164,9 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
     assert (tmp_path / "c" / "note.txt").read_text() == "hello"
     assert len(description["scores"]) == len(run.config.cells) * run.config.lattice**2
     assert description["scores"][0]["error_n"] == [0.25, 0.25]
-    assert description["scores"][0]["tracked_reference_n"] == pytest.approx(description["scores"][0]["reference_n"])
+    assert description["scores"][0]["tracked_reference_n"] == pytest.approx(
+        description["scores"][0]["reference_n"]
+    )
     assert description["configuration"]["steps"] == run.config.steps
 
 
@@ -148,22 +176,42 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
         (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
         (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
         (lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
-        (lambda f: _edit(f, limits={"angle_min": 0}), "controller.json: limits: angle_min_rad is missing"),
-        (lambda f: _edit(f, task={"past_actions": -1}), "controller.json: past_actions is -1: Input should be greater"),
-        (lambda f: _edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .*; its configuration needs \(15"),
+        (
+            lambda f: _edit(f, limits={"angle_min": 0}),
+            "controller.json: limits: angle_min_rad is missing",
+        ),
+        (
+            lambda f: _edit(f, task={"past_actions": -1}),
+            "controller.json: past_actions is -1: Input should be greater",
+        ),
+        (
+            lambda f: _edit(f, task={"past_actions": 5}),
+            r"net.lstm.kernel has shape .*; its configuration needs \(15",
+        ),
         (lambda f: _edit(f, cells=[]), "cells: there are 0; a single controller has one"),
         (
             lambda f: _edit(f, controller="neither"),
             "controller is 'neither'; it must be one of single, grid, gaits",
         ),
         (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
-        (lambda f: _drop(f, "format"), "format is 1, of an older softfin; this softfin reads 2; train it again"),
-        (lambda f: _drop(f, "action_rate_hz"), "action_rate_hz is .missing.; this softfin reads 3.0"),
-        (lambda f: _drop(f, "cells"), "controller.json: cells is missing; copy the folder again, or train it again"),
+        (
+            lambda f: _drop(f, "format"),
+            "format is 1, of an older softfin; this softfin reads 2; train it again",
+        ),
+        (
+            lambda f: _drop(f, "action_rate_hz"),
+            "action_rate_hz is .missing.; this softfin reads 3.0",
+        ),
+        (
+            lambda f: _drop(f, "cells"),
+            "controller.json: cells is missing; copy the folder again, or train it again",
+        ),
         (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
     ],
 )
-def test_a_damaged_folder_is_refused(harm: Callable[[Path], Any], message: str, tmp_path: Path) -> None:
+def test_a_damaged_folder_is_refused(
+    harm: Callable[[Path], Any], message: str, tmp_path: Path
+) -> None:
     save_controller(tmp_path / "c", SINGLE_RUN, 3, {})
     harm(tmp_path / "c")
     with pytest.raises(ArtifactError, match=message):

@@ -36,17 +36,37 @@ def edit(folder: Path, **changes: Any) -> None:
 def weigh(folder: Path, **changes: Any) -> None:
     file = folder / "weights.safetensors"
     arrays = safetensors.numpy.load(file.read_bytes())
-    file.write_bytes(safetensors.numpy.save({**arrays, **{name.replace("__", "."): x for name, x in changes.items()}}))
+    file.write_bytes(
+        safetensors.numpy.save(
+            {**arrays, **{name.replace("__", "."): x for name, x in changes.items()}}
+        )
+    )
 
 
 @pytest.mark.parametrize(
     ("kind", "harm", "message"),
     [
-        ("single", lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing; copy the whole"),
-        ("single", lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
-        ("single", lambda f: (f / "controller.json").unlink(), "not a controller: it holds no controller.json"),
+        (
+            "single",
+            lambda f: (f / "weights.safetensors").unlink(),
+            "weights.safetensors: missing; copy the whole",
+        ),
+        (
+            "single",
+            lambda f: (f / "weights.safetensors").write_bytes(b"12"),
+            "truncated or damaged",
+        ),
+        (
+            "single",
+            lambda f: (f / "controller.json").unlink(),
+            "not a controller: it holds no controller.json",
+        ),
         ("single", lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
-        ("single", lambda f: (f / "controller.json").write_text("[" * 100_000), "not readable as JSON"),
+        (
+            "single",
+            lambda f: (f / "controller.json").write_text("[" * 100_000),
+            "not readable as JSON",
+        ),
         ("single", lambda f: (f / "controller.json").write_text("[]"), "holds no object"),
         ("single", lambda f: edit(f, limits={}), "angle_min_rad is missing; it must be"),
         (
@@ -54,22 +74,42 @@ def weigh(folder: Path, **changes: Any) -> None:
             lambda f: edit(f, task={"past_actions": -1}),
             "past_actions is -1: Input should be greater than or equal to 0",
         ),
-        ("single", lambda f: edit(f, task={"past_actions": 5}), r"net.lstm.kernel has shape .* needs \(15"),
+        (
+            "single",
+            lambda f: edit(f, task={"past_actions": 5}),
+            r"net.lstm.kernel has shape .* needs \(15",
+        ),
         (
             "gaits",
             lambda f: edit(f, lattice={"low_n": [0, 0], "high_n": [1, 1], "nodes": [9999, 9999]}),
             "do not fit a lattice of .9999",
         ),
         ("single", lambda f: edit(f, cells=[]), "cells: there are 0; a single controller has one"),
-        ("single", lambda f: edit(f, controller="neither"), "'neither'; it must be one of single, grid, gaits"),
+        (
+            "single",
+            lambda f: edit(f, controller="neither"),
+            "'neither'; it must be one of single, grid, gaits",
+        ),
         (
             "single",
             lambda f: edit(f, format=3),
             "format is 3, of a newer softfin; this softfin reads 2",
         ),
-        ("single", lambda f: edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
-        ("single", lambda f: weigh(f, more=np.zeros(2, np.float32)), "weights more are missing or unknown"),
-        ("single", lambda f: weigh(f, log_deviation=np.array([0, np.nan], np.float32)), "numbers that are not finite"),
+        (
+            "single",
+            lambda f: edit(f, action_rate_hz=5.0),
+            "action_rate_hz is 5.0; this softfin reads 3.0",
+        ),
+        (
+            "single",
+            lambda f: weigh(f, more=np.zeros(2, np.float32)),
+            "weights more are missing or unknown",
+        ),
+        (
+            "single",
+            lambda f: weigh(f, log_deviation=np.array([0, np.nan], np.float32)),
+            "numbers that are not finite",
+        ),
         (
             "gaits",
             lambda f: weigh(f, actions=np.full((3, 4, 6, 2), 1.1, np.float32)),
@@ -80,7 +120,11 @@ def weigh(folder: Path, **changes: Any) -> None:
             lambda f: edit(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
             "no radius under 0",
         ),
-        ("grid", lambda f: edit(f, switching={"step_n": 0}), "step_n is 0: Input should be greater than 0"),
+        (
+            "grid",
+            lambda f: edit(f, switching={"step_n": 0}),
+            "step_n is 0: Input should be greater than 0",
+        ),
         ("grid", lambda f: edit(f, fin=3), "is 3: Input should be a valid string"),
     ],
 )
@@ -103,7 +147,10 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"angle_min_rad": -100.0, "angle_max_rad": 100.0}, "limits: angle_min_rad is -100; a fin's are finite"),
+        (
+            {"angle_min_rad": -100.0, "angle_max_rad": 100.0},
+            "limits: angle_min_rad is -100; a fin's are finite",
+        ),
         ({"velocity_max_rad_s": 9000.0}, "limits: velocity_max_rad_s is 9000; a fin's are finite"),
         ({"velocity_min_rad_s": 60.0}, "limits: velocity_min_rad_s is 60"),
     ],

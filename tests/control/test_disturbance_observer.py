@@ -23,7 +23,8 @@ RIPPLE -= (RIPPLE * jnp.array([*ACTION_TICKS, *ACTION_TICKS]) / WINDOW).sum()
 
 
 class Carrier(eqx.Module):
-    """Commands the reference: its angle is x, its velocity y, in an action's time. A controller that is never wrong."""
+    """Commands the reference: its angle is x, its velocity y, in an action's time. A controller
+    that is never wrong."""
 
     reachable: Reachable | None = None
     cells: tuple[Cell, ...] = eqx.field(static=True, default=(Cell(low=(-1, -1), high=(3, 3)),))
@@ -40,10 +41,15 @@ class Carrier(eqx.Module):
 
 
 def forces(
-    controller: Controller, references: Any, bias: tuple[float, float] = BIAS, most_n: float = 99.0,
-    ripple: float = 1.0, sensor: Any = (0.0, 0.0),
-) -> tuple[np.ndarray, Any]:  # fmt: skip
-    """Mean force read in each action and the states: a fin that makes what is commanded up to `most_n`, and a bias.
+    controller: Controller,
+    references: Any,
+    bias: tuple[float, float] = BIAS,
+    most_n: float = 99.0,
+    ripple: float = 1.0,
+    sensor: Any = (0.0, 0.0),
+) -> tuple[np.ndarray, Any]:
+    """Mean force read in each action and the states: a fin that makes what is commanded up to
+    `most_n`, and a bias.
 
     `sensor` is added to every reading, ``(2,)`` or ``(actions, 2)``.
     """
@@ -113,7 +119,8 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
 
 
 def test_the_variance_of_the_drift_is_that_of_a_zeroed_sensor() -> None:
-    """Of w(t) - w(0), where w is a stationary Ornstein-Uhlenbeck process: 2 s^2 (1 - exp(-t / tau))."""
+    """Of w(t) - w(0), where w is a stationary Ornstein-Uhlenbeck process: 2 s^2 (1 - exp(-t /
+    tau))."""
     config = DisturbanceObserverConfig(settle_actions=1000)
     _, states = forces(DisturbanceObserver(Carrier(), config), still(900))
     time_s = np.arange(1, 901) / 3
@@ -129,25 +136,33 @@ def test_the_variance_of_the_bias_grows_with_the_distance_that_the_reference_mov
     large = np.where(np.arange(11) > 0, 2.0, 1.0)[:, None] * np.ones(2)
     for references in (small, large):
         _, states = forces(observer, references)
-        np.testing.assert_allclose(states.covariance[-1, 0], config.bias_n**2 + config.bias_per_n**2, rtol=1e-4)
+        np.testing.assert_allclose(
+            states.covariance[-1, 0], config.bias_n**2 + config.bias_per_n**2, rtol=1e-4
+        )
 
 
 def test_the_action_of_a_step_is_not_learnt_from() -> None:
-    """Its window belongs to the reference before the step, but the variance of the bias already to the new one."""
+    """Its window belongs to the reference before the step, but the variance of the bias already to
+    the new one."""
     _, constant = forces(OBSERVED, still(41), bias=(0.6, -0.2), ripple=0.0)
-    _, stepped = forces(OBSERVED, np.concatenate([still(40), still(1, (2.5, 0.0))]), bias=(0.6, -0.2), ripple=0.0)
+    _, stepped = forces(
+        OBSERVED, np.concatenate([still(40), still(1, (2.5, 0.0))]), bias=(0.6, -0.2), ripple=0.0
+    )
     np.testing.assert_allclose(stepped.bias[40], stepped.bias[39], atol=1e-5)
     assert (abs(constant.bias[40] - constant.bias[39]) > 1e-4).any()
 
 
 def drifting(seed: int, count: int) -> np.ndarray:
-    """Reading of a sensor that was just zeroed and drifts with a standard deviation of 0.05 N and 300 s."""
+    """Reading of a sensor that was just zeroed and drifts with a standard deviation of 0.05 N and
+    300 s."""
     random = np.random.default_rng(seed)
     kept = np.exp(-1 / 900)
     drift = np.zeros((count, 2))
     drift[0] = 0.05 * random.standard_normal(2)
     for action in range(1, count):
-        drift[action] = kept * drift[action - 1] + 0.05 * np.sqrt(1 - kept**2) * random.standard_normal(2)
+        drift[action] = kept * drift[action - 1] + 0.05 * np.sqrt(
+            1 - kept**2
+        ) * random.standard_normal(2)
     return drift - drift[0]
 
 
@@ -167,7 +182,8 @@ def test_drift_of_the_sensor_is_not_chased() -> None:
 
 
 def test_a_change_of_the_fin_is_told_from_drift() -> None:
-    """After a minute at rest references an error grows at once by more than any drift: it is taken off."""
+    """After a minute at rest references an error grows at once by more than any drift: it is taken
+    off."""
     biases = np.concatenate([np.tile(BIAS, (180, 1)), np.tile((0.6, -0.2), (60, 1))])
     _, states = forces(OBSERVED, still(240), bias=(0.0, 0.0), ripple=0.0, sensor=biases)
     np.testing.assert_allclose(states.bias[-1, 0], 0.6, atol=0.05)
@@ -189,11 +205,15 @@ def test_nothing_is_trimmed_before_the_fin_has_settled() -> None:
 
 @pytest.mark.parametrize("lag", [0, 1, 3])
 def test_a_step_of_the_reference_does_not_disturb_the_bias(lag: int) -> None:
-    """The window of what was asked is as old as that of the forces; a fin that follows late is what `lag` is for."""
-    controller = DisturbanceObserver(Late(Carrier(), lag), DisturbanceObserverConfig(lag_actions=lag, settle_actions=9))
+    """The window of what was asked is as old as that of the forces; a fin that follows late is what
+    `lag` is for."""
+    controller = DisturbanceObserver(
+        Late(Carrier(), lag), DisturbanceObserverConfig(lag_actions=lag, settle_actions=9)
+    )
     steps = np.concatenate([still(50), still(50, (2.5, 0.0))])
     _, states = forces(controller, steps, ripple=0.0)
-    # The correction moves the inner reference, too; once it hardly changes any more, little is left to disturb.
+    # The correction moves the inner reference, too; once it hardly changes any more, little is left
+    # to disturb.
     before = np.asarray(states.bias[49])
     np.testing.assert_allclose(before, BIAS, rtol=0.03)
     np.testing.assert_allclose(states.bias[50:], np.broadcast_to(before, (50, 2)), atol=5e-3)
@@ -210,7 +230,9 @@ def test_while_what_is_asked_moves_little_is_learnt() -> None:
     swinging = 1 + np.sin(2 * np.pi * np.arange(90) / 30)[:, None] * np.ones(2)
     worst = {}
     for still_n in (0.05, 99.0):
-        controller = DisturbanceObserver(Late(Carrier(), 2), DisturbanceObserverConfig(lag_actions=0, still_n=still_n))
+        controller = DisturbanceObserver(
+            Late(Carrier(), 2), DisturbanceObserverConfig(lag_actions=0, still_n=still_n)
+        )
         worst[still_n] = np.abs(forces(controller, swinging, (0, 0), ripple=0.0)[1].bias).max()
     assert worst[0.05] < 0.02 < 0.2 < worst[99.0]
 
@@ -241,7 +263,8 @@ REGION = Reachable(np.zeros(2, np.float32), np.full(64, 2, np.float32))
 
 
 def test_what_is_asked_stays_within_reach_and_nothing_winds_up_there() -> None:
-    """The fin makes no more than 2 N in x: after 60 s at the edge, an easy reference is held at once."""
+    """The fin makes no more than 2 N in x: after 60 s at the edge, an easy reference is held at
+    once."""
     controller = DisturbanceObserver(Carrier(REGION), DisturbanceObserverConfig(lag_actions=0))
     steps = np.concatenate([still(180, (2.0, 0.0)), still(40, (1.0, 0.0))])
     force, states = forces(controller, steps, bias=(-0.3, 0.0))
@@ -253,7 +276,9 @@ def test_what_is_asked_stays_within_reach_and_nothing_winds_up_there() -> None:
 
 
 def test_where_the_reach_is_not_known_the_trim_ends_at_its_limit() -> None:
-    controller = DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=0, limit_n=0.5))
+    controller = DisturbanceObserver(
+        Carrier(), DisturbanceObserverConfig(lag_actions=0, limit_n=0.5)
+    )
     steps = np.concatenate([still(180, (3.0, 0.0)), still(40, (1.0, 0.0))])
     force, states = forces(controller, steps, bias=(0, 0), most_n=2.0)
     assert np.abs(states.bias).max() == pytest.approx(0.5)
@@ -271,9 +296,14 @@ def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
 
 
 def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"settle_actions = 8 with lag_actions = 4: .*give settle_actions 10"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"settle_actions = 8 with lag_actions = 4: .*give settle_actions 10",
+    ):
         DisturbanceObserverConfig.build({"lag_actions": 4})
-    assert DisturbanceObserverConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
+    assert (
+        DisturbanceObserverConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
+    )
 
 
 def test_at_the_edge_of_the_range_it_does_not_wind_up() -> None:
@@ -299,20 +329,26 @@ L_SHAPE = (
 """Cells whose bounding box has a corner that no policy was trained for."""
 
 
-@pytest.mark.parametrize("region", [None, Reachable(np.array([0.2, 0.2], np.float32), np.full(64, 1.4, np.float32))])
+@pytest.mark.parametrize(
+    "region", [None, Reachable(np.array([0.2, 0.2], np.float32), np.full(64, 1.4, np.float32))]
+)
 @pytest.mark.parametrize("bias", [(-0.6, -0.6), (-0.9, 0.3), (0.4, -0.7), (0.9, 0.9)])
 @pytest.mark.parametrize("reference", [(0.9, 0.9), (1.5, 0.5), (0.5, 1.2)])
 def test_the_inner_reference_stays_in_the_cells_where_their_box_has_gaps(
     region: Reachable | None, bias: tuple[float, float], reference: tuple[float, float]
 ) -> None:
-    controller = DisturbanceObserver(Carrier(region, L_SHAPE), DisturbanceObserverConfig(lag_actions=0))
+    controller = DisturbanceObserver(
+        Carrier(region, L_SHAPE), DisturbanceObserverConfig(lag_actions=0)
+    )
     _, states = forces(controller, still(60, reference), bias=bias, ripple=0.0)
     for inner in np.asarray(states.tracked)[:, 0]:
         assert min(cell.distance(tuple(map(float, inner))) for cell in L_SHAPE) < 1e-5
 
 
 def test_a_correction_may_lead_into_another_cell() -> None:
-    controller = DisturbanceObserver(Carrier(None, L_SHAPE), DisturbanceObserverConfig(lag_actions=0))
+    controller = DisturbanceObserver(
+        Carrier(None, L_SHAPE), DisturbanceObserverConfig(lag_actions=0)
+    )
     force, states = forces(controller, still(60, (0.9, 0.5)), bias=(-0.3, 0.0), ripple=0.0)
     assert float(states.tracked[-1, 0, 0]) > 1.15
     np.testing.assert_allclose(force[-1], (0.9, 0.5), atol=0.02)
@@ -320,7 +356,9 @@ def test_a_correction_may_lead_into_another_cell() -> None:
 
 def test_with_numpy_it_does_what_it_does_with_jax() -> None:
     """On a robot, where a reference is a tuple and forces are NumPy's."""
-    controller = DisturbanceObserver(Carrier(None, L_SHAPE), DisturbanceObserverConfig(lag_actions=0))
+    controller = DisturbanceObserver(
+        Carrier(None, L_SHAPE), DisturbanceObserverConfig(lag_actions=0)
+    )
     force, states = forces(controller, still(40, (0.9, 0.9)), bias=(-0.4, 0.1))
     state = controller.init()
     measured = np.zeros(2)

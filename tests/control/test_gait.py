@@ -27,7 +27,9 @@ def commands(references: Any) -> np.ndarray:
 
 
 def expected(actions: Any) -> np.ndarray:
-    return np.stack([jnp.stack(command_of(PAPER_LIMITS, action)) for action in jnp.asarray(actions)])
+    return np.stack(
+        [jnp.stack(command_of(PAPER_LIMITS, action)) for action in jnp.asarray(actions)]
+    )
 
 
 def test_it_meets_the_contract() -> None:
@@ -51,14 +53,18 @@ def test_the_phase_goes_on_when_the_reference_moves() -> None:
 def test_it_covers_its_lattice_and_no_more() -> None:
     CONTROLLER.check((0.5, 2.0))
     assert CONTROLLER.cells[0].high == (2.5, 2.0)
-    with pytest.raises(CoverageError, match=r"\(3, 0\) N: 0.5 N outside what this controller was trained for"):
+    with pytest.raises(
+        CoverageError, match=r"\(3, 0\) N: 0.5 N outside what this controller was trained for"
+    ):
         CONTROLLER.check((3.0, 0.0))
 
 
 def test_a_gait_controller_with_an_observer_acts_within_a_compiled_program() -> None:
     observed = DisturbanceObserver(CONTROLLER)
-    measured, reference = Measured(jnp.float32(0), jnp.zeros(2)), jnp.asarray([1.0, 0.0])
+    measured = Measured(jnp.float32(0), jnp.zeros(2))
+    reference = jnp.asarray([1.0, 0.0])
     act = jax.jit(lambda controller, state: controller.act(state, measured, reference)[1])
-    compiled, eager = act(observed, observed.init()), observed.act(observed.init(), measured, reference)[1]
+    compiled = act(observed, observed.init())
+    eager = observed.act(observed.init(), measured, reference)[1]
     np.testing.assert_allclose(compiled.angle, eager.angle, atol=1e-6)
     np.testing.assert_allclose(compiled.velocity, eager.velocity, atol=1e-6)

@@ -30,9 +30,11 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def episode(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles, forces, and references that jump and drift over the borders of cells and beyond them."""
+    """Angles, forces, and references that jump and drift over the borders of cells and beyond
+    them."""
     numbers = np.random.default_rng(seed)
-    references, at = [], np.array([2.0, 0.0])
+    references = []
+    at = np.array([2.0, 0.0])
     for index in range(ACTIONS):
         if index % 23 == 0:
             at = numbers.uniform((0.3, -1.7), (3.7, 1.7))
@@ -57,7 +59,8 @@ def original(controller: Any, played: tuple[np.ndarray, ...]) -> tuple[np.ndarra
 
 
 def native(controller: Any, played: tuple[np.ndarray, ...]) -> np.ndarray:
-    state, commands = controller.init(), []
+    state = controller.init()
+    commands = []
     for angle, force, reference in zip(*(part.tolist() for part in played), strict=True):
         state, target = controller.act(state, Measured(angle, tuple(force)), tuple(reference))
         commands.append(target)
@@ -66,7 +69,8 @@ def native(controller: Any, played: tuple[np.ndarray, ...]) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_episode_is_the_same_without_jax(kind: str, folders: dict[str, Path]) -> None:
-    played, controller = episode(1), load_controller(folders[kind])
+    played = episode(1)
+    controller = load_controller(folders[kind])
     commands, states = original(controller, played)
     if controller.kind == "grid":
         # Worth nothing if nothing switched and nothing was faded.
@@ -77,7 +81,8 @@ def test_an_episode_is_the_same_without_jax(kind: str, folders: dict[str, Path])
 
 @pytest.mark.parametrize("kind", ["single", "grid", "gaits"])
 def test_with_the_outer_loop_too(kind: str, folders: dict[str, Path]) -> None:
-    config, played = DisturbanceObserverConfig(noise_n=0.02, lag_actions=2), episode(2)
+    config = DisturbanceObserverConfig(noise_n=0.02, lag_actions=2)
+    played = episode(2)
     # Long enough at one reference that something is learnt.
     played[2][60:120] = (1.8, 0.3)
     controller = DisturbanceObserver(load_controller(folders[kind]), config)
@@ -96,16 +101,22 @@ def test_it_says_what_it_is(kind: str, folders: dict[str, Path]) -> None:
 
 
 def test_origins_are_equal_where_they_say_the_same(folders: dict[str, Path]) -> None:
-    single, again, gaits = (load_controller(folders[kind]).artifact for kind in ("single", "single", "gaits"))
+    single, again, gaits = (
+        load_controller(folders[kind]).artifact for kind in ("single", "single", "gaits")
+    )
     assert single == again
     assert single != gaits
     assert single != dataclasses.replace(single, weights_sha256="0" * 64)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_compiled_program_serves_controllers_of_any_origin(kind: str, folders: dict[str, Path]) -> None:
+def test_a_compiled_program_serves_controllers_of_any_origin(
+    kind: str, folders: dict[str, Path]
+) -> None:
     controller = load_controller(folders[kind])
-    other = dataclasses.replace(controller, artifact=Artifact("other", fin="blue", description={"seed": 6}))
+    other = dataclasses.replace(
+        controller, artifact=Artifact("other", fin="blue", description={"seed": 6})
+    )
     traces = []
 
     @jax.jit
@@ -120,7 +131,9 @@ def test_a_compiled_program_serves_controllers_of_any_origin(kind: str, folders:
         assert len(traces) == 1
 
 
-def test_a_program_that_returns_a_controller_gives_it_no_other_ones_origin(folders: dict[str, Path]) -> None:
+def test_a_program_that_returns_a_controller_gives_it_no_other_ones_origin(
+    folders: dict[str, Path],
+) -> None:
     controller = load_controller(folders["single"])
     other = dataclasses.replace(controller, artifact=Artifact("other"))
     same = jax.jit(lambda controller: controller)
@@ -139,11 +152,16 @@ def test_a_state_may_be_acted_on_again(kind: str, folders: dict[str, Path]) -> N
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_commands_stay_within_the_limits_at_whatever_is_measured(kind: str, folders: dict[str, Path]) -> None:
+def test_commands_stay_within_the_limits_at_whatever_is_measured(
+    kind: str, folders: dict[str, Path]
+) -> None:
     controller = DisturbanceObserver(load_controller(folders[kind]))
-    limits, state = controller.limits, controller.init()
+    limits = controller.limits
+    state = controller.init()
     for number in (0.0, 1e6, -1e6, 1e-30, 3.0, -1e6, 1e6):
-        state, target = controller.act(state, Measured(number, (number, -number)), (-number, number))
+        state, target = controller.act(
+            state, Measured(number, (number, -number)), (-number, number)
+        )
         assert limits.angle_min <= target.angle <= limits.angle_max
         assert limits.velocity_min <= target.velocity <= limits.velocity_max
 
@@ -156,7 +174,9 @@ def test_what_is_no_measurement_is_refused(number: float, folders: dict[str, Pat
         (0.0, (0.0, number), (1.0, 0.0)),
         (0.0, (0.0, 0.0), (number, 0.0)),
     ):
-        with pytest.raises(RunError, match="a controller needs finite numbers; check drive and sensor"):
+        with pytest.raises(
+            RunError, match="a controller needs finite numbers; check drive and sensor"
+        ):
             controller.act(controller.init(), Measured(angle, force), reference)
 
 
@@ -166,7 +186,12 @@ def test_numpy_works_out_one_of_two_choices() -> None:
 
 def test_it_knows_what_its_surrogate_learnt_from_and_of_which_fin(tmp_path: Path) -> None:
     learnt = {
-        "training_range": {"angle_rad": [-1.5, 1.5], "velocity_rad_s": None, "force_x_n": [-2, 9], "force_y_n": None},
+        "training_range": {
+            "angle_rad": [-1.5, 1.5],
+            "velocity_rad_s": None,
+            "force_x_n": [-2, 9],
+            "force_y_n": None,
+        },
         "fin": "blue",
     }
     save_gaits(tmp_path / "g", KNOWN, MapConfig(), PAPER_LIMITS, {}, learnt=learnt)
@@ -175,11 +200,17 @@ def test_it_knows_what_its_surrogate_learnt_from_and_of_which_fin(tmp_path: Path
     assert controller.artifact.fin == "blue"
 
 
-def test_a_folder_from_before_that_was_written_knows_neither(folders: dict[str, Path], tmp_path: Path) -> None:
+def test_a_folder_from_before_that_was_written_knows_neither(
+    folders: dict[str, Path], tmp_path: Path
+) -> None:
     for name in ("controller.json", "weights.safetensors"):
         (tmp_path / name).write_bytes((folders["grid"] / name).read_bytes())
     file = tmp_path / "controller.json"
-    described = {key: x for key, x in json.loads(file.read_text()).items() if key not in ("training_range", "fin")}
+    described = {
+        key: x
+        for key, x in json.loads(file.read_text()).items()
+        if key not in ("training_range", "fin")
+    }
     file.write_text(json.dumps(described))
     assert load_controller(tmp_path).artifact.training_range is None
     assert load_controller(tmp_path).artifact.fin is None

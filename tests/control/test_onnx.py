@@ -30,7 +30,8 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_an_episode_from_the_metadata_alone_is_the_native_one(
     kind: str, folders: dict[str, Path], tmp_path: Path
 ) -> None:
-    controller, file = load_controller(folders[kind]), tmp_path / "c.onnx"
+    controller = load_controller(folders[kind])
+    file = tmp_path / "c.onnx"
     exported = export_onnx(controller, file)
     assert exported.bytes == file.stat().st_size
     assert exported.worst < 1e-5
@@ -39,24 +40,34 @@ def test_an_episode_from_the_metadata_alone_is_the_native_one(
     types = {"tensor(float)": np.float32, "tensor(int64)": np.int64}
     after = json.loads(said["state"])
     state: dict[str, Any] = {
-        each.name: np.array(json.loads(said[f"initial_{each.name}"]), types[each.type]).reshape(each.shape)
+        each.name: np.array(json.loads(said[f"initial_{each.name}"]), types[each.type]).reshape(
+            each.shape
+        )
         for each in session.get_inputs()
         if each.name in after
     }
-    numbers, native = np.random.default_rng(4), controller.init()
+    numbers = np.random.default_rng(4)
+    native = controller.init()
     for index in range(60):
-        angle, reference = float(numbers.uniform(-1, 1)), (1.5 + np.sin(index / 9), np.cos(index / 5))
+        angle = float(numbers.uniform(-1, 1))
+        reference = (1.5 + np.sin(index / 9), np.cos(index / 5))
         fed = {"angle": angle, "force": (0, 0), "reference": reference}
         found = dict(
             zip(
                 [each.name for each in session.get_outputs()],
-                session.run(None, {name: np.array(x, np.float32) for name, x in fed.items()} | state),
+                session.run(
+                    None, {name: np.array(x, np.float32) for name, x in fed.items()} | state
+                ),
                 strict=True,
             )
         )
         state = {name: found[output] for name, output in after.items()}
-        native, target = controller.act(native, Measured(angle, (0.0, 0.0)), (float(reference[0]), float(reference[1])))
-        np.testing.assert_allclose((found["command_angle"], found["command_velocity"]), target, atol=2e-5)
+        native, target = controller.act(
+            native, Measured(angle, (0.0, 0.0)), (float(reference[0]), float(reference[1]))
+        )
+        np.testing.assert_allclose(
+            (found["command_angle"], found["command_velocity"]), target, atol=2e-5
+        )
 
 
 def test_the_file_says_what_it_is(folders: dict[str, Path], tmp_path: Path) -> None:
@@ -74,14 +85,21 @@ def test_the_file_says_what_it_is(folders: dict[str, Path], tmp_path: Path) -> N
     assert "thrust" in said["force_frame"]
 
 
-def test_commands_stay_within_the_limits_in_single_precision(folders: dict[str, Path], tmp_path: Path) -> None:
+def test_commands_stay_within_the_limits_in_single_precision(
+    folders: dict[str, Path], tmp_path: Path
+) -> None:
     controller = load_controller(folders["gaits"])
     export_onnx(controller, tmp_path / "c.onnx")
-    session = onnxruntime.InferenceSession(str(tmp_path / "c.onnx"), providers=["CPUExecutionProvider"])
-    limits, far = controller.limits, np.array([1e6, -1e6], np.float32)
+    session = onnxruntime.InferenceSession(
+        str(tmp_path / "c.onnx"), providers=["CPUExecutionProvider"]
+    )
+    limits = controller.limits
+    far = np.array([1e6, -1e6], np.float32)
     for age in range(6):
         fed = {"angle": far[0], "force": far, "reference": far, "age": np.array(age)}
-        angle, velocity, _ = session.run(None, {name: np.asarray(value) for name, value in fed.items()})
+        angle, velocity, _ = session.run(
+            None, {name: np.asarray(value) for name, value in fed.items()}
+        )
         assert limits.angle_min <= float(angle) <= limits.angle_max
         assert limits.velocity_min <= float(velocity) <= limits.velocity_max
 
@@ -90,13 +108,19 @@ def test_a_file_that_is_not_the_native_step_is_not_written(
     folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(exporting, "MAX_COMMAND_DIFFERENCE", -1.0)
-    with pytest.raises(RunError, match=r"onnxruntime's commands differ by .* not written; export with another version"):
+    with pytest.raises(
+        RunError,
+        match=r"onnxruntime's commands differ by .* not written; export with another version",
+    ):
         export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_there_is_kept_unless_it_may_be_replaced(folders: dict[str, Path], tmp_path: Path) -> None:
-    file, controller = tmp_path / "c.onnx", load_controller(folders["gaits"])
+def test_what_is_there_is_kept_unless_it_may_be_replaced(
+    folders: dict[str, Path], tmp_path: Path
+) -> None:
+    file = tmp_path / "c.onnx"
+    controller = load_controller(folders["gaits"])
     file.write_text("mine")
     with pytest.raises(ArtifactError, match="exists already; give another --onnx, or --overwrite"):
         export_onnx(controller, file)
@@ -111,7 +135,9 @@ def test_without_the_extra_one_line_says_how_to_get_it(
     name: str, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(ConfigurationError, match=r"ONNX needs .*, of an extra: .*pip install .*\[onnx\]"):
+    with pytest.raises(
+        ConfigurationError, match=r"ONNX needs .*, of an extra: .*pip install .*\[onnx\]"
+    ):
         export_onnx(load_controller(folders["gaits"]), tmp_path / "c.onnx")
 
 

@@ -49,12 +49,17 @@ def test_beyond_reach_the_nearest_force_is_held_and_both_are_named():
 
 
 def test_strictly_it_is_refused_with_the_way_out():
-    with pytest.raises(CoverageError, match=r"\(3, 0\) N: this fin cannot .* \(2\.500, .*ask for that, or leave out"):
+    with pytest.raises(
+        CoverageError,
+        match=r"\(3, 0\) N: this fin cannot .* \(2\.500, .*ask for that, or leave out",
+    ):
         resolve_reference(Holder(DISC), (3, 0), True)
 
 
 def test_what_a_controller_was_not_trained_for_is_refused_whatever_the_fin_can_do():
-    with pytest.raises(CoverageError, match=r"reference \(-0\.3, 0\) N: 0\.3 N outside what this controller was"):
+    with pytest.raises(
+        CoverageError, match=r"reference \(-0\.3, 0\) N: 0\.3 N outside what this controller was"
+    ):
         resolve_reference(Holder(DISC), (-0.3, 0), False)
     with pytest.raises(CoverageError, match="outside what this controller was trained for"):
         resolve_reference(Holder(None), (5, 0), False)
@@ -66,7 +71,10 @@ def test_where_the_reach_is_not_known_all_that_was_trained_for_is_resolve_refere
 
 def test_a_force_on_a_cells_edge_is_within_and_the_nearest_of_many_is_named():
     check_within(PAPER_CELLS, (0.5, 1.5))
-    with pytest.raises(CoverageError, match=r"0\.5 N outside the nearest of 6 cells \(x 2.5 .. 3.5, y -0.5 .. 0.5 N\)"):
+    with pytest.raises(
+        CoverageError,
+        match=r"0\.5 N outside the nearest of 6 cells \(x 2.5 .. 3.5, y -0.5 .. 0.5 N\)",
+    ):
         check_within(PAPER_CELLS, (4, 0))
 
 
@@ -90,7 +98,8 @@ def test_cells_that_the_reach_does_not_meet_are_named_with_the_force_asked_for()
     small = Holder(Reachable(np.float32([1, 0]), np.full(360, 0.45, np.float32)), PAPER_CELLS)
     for reference in ((1, -1), (2, 0), (2, 1)):
         with pytest.raises(
-            CoverageError, match=rf"\({reference[0]}, {reference[1]}\) N: .* nor any other .*softfin map"
+            CoverageError,
+            match=rf"\({reference[0]}, {reference[1]}\) N: .* nor any other .*softfin map",
         ):
             resolve_reference(small, reference, False)
 

@@ -38,15 +38,21 @@ def test_every_name_that_may_be_chosen_stands_for_something(names: Any, table: A
 
 
 def test_every_model_has_a_configuration() -> None:
-    assert len({type(defaults(model)) for model in get_args(choices.ModelName)}) == len(get_args(choices.ModelName))
+    assert len({type(defaults(model)) for model in get_args(choices.ModelName)}) == len(
+        get_args(choices.ModelName)
+    )
 
 
 OWN_ACTIONS = {"data", "rig", "robot"}
-"""Modules of the commands bag, rig and robot, whose choices are their own actions, known nowhere else."""
+"""Modules of the commands bag, rig and robot, whose choices are their own actions, known nowhere
+else."""
 
 
 @pytest.mark.parametrize("file", sorted(COMMAND_LINE.glob("*.py")), ids=lambda file: file.stem)
 def test_no_command_types_choices_of_its_own(file: Path) -> None:
-    lists = [node for node in ast.walk(ast.parse(file.read_text()))
-             if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal"]  # fmt: skip
+    lists = [
+        node
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Subscript) and ast.unparse(node.value) == "Literal"
+    ]
     assert len(lists) == (file.stem in OWN_ACTIONS)

@@ -142,7 +142,9 @@ def test_a_short_file_of_nested_aliases_is_refused_at_once(template, tmp_path):
     file = tmp_path / "bomb.yaml"
     # 9 to the power of 11 values: a walk over them would not end.
     file.write_text(nested_aliases(12, template))
-    with pytest.raises(ConfigurationError, match=r"bomb.yaml: not YAML \(more than 100,000 values with its aliases"):
+    with pytest.raises(
+        ConfigurationError, match=r"bomb.yaml: not YAML \(more than 100,000 values with its aliases"
+    ):
         read_yaml(file)
 
 

@@ -1,4 +1,5 @@
-"""What softfin sets up in JAX does not depend on the order of imports, and importing softfin sets up nothing."""
+"""What softfin sets up in JAX does not depend on the order of imports, and importing softfin sets
+up nothing."""
 
 import subprocess
 import sys
@@ -133,7 +134,9 @@ def test_importing_any_module_leaves_jax_and_the_import_system_as_they_are() -> 
 
 
 @pytest.mark.parametrize("first", ["", "import jax"], ids=["controllers first", "JAX first"])
-def test_controllers_are_pytrees_whether_jax_is_imported_before_or_after_them(first: str, tmp_path: Path) -> None:
+def test_controllers_are_pytrees_whether_jax_is_imported_before_or_after_them(
+    first: str, tmp_path: Path
+) -> None:
     folders = [folder_of(kind, tmp_path) for kind in ("single", "grid", "gaits")]
     run(ARE_PYTREES.format(first=first), *folders)
 

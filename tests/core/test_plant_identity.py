@@ -28,7 +28,8 @@ class Own:
     scale = 1.0
 
     def __init__(self, gain=1.0, table=(1.0, 2.0)):
-        self.gain, self.table = gain, np.asarray(table)
+        self.gain = gain
+        self.table = np.asarray(table)
 
     def init(self, key):
         return AnalyticFin().init(key)
@@ -91,8 +92,12 @@ def test_an_identity_is_the_same_in_another_process():
         "print([identity(plant) for plant in (Own(), WithFloat(), AnalyticFin(), Tank())])"
     )
     root = Path(__file__).parents[2]
-    out = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == str([identity(plant) for plant in (Own(), WithFloat(), AnalyticFin(), Tank())])
+    out = subprocess.run(
+        [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True
+    )
+    assert out.stdout.strip() == str(
+        [identity(plant) for plant in (Own(), WithFloat(), AnalyticFin(), Tank())]
+    )
 
 
 def test_a_plant_that_calls_back_into_python_must_state_its_identity():
@@ -117,7 +122,9 @@ def test_the_conformance_kit_asks_for_an_identity_and_for_the_same_program_each_
             state = super().init(key)
             return state._replace(angle=state.angle + 1e-7 * self.calls)
 
-    with pytest.raises(PlantError, match="Counting: is another program each time it is traced; init and advance"):
+    with pytest.raises(
+        PlantError, match="Counting: is another program each time it is traced; init and advance"
+    ):
         check_plant(Counting())
 
 
@@ -126,12 +133,16 @@ def test_a_plant_that_cannot_be_traced_is_refused_in_one_line():
         def advance(self, state, command, ticks):
             raise RuntimeError("no\nwater")
 
-    with pytest.raises(PlantError, match=r"Broken: cannot be traced \(RuntimeError: no water\); softfin.testing"):
+    with pytest.raises(
+        PlantError, match=r"Broken: cannot be traced \(RuntimeError: no water\); softfin.testing"
+    ):
         jit_argument(Broken())
 
 
 def experiment(plant):
-    recording = run(Flapper(), plant, np.zeros((1, 2), np.float32), 3, jax.random.split(jax.random.key(0), 1))
+    recording = run(
+        Flapper(), plant, np.zeros((1, 2), np.float32), 3, jax.random.split(jax.random.key(0), 1)
+    )
     return np.asarray(recording.reading.force)
 
 

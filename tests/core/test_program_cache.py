@@ -26,7 +26,9 @@ def no_setting(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> pytest.Monkey
     return monkeypatch
 
 
-def test_programs_are_kept_in_the_cache_folder_of_the_user(no_setting: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_programs_are_kept_in_the_cache_folder_of_the_user(
+    no_setting: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     assert cache_folder() == tmp_path / ".cache" / "softfin"
     no_setting.setenv("XDG_CACHE_HOME", str(tmp_path / "other"))
     assert cache_folder() == tmp_path / "other" / "softfin"
@@ -58,14 +60,19 @@ def test_the_help_says_where_programs_are_kept_how_large_that_grows_and_how_to_s
 
 def run_program(**environment: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", PROGRAM], env=os.environ | environment, capture_output=True, text=True
+        [sys.executable, "-W", "error", "-c", PROGRAM],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 @pytest.mark.slow
-def test_a_second_run_reads_the_programs_of_the_first(no_setting: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_second_run_reads_the_programs_of_the_first(
+    no_setting: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     folder = tmp_path / "programs"
     assert run_program(SOFTFIN_CACHE=str(folder)) == "6.0\n"
     written = {path: path.stat().st_mtime_ns for path in folder.glob("*-cache")}
@@ -81,9 +88,13 @@ def test_a_cache_that_is_off_writes_nothing(no_setting: pytest.MonkeyPatch, tmp_
 
 
 @pytest.mark.slow
-def test_a_folder_that_cannot_be_written_stops_nothing(no_setting: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_stops_nothing(
+    no_setting: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "file").touch()
     environment = os.environ | {"SOFTFIN_CACHE": str(tmp_path / "file" / "programs")}
-    done = subprocess.run([sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env=environment, capture_output=True, text=True
+    )
     assert done.stdout == "6.0\n"
     assert "persistent compilation cache" in done.stderr

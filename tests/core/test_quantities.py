@@ -5,10 +5,20 @@ import sys
 import numpy as np
 import pytest
 
-from softfin.core.quantities import PAPER_LIMITS, Command, Limits, Log, Reading, command_limits, tick_at
+from softfin.core.quantities import (
+    PAPER_LIMITS,
+    Command,
+    Limits,
+    Log,
+    Reading,
+    command_limits,
+    tick_at,
+)
 
 
-@pytest.mark.parametrize("order", [("softfin.core.quantities", "jax"), ("jax", "softfin.core.quantities")])
+@pytest.mark.parametrize(
+    "order", [("softfin.core.quantities", "jax"), ("jax", "softfin.core.quantities")]
+)
 def test_arrays_of_both_kinds_are_readings_whichever_is_imported_first(order):
     code = (
         "import importlib, numpy as np\n"
@@ -17,10 +27,13 @@ def test_arrays_of_both_kinds_are_readings_whichever_is_imported_first(order):
         "from jaxtyping import Float\n"
         "from softfin.core.quantities import AnyArray\n"
         "kind = Float[AnyArray, '2']\n"
-        "print([isinstance(x, kind) for x in (np.zeros(2, np.float32), jnp.zeros(2), jnp.zeros(3), [0.0, 0.0])])\n"
+        "print([isinstance(x, kind) for x in (np.zeros(2, np.float32), jnp.zeros(2), jnp.zeros(3), "
+        "[0.0, 0.0])])\n"
         "print(jax.eval_shape(lambda x: x * isinstance(x, kind), jnp.zeros(2)).shape)"
     )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    out = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout
     assert out.split("\n")[:2] == ["[True, True, False, False]", "(2,)"]
 
 
@@ -29,13 +42,21 @@ DESCRIBED = PAPER_LIMITS.to_dict()
 
 def test_limits_come_back_as_they_were_described():
     assert Limits.of(DESCRIBED) == PAPER_LIMITS
-    assert Limits.of({**DESCRIBED, "angle_min_rad": -2 * math.pi, "velocity_max_rad_s": 50}).velocity_max == 50
+    assert (
+        Limits.of(
+            {**DESCRIBED, "angle_min_rad": -2 * math.pi, "velocity_max_rad_s": 50}
+        ).velocity_max
+        == 50
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"angle_max_rad": 100.0}, "limits: angle_max_rad is 100; a fin's are finite, with -6.283 <= angle_min"),
+        (
+            {"angle_max_rad": 100.0},
+            "limits: angle_max_rad is 100; a fin's are finite, with -6.283 <= angle_min",
+        ),
         ({"velocity_max_rad_s": 9000.0}, "velocity_max_rad_s is 9000; .* velocity_max <= 50 rad/s"),
         ({"velocity_min_rad_s": -1}, "velocity_min_rad_s is -1"),
         ({"angle_min_rad": math.nan}, "angle_min_rad is nan"),
@@ -44,9 +65,13 @@ def test_limits_come_back_as_they_were_described():
         ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
         (
             {"angle_min_rad": 0.2},
-            "0.2, angle_max_rad is 1.5708; angle 0, at which a fin rests, must be within them; .*rig zero",
+            "0.2, angle_max_rad is 1.5708; angle 0, at which a fin rests, must be within them; "
+            ".*rig zero",
         ),
-        ({"angle_max_rad": -0.2}, "angle_max_rad is -0.2; angle 0, at which a fin rests, must be within them"),
+        (
+            {"angle_max_rad": -0.2},
+            "angle_max_rad is -0.2; angle 0, at which a fin rests, must be within them",
+        ),
         ({"angle_min_rad": "0"}, "angle_min_rad is '0'; it must be a number"),
         ({"angle_min_rad": None}, "angle_min_rad is missing; it must be a number"),
         ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True; it must be a number"),
@@ -66,7 +91,10 @@ def test_a_fin_of_one_velocity_can_be_learnt_but_not_trained_for():
 
 def log_of_commands(*angles):
     command = Command(np.array(angles, np.float32), np.full(len(angles), 2.0, np.float32))
-    return Log(command, Reading(*(np.zeros(len(angles), np.float32) for _ in range(3)), np.zeros((len(angles), 2))))
+    return Log(
+        command,
+        Reading(*(np.zeros(len(angles), np.float32) for _ in range(3)), np.zeros((len(angles), 2))),
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,7 +113,8 @@ def test_a_range_of_commands_that_ends_near_rest_ends_there(angles, ends):
 
 
 @pytest.mark.parametrize(
-    ("time_s", "tick"), [(0.01, 1), (12.344, 1234), (86_399.99, 8_639_999), (1.7e9, 8_000_000), (-0.5, 8_639_950)]
+    ("time_s", "tick"),
+    [(0.01, 1), (12.344, 1234), (86_399.99, 8_639_999), (1.7e9, 8_000_000), (-0.5, 8_639_950)],
 )
 def test_ticks_are_counted_within_the_day_whenever_the_clock_began(time_s, tick):
     assert tick_at(time_s) == tick

@@ -22,7 +22,9 @@ def joint(time, angle, velocity, names=("fin",), stamped=True):
     none = np.zeros(0)
     velocities = none if velocity is None else np.full(len(names), float(velocity))
     positions = np.arange(len(names)) * 100.0 + float(angle)
-    return TYPES.types["sensor_msgs/msg/JointState"](stamp(time, stamped), list(names), positions, velocities, none)
+    return TYPES.types["sensor_msgs/msg/JointState"](
+        stamp(time, stamped), list(names), positions, velocities, none
+    )
 
 
 def wrench(time, x, y, stamped=True):
@@ -48,7 +50,8 @@ def write_bag(
     delay_s: float = 0.0,
     compression: CompressionMode = CompressionMode.NONE,
 ) -> None:
-    """`topics`: name to a list of (time, message); messages are logged `delay_s` after their time."""
+    """`topics`: name to a list of (time, message); messages are logged `delay_s` after their
+    time."""
     path.parent.mkdir(parents=True, exist_ok=True)
     writer = Writer(path, version=9, storage_plugin=storage)
     writer.set_compression(compression, CompressionFormat.ZSTD)
@@ -63,7 +66,8 @@ def write_bag(
 
 def topics_of(columns, rows=1000, force_hz=500, **options) -> dict:
     """A joint at 100 Hz, a force sensor that is faster, commands where they change."""
-    time, angle = columns["time_s"][:rows], columns["angle_rad"][:rows]
+    time = columns["time_s"][:rows]
+    angle = columns["angle_rad"][:rows]
     fast = np.arange(time[0], time[-1], 1 / force_hz)
     x, y = (np.interp(fast, time, columns[name][:rows]) for name in ("force_x_n", "force_y_n"))
     command = columns["command_angle_rad"][:rows]
@@ -74,8 +78,11 @@ def topics_of(columns, rows=1000, force_hz=500, **options) -> dict:
             (t, joint(t, a, v, **options))
             for t, a, v in zip(time, angle, columns["velocity_rad_s"][:rows], strict=True)
         ],
-        "/fin/wrench": [(t, wrench(t, *force, **options)) for t, *force in zip(fast, x, y, strict=True)],
+        "/fin/wrench": [
+            (t, wrench(t, *force, **options)) for t, *force in zip(fast, x, y, strict=True)
+        ],
         "/fin/command": [
-            (t, joint(t, a, v, **options)) for t, a, v in zip(time[issued], command[issued], speed[issued], strict=True)
+            (t, joint(t, a, v, **options))
+            for t, a, v in zip(time[issued], command[issued], speed[issued], strict=True)
         ],
     }

@@ -45,13 +45,26 @@ def recorded(plant: Plant, count: int, rows: int) -> tuple[Log, ...]:
 def named(*logs: Log, test: int = 1) -> list[NamedLog]:
     """The last `test` of them to score on."""
     parts = ["train"] * (len(logs) - test) + ["test"] * test
-    return [NamedLog(f"{part}/{i}", part, log) for i, (part, log) in enumerate(zip(parts, logs, strict=True))]
+    return [
+        NamedLog(f"{part}/{i}", part, log)
+        for i, (part, log) in enumerate(zip(parts, logs, strict=True))
+    ]
 
 
 def columns_of(log: Log) -> Columns:
     force = np.asarray(log.reading.force, np.float64)
-    series = (log.reading.time, *log.command, log.reading.angle, log.reading.velocity, force[:, 0], force[:, 1])
-    return {name: np.array(values, np.float64) for name, values in zip(SCHEMA.names, series, strict=True)}
+    series = (
+        log.reading.time,
+        *log.command,
+        log.reading.angle,
+        log.reading.velocity,
+        force[:, 0],
+        force[:, 1],
+    )
+    return {
+        name: np.array(values, np.float64)
+        for name, values in zip(SCHEMA.names, series, strict=True)
+    }
 
 
 def log_of(columns: Columns) -> Log:

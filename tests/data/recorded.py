@@ -31,7 +31,9 @@ def by_rosbags(path: Path) -> dict[str, list]:
     found: dict[str, list] = {}
     with AnyReader([path]) as reader:
         for connection, stamp, raw in reader.messages():
-            found.setdefault(connection.topic, []).append((stamp, *values(reader.deserialize(raw, connection.msgtype))))
+            found.setdefault(connection.topic, []).append(
+                (stamp, *values(reader.deserialize(raw, connection.msgtype)))
+            )
     return found
 
 
@@ -51,6 +53,10 @@ def values(message) -> tuple:
     stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
     if hasattr(message, "wrench"):
         parts = (message.wrench.force, message.wrench.torque)
-        return stamp, message.header.frame_id, *(float(getattr(part, axis)) for part in parts for axis in "xyz")
+        return (
+            stamp,
+            message.header.frame_id,
+            *(float(getattr(part, axis)) for part in parts for axis in "xyz"),
+        )
     series = (message.position, message.velocity, message.effort)
     return stamp, *message.name, *(float(value) for some in series for value in some)

@@ -1,6 +1,8 @@
-"""A process that records rows at 100 Hz until it is killed or its recording fails, and says each row that it hands in.
+"""A process that records rows at 100 Hz until it is killed or its recording fails, and says each
+row that it hands in.
 
-``python -m tests.data.recording_process BAG [LARGEST_FILE_BYTES]``; a line a row: its number and its time.
+``python -m tests.data.recording_process BAG [LARGEST_FILE_BYTES]``; a line a row: its number and
+its time.
 """
 
 import os
@@ -20,7 +22,8 @@ def main() -> None:
 
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
-    start, k = time.monotonic(), 0
+    start = time.monotonic()
+    k = 0
     while recorder.failure is None and time.monotonic() < start + HANG_S:
         now = time.monotonic()
         recorder.command(now, float(k), 1.0)

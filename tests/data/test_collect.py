@@ -48,7 +48,8 @@ def test_no_two_logs_are_alike(dataset):
 
 
 def test_the_command_of_a_row_shows_first_in_the_reading_of_the_next(dataset):
-    """By the equation of the analytic fin: the speed of row k + 1 follows from the angle and the command of row k."""
+    """By the equation of the analytic fin: the speed of row k + 1 follows from the angle and the
+    command of row k."""
     for log in logs_of(dataset):
         speed = (log.command.angle - log.reading.angle) / AnalyticFin().lag_s
         expected = np.clip(speed, -log.command.velocity, log.command.velocity)
@@ -84,9 +85,14 @@ def test_test_logs_are_recorded_from_the_plants_given_for_them(dataset, config, 
 def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
     stacked = collect_logs(
-        AnalyticFin(), config, tmp_path / "one", test_plants=[AnalyticFin(gain=g) for g in (0.1, 0.9)]
+        AnalyticFin(),
+        config,
+        tmp_path / "one",
+        test_plants=[AnalyticFin(gain=g) for g in (0.1, 0.9)],
     )
-    mixed = collect_logs(AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)])
+    mixed = collect_logs(
+        AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)]
+    )
     for one, other in zip(logs_of(stacked), logs_of(mixed), strict=True):
         assert_same(one, other, tolerance=1e-5)
 
@@ -94,16 +100,25 @@ def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
 def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
     plants = [AnalyticFin(lag_s=0.05, noise_n=0.0), AnalyticFin(lag_s=0.5, noise_n=0.0)]
-    fast, slow = (log for log in logs_of(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:])
+    fast, slow = (
+        log for log in logs_of(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:]
+    )
     for log, lag in ((fast, 0.05), (slow, 0.5)):
-        expected = np.clip((log.command.angle - log.reading.angle) / lag, -log.command.velocity, log.command.velocity)
+        expected = np.clip(
+            (log.command.angle - log.reading.angle) / lag,
+            -log.command.velocity,
+            log.command.velocity,
+        )
         np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
 
 
 def test_progress_grows_to_all_rows(config, tmp_path):
     seen = []
     collect_logs(
-        AnalyticFin(), config.changed(["batch=3"]), tmp_path / "data", progress=lambda *counts: seen.append(counts)
+        AnalyticFin(),
+        config.changed(["batch=3"]),
+        tmp_path / "data",
+        progress=lambda *counts: seen.append(counts),
     )
     stages, done, notes = zip(*seen, strict=True)
     assert set(stages) == {"collect"}
@@ -127,7 +142,9 @@ class Broken(PlainFin):
 
     def advance(self, state, command, ticks):
         state, reading = super().advance(state, command, ticks)
-        return state, reading._replace(force=jnp.where(reading.angle[:, None] > 0.3, jnp.nan, reading.force))
+        return state, reading._replace(
+            force=jnp.where(reading.angle[:, None] > 0.3, jnp.nan, reading.force)
+        )
 
 
 class Late(PlainFin):
@@ -139,7 +156,10 @@ class Late(PlainFin):
 
 
 def test_a_plant_that_gives_nan_is_named_with_the_row(tmp_path):
-    with pytest.raises(PlantError, match=r"log train/0000, row \d+: the plant's force is nan; every reading must be"):
+    with pytest.raises(
+        PlantError,
+        match=r"log train/0000, row \d+: the plant's force is nan; every reading must be",
+    ):
         collect_logs(Broken(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
     assert not any(tmp_path.iterdir())
 

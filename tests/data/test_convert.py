@@ -18,7 +18,9 @@ def log():
 
 def check_equal(found, log, tolerance_s=1e-9):
     np.testing.assert_allclose(found.reading.time, log.reading.time, atol=tolerance_s, rtol=0)
-    for one, other in zip((*found.command, *found.reading[1:]), (*log.command, *log.reading[1:]), strict=True):
+    for one, other in zip(
+        (*found.command, *found.reading[1:]), (*log.command, *log.reading[1:]), strict=True
+    ):
         assert one.dtype == np.float32
         np.testing.assert_array_equal(one, np.asarray(other, np.float32))
 
@@ -55,9 +57,14 @@ def test_several_logs_become_several_files(tmp_path, log):
     bag = encode_bag(whole._replace(reading=whole.reading._replace(time=time)), "gap")
     (tmp_path / "gap.mcap").write_bytes(bag)
     result = convert(tmp_path / "gap.mcap", tmp_path / "piece.parquet")
-    assert [len(read_log(tmp_path / f"piece-{n}.parquet").reading.time) for n in (1, 2)] == [400, 500]
+    assert [len(read_log(tmp_path / f"piece-{n}.parquet").reading.time) for n in (1, 2)] == [
+        400,
+        500,
+    ]
     assert result["counts"]["warning"] == 1
-    assert read_log(tmp_path / "piece-2.parquet").reading.time[0] == pytest.approx(time[400], abs=1e-6)
+    assert read_log(tmp_path / "piece-2.parquet").reading.time[0] == pytest.approx(
+        time[400], abs=1e-6
+    )
 
 
 def test_what_is_at_out_stays_unless_it_is_said(tmp_path, log):
@@ -80,8 +87,12 @@ def test_errors_stop_it_unless_they_are_accepted(tmp_path, log):
     with pytest.raises(LogError, match="degrees"):
         convert(tmp_path / "one.mcap", tmp_path / "one.parquet")
     convert(tmp_path / "one.mcap", tmp_path / "one.parquet", ignore_errors=True)
-    convert(tmp_path / "one.mcap", tmp_path / "two.parquet", ImportConfig.build({"angles": "angle=deg"}))
-    np.testing.assert_allclose(read_log(tmp_path / "two.parquet").reading.angle, log.reading.angle, rtol=1e-6)
+    convert(
+        tmp_path / "one.mcap", tmp_path / "two.parquet", ImportConfig.build({"angles": "angle=deg"})
+    )
+    np.testing.assert_allclose(
+        read_log(tmp_path / "two.parquet").reading.angle, log.reading.angle, rtol=1e-6
+    )
 
 
 def test_a_time_before_zero_has_no_stamp(log):
@@ -93,5 +104,11 @@ def test_a_time_before_zero_has_no_stamp(log):
 def test_a_log_becomes_three_topics(tmp_path, log):
     (tmp_path / "one.mcap").write_bytes(encode_bag(log, "one"))
     found = by_rosbags(tmp_path / "one.mcap")
-    assert {topic: len(rows) for topic, rows in found.items()} == {COMMAND: 1000, JOINT: 1000, WRENCH: 1000}
-    assert found[WRENCH][10][3:5] == tuple(map(float, np.asarray(log.reading.force[10], np.float64)))
+    assert {topic: len(rows) for topic, rows in found.items()} == {
+        COMMAND: 1000,
+        JOINT: 1000,
+        WRENCH: 1000,
+    }
+    assert found[WRENCH][10][3:5] == tuple(
+        map(float, np.asarray(log.reading.force[10], np.float64))
+    )

@@ -8,12 +8,15 @@ from softfin.data.excitation import ExcitationConfig
 
 
 def holds(values: np.ndarray) -> np.ndarray:
-    """The lengths of the stretches of equal value, without the last, which the end of the log cuts."""
+    """The lengths of the stretches of equal value, without the last, which the end of the log
+    cuts."""
     return np.diff(np.flatnonzero(np.r_[True, np.diff(values) != 0]))
 
 
 def test_targets_fill_the_limits_evenly():
-    command = ExcitationConfig(hold_min_s=0.01, hold_max_s=0.02)(jax.random.key(0), 200_000, PAPER_LIMITS)
+    command = ExcitationConfig(hold_min_s=0.01, hold_max_s=0.02)(
+        jax.random.key(0), 200_000, PAPER_LIMITS
+    )
     for values, low, high in (
         (command.angle, PAPER_LIMITS.angle_min, PAPER_LIMITS.angle_max),
         (command.velocity, PAPER_LIMITS.velocity_min, PAPER_LIMITS.velocity_max),
@@ -25,7 +28,9 @@ def test_targets_fill_the_limits_evenly():
 
 
 def test_every_hold_lies_between_the_shortest_and_the_longest():
-    command = ExcitationConfig(hold_min_s=0.2, hold_max_s=0.5)(jax.random.key(1), 100_000, PAPER_LIMITS)
+    command = ExcitationConfig(hold_min_s=0.2, hold_max_s=0.5)(
+        jax.random.key(1), 100_000, PAPER_LIMITS
+    )
     lengths = holds(np.asarray(command.angle))
     assert lengths.min() == 20
     assert lengths.max() == 50
@@ -38,7 +43,9 @@ def test_angle_and_velocity_change_together():
 
 
 def test_commands_last_to_the_end_even_when_every_hold_is_the_shortest():
-    command = ExcitationConfig(hold_min_s=0.2, hold_max_s=0.2)(jax.random.key(3), 1000, PAPER_LIMITS)
+    command = ExcitationConfig(hold_min_s=0.2, hold_max_s=0.2)(
+        jax.random.key(3), 1000, PAPER_LIMITS
+    )
     assert (holds(np.asarray(command.angle)) == 20).all()
     assert len(np.unique(command.angle)) == 50
 
@@ -55,7 +62,10 @@ def test_the_limits_of_the_plant_are_kept():
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"hold_min_s": 0.5, "hold_max_s": 0.3}, "hold_max_s = 0.3 must be at least hold_min_s = 0.5"),
+        (
+            {"hold_min_s": 0.5, "hold_max_s": 0.3},
+            "hold_max_s = 0.3 must be at least hold_min_s = 0.5",
+        ),
         ({"hold_min_s": 0.205}, "multiple of 0.01"),
         ({"hold_min_s": 0.0}, "greater than 0"),
         ({"hold_minimum_s": 0.2}, "did you mean 'hold_min_s'"),

@@ -42,7 +42,11 @@ def folder_of(path, logs):
 def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
     opened = open_logs(dataset)
     assert opened.inspection.issues == []
-    assert [one.name for one in opened.logs] == ["train/0000.parquet", "train/0001.parquet", "test/000.parquet"]
+    assert [one.name for one in opened.logs] == [
+        "train/0000.parquet",
+        "train/0001.parquet",
+        "test/000.parquet",
+    ]
     assert opened.data_hash == Dataset.open(dataset).data_hash
     np.testing.assert_array_equal(opened.train[1].reading.force, logs[1].reading.force)
     assert len(opened.test) == 1
@@ -69,12 +73,25 @@ def test_faulty_files_put_into_a_dataset_are_issues_not_the_first_error(tmp_path
 def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
     opened = open_logs(folder_of(tmp_path / "all", logs))
     assert [(one.name, one.part) for one in opened.logs] == [
-        ("Test_a.parquet", "test"), ("run0.csv", "train"), ("run1.csv", "train"), ("test/bag", "test"),
-    ]  # fmt: skip
+        ("Test_a.parquet", "test"),
+        ("run0.csv", "train"),
+        ("run1.csv", "train"),
+        ("test/bag", "test"),
+    ]
     assert not [one for one in opened.inspection.issues if one.severity != "note"]
     np.testing.assert_allclose(opened.train[0].reading.angle, logs[0].reading.angle, atol=1e-6)
-    assert opened.metadata["imported_from"]["files"] == ["Test_a.parquet", "run0.csv", "run1.csv", "test/bag"]
-    assert opened.metadata["logs"][0] == {"log": "Test_a.parquet", "part": "test", "rows": 2000, "start_s": 0.01}
+    assert opened.metadata["imported_from"]["files"] == [
+        "Test_a.parquet",
+        "run0.csv",
+        "run1.csv",
+        "test/bag",
+    ]
+    assert opened.metadata["logs"][0] == {
+        "log": "Test_a.parquet",
+        "part": "test",
+        "rows": 2000,
+        "start_s": 0.01,
+    }
 
 
 def test_a_velocity_of_zeros_in_one_of_several_logs_stops_until_the_fix_is_given(tmp_path, logs):
@@ -82,7 +99,10 @@ def test_a_velocity_of_zeros_in_one_of_several_logs_stops_until_the_fix_is_given
     columns = columns_of(logs[2])
     columns["velocity_rad_s"][:] = 0
     write_bag(folder / "joint", topics_of(columns))
-    with pytest.raises(LogError, match=r"^logs: joint, .*0 rad/s throughout while the angle .*--columns velocity=- "):
+    with pytest.raises(
+        LogError,
+        match=r"^logs: joint, .*0 rad/s throughout while the angle .*--columns velocity=- ",
+    ):
         open_logs(folder).check_issues("logs", ignore_errors=False)
     opened = open_logs(folder, ImportConfig.build({"columns": "velocity=-"}))
     opened.check_issues("logs", ignore_errors=False)
@@ -102,7 +122,9 @@ def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
         open_logs(path, ImportConfig(test="walk"))
     opened = open_logs(path, ImportConfig(test="*"))
     assert opened.train == []
-    with pytest.raises(LogError, match="runs: no training logs: all of its 4 logs are test logs; see --test"):
+    with pytest.raises(
+        LogError, match="runs: no training logs: all of its 4 logs are test logs; see --test"
+    ):
         opened.check_train("runs")
 
 
@@ -117,7 +139,9 @@ def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
 
 def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, logs):
     for name, angle in (("a", "theta"), ("b", "theta"), ("c", "pos [rad]")):
-        columns = {angle if own == "angle_rad" else own: each for own, each in columns_of(logs[0]).items()}
+        columns = {
+            angle if own == "angle_rad" else own: each for own, each in columns_of(logs[0]).items()
+        }
         write_parquet(tmp_path / f"{name}.parquet", columns)
     opened = open_logs(tmp_path)
     assert opened.inspection.summary()["columns"] == {
@@ -133,7 +157,9 @@ def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, lo
 def test_pieces_that_are_all_too_short_are_refused(tmp_path, logs):
     columns = {name: values[np.r_[0:100, 150:250]] for name, values in columns_of(logs[0]).items()}
     write_parquet(tmp_path / "a.parquet", columns)
-    with pytest.raises(LogError, match="no logs: all pieces between gaps are shorter than 2 s; --shortest 1"):
+    with pytest.raises(
+        LogError, match="no logs: all pieces between gaps are shorter than 2 s; --shortest 1"
+    ):
         open_logs(tmp_path)
 
 
@@ -154,7 +180,9 @@ def test_nothing_to_read_is_refused(tmp_path):
 
 def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
     def issue(severity, name):
-        return Issue(severity, name, "run.csv", "spans -90 .. 90: degrees", "--angles deg", "angle", 7)
+        return Issue(
+            severity, name, "run.csv", "spans -90 .. 90: degrees", "--angles deg", "angle", 7
+        )
 
     def opened(*issues):
         return OpenedLogs((), Inspection(list(issues), []), "", {})
@@ -165,7 +193,9 @@ def test_errors_stop_unless_they_are_accepted_and_warnings_do_not():
     with pytest.raises(LogError) as error:
         errors.check_issues("runs", False)
     message = str(error.value)
-    assert message.startswith("runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; --angles deg")
+    assert message.startswith(
+        "runs: run.csv, row 7, column angle: spans -90 .. 90: degrees; --angles deg"
+    )
     assert "2 more" in message
     assert "--ignore-errors" in message
 

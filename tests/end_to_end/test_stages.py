@@ -1,4 +1,5 @@
-"""The main job through the command line, small: collect, fit, train, evaluate; and all of it by reproduce."""
+"""The main job through the command line, small: collect, fit, train, evaluate; and all of it by
+reproduce."""
 
 import json
 import signal
@@ -19,7 +20,18 @@ PLANT = "tests.plants:PlainFin"
 LEARNER = {"num_envs": 4, "num_steps": 6, "num_epochs": 2, "num_minibatches": 2}
 TRAIN = {"steps": 48, "num_evaluations": 2, "policy": {"units": 8, "width": 8}, "ppo": LEARNER}
 COLLECT = {"logs": 3, "test_logs": 1, "rows": ROWS}
-RECORD = ("collect", "--plant", PLANT, "--logs", "3", "--test-logs", "1", "--rows", str(ROWS), "--out")
+RECORD = (
+    "collect",
+    "--plant",
+    PLANT,
+    "--logs",
+    "3",
+    "--test-logs",
+    "1",
+    "--rows",
+    str(ROWS),
+    "--out",
+)
 CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
 
 
@@ -35,7 +47,8 @@ def write(path, values):
 
 
 def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypatch):
-    dataset, surrogate = str(tmp_path / "dataset"), str(tmp_path / "surrogate")
+    dataset = str(tmp_path / "dataset")
+    surrogate = str(tmp_path / "surrogate")
     made = run(capsys, *RECORD, dataset)
     assert made["logs"] == 3
     assert made["rows"] == ROWS
@@ -55,25 +68,55 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
 
     for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):
-        controller, judged = str(tmp_path / kind), str(tmp_path / f"{kind}-judged")
+        controller = str(tmp_path / kind)
+        judged = str(tmp_path / f"{kind}-judged")
         config = write(tmp_path / f"{kind}.yaml", {**TRAIN, "cells": cells})
         words = (
-            "train", surrogate, "--controller", kind, "--algorithm", "ppo", "--config", config, "--out", controller
-        )  # fmt: skip
+            "train",
+            surrogate,
+            "--controller",
+            kind,
+            "--algorithm",
+            "ppo",
+            "--config",
+            config,
+            "--out",
+            controller,
+        )
         trained = run(capsys, *words)
         assert run(capsys, *words, "--resume") == trained
         assert {row["cell"] for row in trained["scores"]} == set(range(len(cells)))
         scored = run(
-            capsys, "evaluate", controller, "--plant", PLANT, "--reference=1,0", "--seconds", "3", "--seeds", "2",
-            "--out", judged,
-        )  # fmt: skip
+            capsys,
+            "evaluate",
+            controller,
+            "--plant",
+            PLANT,
+            "--reference=1,0",
+            "--seconds",
+            "3",
+            "--seeds",
+            "2",
+            "--out",
+            judged,
+        )
         assert scored["references"][0]["reference_n"] == [1, 0]
         assert scored["references"][0]["x"]["error_n"] >= 0
         written = json.loads((tmp_path / f"{kind}-judged" / "evaluation.json").read_text())
         assert written["conditions"]["duration_s"] == 3
 
     with pytest.raises(SystemExit) as stop:
-        main(["evaluate", str(tmp_path / "grid"), "--plant", PLANT, "--reference=9,0", "--out", str(tmp_path / "far")])
+        main(
+            [
+                "evaluate",
+                str(tmp_path / "grid"),
+                "--plant",
+                PLANT,
+                "--reference=9,0",
+                "--out",
+                str(tmp_path / "far"),
+            ]
+        )
     assert stop.value.code == 2
     assert "reference (9, 0) N: 6.5 N outside the nearest of 2 cells" in capsys.readouterr().err
     left_behind = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
@@ -82,7 +125,8 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
 
 @pytest.mark.usefixtures("short_search")
 def test_streaming_surrogates_are_fitted(capsys, tmp_path):
-    dataset, surrogate = str(tmp_path / "dataset"), str(tmp_path / "surrogate")
+    dataset = str(tmp_path / "dataset")
+    surrogate = str(tmp_path / "surrogate")
     run(capsys, *RECORD, dataset)
 
     config = write(tmp_path / "streaming.yaml", STREAMING)
@@ -113,9 +157,18 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     """Stopped while the controllers train; the second call neither records nor fits again."""
     out = tmp_path / "run"
     words = (
-        "reproduce", "--preset", "paper", "--plant", PLANT, "--config", reproduction(tmp_path), "--out", str(out)
-    )  # fmt: skip
-    update, updates = TrainingRun.update, []
+        "reproduce",
+        "--preset",
+        "paper",
+        "--plant",
+        PLANT,
+        "--config",
+        reproduction(tmp_path),
+        "--out",
+        str(out),
+    )
+    update = TrainingRun.update
+    updates = []
 
     def counted(run, agents, number):
         updates.append(run.config.controller)
@@ -130,7 +183,10 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
-    assert "stopped, nothing is half-written; the same command with --resume goes on" in capsys.readouterr().err
+    assert (
+        "stopped, nothing is half-written; the same command with --resume goes on"
+        in capsys.readouterr().err
+    )
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 
@@ -142,7 +198,9 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert "fit" not in results["wall_s"]
 
     assert results == json.loads((out / "results.json").read_text())
-    for kind, part in product(("gaits", "single", "grid"), ("controllers", "trimmed", "in_surrogate")):
+    for kind, part in product(
+        ("gaits", "single", "grid"), ("controllers", "trimmed", "in_surrogate")
+    ):
         rows = results[part][kind]["references"]
         assert len(rows) == 6
         for row, axis in product(rows, ("x", "y")):
@@ -150,8 +208,13 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
             assert row[axis]["error_interval_n"] is None
     assert all(len(results["trimmed"][kind]["moving"]) == 4 for kind in ("gaits", "single", "grid"))
     assert [stage["stage"] for stage in results["stages"]][:6] == [
-        "collect", "fit", "map", "gaits", "train single", "train grid"
-    ]  # fmt: skip
+        "collect",
+        "fit",
+        "map",
+        "gaits",
+        "train single",
+        "train grid",
+    ]
     page = (out / "report.html").read_text()
     assert "<svg" in page
     # Neither this fin nor the paper's networks can move in a page.
@@ -171,7 +234,9 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     assert (out / "results.json").stat().st_mtime_ns == written
 
 
-def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its_preset_says(tmp_path, monkeypatch):
+def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its_preset_says(
+    tmp_path, monkeypatch
+):
     asked = {}
 
     def fit(dataset, out, config, **options):
@@ -181,6 +246,18 @@ def test_reproduce_takes_the_logs_that_it_recorded_as_they_are_and_fits_what_its
     monkeypatch.setattr("softfin.stages.reproduce.fit", fit)
     small = write(tmp_path / "small.yaml", {"collect": COLLECT})
     with pytest.raises(SystemExit):
-        main(["reproduce", "--preset", "best", "--plant", PLANT, "--config", small, "--out", str(tmp_path / "run")])
+        main(
+            [
+                "reproduce",
+                "--preset",
+                "best",
+                "--plant",
+                PLANT,
+                "--config",
+                small,
+                "--out",
+                str(tmp_path / "run"),
+            ]
+        )
     assert asked["ignore_errors"] is True
     assert asked["config"] == PRESETS["best"].fit

@@ -28,7 +28,9 @@ def test_every_reference_and_axis_has_its_scores_and_intervals(evaluation):
     for i, row in enumerate(summary["references"]):
         for k, axis in enumerate("xy"):
             assert set(row[axis]) == {
-                f"{name}{part}_n" for name in ("error", "std", "raw_std") for part in ("", "_interval", "_seeds")
+                f"{name}{part}_n"
+                for name in ("error", "std", "raw_std")
+                for part in ("", "_interval", "_seeds")
             }
             assert row[axis]["error_n"] == pytest.approx(evaluation.scores.error[i, :, k].mean())
             low, high = row[axis]["raw_std_interval_n"]
@@ -52,7 +54,9 @@ def test_the_force_error_is_that_of_the_plant():
     evaluation = evaluate(Flapper(), AnalyticFin(noise_n=0.0), CONFIG)
     force = evaluation.recording.reading.force[1, 0]
     windows = np.lib.stride_tricks.sliding_window_view(force, 200, axis=0).mean(axis=-1)
-    np.testing.assert_allclose(evaluation.scores.error[1, 0], np.abs(windows - [2, 0]).mean(axis=0), rtol=1e-4)
+    np.testing.assert_allclose(
+        evaluation.scores.error[1, 0], np.abs(windows - [2, 0]).mean(axis=0), rtol=1e-4
+    )
 
 
 def test_one_seed_gives_null_for_its_intervals(tmp_path):
@@ -68,7 +72,9 @@ def test_a_controller_that_does_not_move_is_said_to_stand_still():
 
 
 def test_the_folder_holds_scores_conditions_and_figures(evaluation, tmp_path):
-    summary = write_evaluation(evaluation, tmp_path / "out", {"controller": "flapper", "plant": "analytic"})
+    summary = write_evaluation(
+        evaluation, tmp_path / "out", {"controller": "flapper", "plant": "analytic"}
+    )
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "evaluation.json",
         "experiments.png",
@@ -124,11 +130,15 @@ class Exploding(PlainFin):
 
     def advance(self, state, command, ticks):
         state, reading = super().advance(state, command, ticks)
-        return state, reading._replace(force=jnp.where(reading.time[:, None] > 2.005, jnp.inf, reading.force))
+        return state, reading._replace(
+            force=jnp.where(reading.time[:, None] > 2.005, jnp.inf, reading.force)
+        )
 
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_moment():
-    with pytest.raises(PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force is not finite"):
+    with pytest.raises(
+        PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force is not finite"
+    ):
         evaluate(Flapper(), Exploding(), CONFIG)
 
 

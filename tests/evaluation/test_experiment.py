@@ -25,7 +25,9 @@ class Echo(eqx.Module):
         return ()
 
     def act(self, state, measured, reference):
-        return state, Command(measured.angle + self.gain * reference[0], 2 + self.gain * reference[1])
+        return state, Command(
+            measured.angle + self.gain * reference[0], 2 + self.gain * reference[1]
+        )
 
     def check(self, reference):
         """Covers everything."""
@@ -52,11 +54,15 @@ def test_each_action_sees_the_last_reading_and_the_first_sees_rest(recording):
     starts = np.r_[0, ENDS[:-1]]
     seen = recording.command.angle[..., starts] - 0.1 * REFERENCES[:, :1, None]
     np.testing.assert_allclose(seen[..., 0], 0, atol=1e-6)
-    np.testing.assert_allclose(seen[..., 1:], recording.reading.angle[..., ENDS[:-1] - 1], atol=1e-6)
+    np.testing.assert_allclose(
+        seen[..., 1:], recording.reading.angle[..., ENDS[:-1] - 1], atol=1e-6
+    )
 
 
 def test_each_experiment_has_its_own_reference(recording):
-    np.testing.assert_allclose(recording.command.velocity[:, 1, 150], 2 + 0.1 * REFERENCES[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(
+        recording.command.velocity[:, 1, 150], 2 + 0.1 * REFERENCES[:, 1], rtol=1e-6
+    )
 
 
 def test_seeds_differ_in_the_plants_randomness_alone(recording):
@@ -67,12 +73,16 @@ def test_seeds_differ_in_the_plants_randomness_alone(recording):
 def test_side_by_side_equals_one_at_a_time(recording):
     for i in range(3):
         alone = run(Echo(), AnalyticFin(), REFERENCES[i : i + 1], 2, KEYS[1:])
-        np.testing.assert_allclose(alone.reading.force[0, 0], recording.reading.force[i, 1], atol=1e-5)
+        np.testing.assert_allclose(
+            alone.reading.force[0, 0], recording.reading.force[i, 1], atol=1e-5
+        )
 
 
 def test_a_controller_keeps_its_memory_from_action_to_action():
     recording = run(Flapper(), AnalyticFin(), REFERENCES[:1], 2, KEYS[:1])
-    np.testing.assert_allclose(recording.command.angle[0, 0, ENDS - 1], 0.8 * np.array([1, -1] * 3), rtol=1e-6)
+    np.testing.assert_allclose(
+        recording.command.angle[0, 0, ENDS - 1], 0.8 * np.array([1, -1] * 3), rtol=1e-6
+    )
 
 
 class Unhashable(PlainFin):
@@ -134,5 +144,7 @@ class Unsure(MisreadFin):
 def test_a_true_force_that_is_not_finite_is_an_error():
     recording = run(Flapper(), Unsure(), REFERENCES, 4, KEYS)
     assert np.isfinite(recording.reading.force).all()
-    with pytest.raises(PlantError, match=r"seed 0, 1\.51 s: true force is not finite after the command"):
+    with pytest.raises(
+        PlantError, match=r"seed 0, 1\.51 s: true force is not finite after the command"
+    ):
         independent(recording)

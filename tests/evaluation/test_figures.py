@@ -27,7 +27,9 @@ def lines(axes) -> dict:
 def test_each_reference_has_its_trajectory_and_both_forces(evaluation):
     axes = experiments_figure(evaluation.recording).get_axes()
     assert len(axes) == 3 * 6
-    for index, (polar, above, below) in enumerate(zip(axes[::3], axes[1::3], axes[2::3], strict=True)):
+    for index, (polar, above, below) in enumerate(
+        zip(axes[::3], axes[1::3], axes[2::3], strict=True)
+    ):
         radius = polar.get_lines()[0].get_ydata()
         np.testing.assert_allclose(radius, np.arange(1, 501) / 100)
         np.testing.assert_array_equal(
@@ -41,7 +43,9 @@ def test_each_reference_has_its_trajectory_and_both_forces(evaluation):
             assert average.get_linestyle() == "--"
             np.testing.assert_allclose(average.get_xdata()[[0, -1]], [2.0, 10.0])
             assert average.get_ydata()[0] == pytest.approx(force[:200].mean(), abs=1e-5)
-            assert set(shown["reference"].get_ydata()) == {evaluation.recording.reference[index, axis]}
+            assert set(shown["reference"].get_ydata()) == {
+                evaluation.recording.reference[index, axis]
+            }
             assert panel.get_ylabel() == f"force {'xy'[axis]} [N]"
         assert below.get_xlabel() == "time [s]"
 
@@ -53,7 +57,11 @@ def test_a_fin_at_positive_angles_is_drawn_up_and_to_the_left(evaluation):
 
 
 def test_an_angle_beyond_90_degrees_is_still_drawn():
-    far = evaluate(Flapper(angle=1.9), AnalyticFin(lag_s=0.02), EvaluateConfig(references=[(1, 1)], seconds=3, seeds=1))
+    far = evaluate(
+        Flapper(angle=1.9),
+        AnalyticFin(lag_s=0.02),
+        EvaluateConfig(references=[(1, 1)], seconds=3, seeds=1),
+    )
     polar = experiments_figure(far.recording).get_axes()[0]
     assert np.degrees(np.abs(far.recording.reading.angle).max()) <= polar.get_thetamax()
 
@@ -71,13 +79,18 @@ def test_bars_stand_beside_the_papers_with_their_intervals(evaluation):
 
 
 def test_bars_of_other_references_stand_alone():
-    own = evaluate(Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1))
+    own = evaluate(
+        Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1)
+    )
     figure = table_two_figure({"single": own.summary(), "inverse": own.summary()})
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["single", "inverse"]
 
 
 def test_learning_curves_show_the_runs_and_their_mean_as_far_as_all_go():
-    runs = {"grid": [([0, 100, 200], [0, 1, 2]), ([0, 200, 400], [2, 4, 6])], "single": [([0, 9], [1, 2])]}
+    runs = {
+        "grid": [([0, 100, 200], [0, 1, 2]), ([0, 200, 400], [2, 4, 6])],
+        "single": [([0, 9], [1, 2])],
+    }
     lines = learning_figure(runs, "reward").get_axes()[0].get_lines()
     first, second, grid, single = lines
     np.testing.assert_allclose(grid.get_xdata(), [0, 100, 200])

@@ -10,7 +10,14 @@ from softfin.core.quantities import Command
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
 from softfin.evaluation.experiment import run, run_together
 from softfin.evaluation.figures import moving_figure
-from softfin.evaluation.moving_references import SIGNALS, MovingPlan, _row, moving_together, plan_moving, signals_of
+from softfin.evaluation.moving_references import (
+    SIGNALS,
+    MovingPlan,
+    _row,
+    moving_together,
+    plan_moving,
+    signals_of,
+)
 from softfin.evaluation.range_errors import range_of
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
@@ -42,14 +49,20 @@ def moving():
 
 
 def test_the_controller_sees_the_reference_when_it_acts(moving):
-    np.testing.assert_allclose(moving.recording.command.angle[0, 0], 0.1 * STEP.sample(600)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(
+        moving.recording.command.angle[0, 0], 0.1 * STEP.sample(600)[:, 0], rtol=1e-6
+    )
 
 
 def test_a_step_between_two_actions_is_seen_at_the_second():
     between = STEP.model_copy(update={"at_s": 3.1})
     plan = MovingPlan.of(Flapper(), (between,), 6)
-    recording = plan.score(run(Covering(), AnalyticFin(), plan.tracked, plan.seconds, KEYS)).recording
-    np.testing.assert_allclose(recording.command.angle[0, 0, [310, 332, 333, 599]], [0.1, 0.1, 0.2, 0.2], rtol=1e-6)
+    recording = plan.score(
+        run(Covering(), AnalyticFin(), plan.tracked, plan.seconds, KEYS)
+    ).recording
+    np.testing.assert_allclose(
+        recording.command.angle[0, 0, [310, 332, 333, 599]], [0.1, 0.1, 0.2, 0.2], rtol=1e-6
+    )
 
 
 def test_references_that_run_side_by_side_make_what_they_make_alone():
@@ -61,21 +74,29 @@ def test_references_that_run_side_by_side_make_what_they_make_alone():
         alone = run(Covering(), plant, references, seconds, KEYS)
         np.testing.assert_array_equal(recording.reference, references)
         np.testing.assert_allclose(recording.command.angle, alone.command.angle, rtol=1e-6)
-        np.testing.assert_allclose(recording.reading.force, alone.reading.force, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(
+            recording.reading.force, alone.reading.force, rtol=1e-5, atol=1e-5
+        )
 
 
 def test_signals_at_one_seed_each_are_put_together_as_those_of_all_seeds():
     plan = MovingPlan.of(Flapper(), (STEP,), 6)
 
     def scored(keys):
-        return plan.score(run(Covering(), AnalyticFin(noise_n=0.2), plan.tracked, plan.seconds, keys)).rows
+        return plan.score(
+            run(Covering(), AnalyticFin(noise_n=0.2), plan.tracked, plan.seconds, keys)
+        ).rows
 
     each = [
-        plan.score(run(Covering(), AnalyticFin(noise_n=0.2), plan.tracked, plan.seconds, key[None])) for key in KEYS
+        plan.score(run(Covering(), AnalyticFin(noise_n=0.2), plan.tracked, plan.seconds, key[None]))
+        for key in KEYS
     ]
-    (whole,), (row,) = scored(KEYS), moving_together(each).rows
+    (whole,) = scored(KEYS)
+    (row,) = moving_together(each).rows
     assert row["x"]["error_seeds_n"] == pytest.approx(whole["x"]["error_seeds_n"], rel=1e-5)
-    assert row["y"]["instantaneous_error_n"] == pytest.approx(whole["y"]["instantaneous_error_n"], rel=1e-5)
+    assert row["y"]["instantaneous_error_n"] == pytest.approx(
+        whole["y"]["instantaneous_error_n"], rel=1e-5
+    )
     assert len(row["steps"][0]) == 2
     assert row["settles"] == whole["settles"]
 
@@ -95,7 +116,8 @@ def test_every_signal_has_errors_and_the_answers_to_its_steps(moving):
 
 
 def test_the_instantaneous_error_counts_the_delay_of_the_window():
-    """A force that is its reference, on a ramp of 0.1 N/s: the average over 2 s is 1 s, so 0.1 N, behind it."""
+    """A force that is its reference, on a ramp of 0.1 N/s: the average over 2 s is 1 s, so 0.1 N,
+    behind it."""
     ramp = Ramp(start_n=(-0.001, 0.002), to_n=(2, -4), begin_s=0, end_s=20.01)
     tracked = ramp.sample(2001)
     row = _row(ramp, tracked, tracked[None].astype(float), np.zeros((1, 2)), None)
@@ -139,7 +161,8 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
     summary = evaluate(Weak(), AnalyticFin(), config).summary()
     assert summary["moving"][0]["replaced_s"] == 3.0
     assert (
-        "step (1, 0) to (3, 0) N at 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s" in summary["warning"]
+        "step (1, 0) to (3, 0) N at 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s"
+        in summary["warning"]
     )
     (plan,) = plan_moving(Weak(), [], recorded)
     np.testing.assert_allclose(plan.tracked[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
@@ -148,9 +171,14 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
 def test_strictly_it_is_refused_with_time_and_force():
     recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
     with pytest.raises(
-        CoverageError, match=r"this fin cannot .* from 3 s on, by up to 1\.000 N; .* --strict is left out"
+        CoverageError,
+        match=r"this fin cannot .* from 3 s on, by up to 1\.000 N; .* --strict is left out",
     ):
-        evaluate(Weak(), Untouched(), EvaluateConfig(references=((1, 0),), recorded=recorded, strict=True))
+        evaluate(
+            Weak(),
+            Untouched(),
+            EvaluateConfig(references=((1, 0),), recorded=recorded, strict=True),
+        )
 
 
 def test_a_controller_without_cells_has_the_papers_range():
@@ -166,24 +194,35 @@ def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs(
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_moment():
     plan = MovingPlan.of(Flapper(), (STEP.model_copy(update={"at_s": 1}),), 3)
-    with pytest.raises(PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force is not finite"):
+    with pytest.raises(
+        PlantError, match=r"reference \(2, 0\) N, seed 0, 2\.01 s: force is not finite"
+    ):
         plan.score(run(Covering(), Exploding(), plan.tracked, plan.seconds, KEYS))
 
 
 def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path):
     recorded = Recorded(time_s=(0, 3), force_n=((1, 1), (2, 0)))
-    config = EvaluateConfig(references=((1, 1),), seconds=3, seeds=2, moving=("step",), recorded=recorded, error_map=4)
+    config = EvaluateConfig(
+        references=((1, 1),), seconds=3, seeds=2, moving=("step",), recorded=recorded, error_map=4
+    )
     summary = write_evaluation(evaluate(Covering(), AnalyticFin(), config), tmp_path / "out")
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == summary
     assert [row["kind"] for row in summary["moving"]] == ["step"] * 4 + ["recorded"]
     assert summary["moving"][-1]["duration_s"] == 6
     assert summary["error_map"]["not_covered"] == 4
-    names = {f"{name}.{kind}" for name in ("experiments", "moving", "error_map") for kind in ("svg", "png")}
+    names = {
+        f"{name}.{kind}"
+        for name in ("experiments", "moving", "error_map")
+        for kind in ("svg", "png")
+    }
     assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "evaluation.json"}
 
 
 def test_without_being_asked_for_nothing_moves():
-    assert not {"moving", "error_map"} & evaluate(Covering(), AnalyticFin(), EvaluateConfig(seconds=3)).summary().keys()
+    assert (
+        not {"moving", "error_map"}
+        & evaluate(Covering(), AnalyticFin(), EvaluateConfig(seconds=3)).summary().keys()
+    )
 
 
 def test_the_figure_shows_the_reference_beside_the_moving_average(moving):
@@ -193,7 +232,9 @@ def test_the_figure_shows_the_reference_beside_the_moving_average(moving):
     np.testing.assert_array_equal(shown["reference"].get_ydata(), STEP.sample(600)[:, 0])
     average = shown["moving average of the force over 2 s"]
     np.testing.assert_allclose(average.get_xdata()[[0, -1]], [2, 6])
-    assert average.get_ydata()[0] == pytest.approx(moving.recording.reading.force[0, 0, :200, 0].mean(), abs=1e-6)
+    assert average.get_ydata()[0] == pytest.approx(
+        moving.recording.reading.force[0, 0, :200, 0].mean(), abs=1e-6
+    )
     assert axes[0].get_title(loc="left").startswith("step (1, 0) to (2, 0) N at 3 s\nerror ")
     assert axes[0].get_title(loc="left").endswith("never settles")
     assert axes[3].get_ylabel() == "angle [°]"

@@ -31,13 +31,17 @@ def test_they_lie_in_a_cell_and_in_reach_and_are_spread_by_area():
 
 
 def test_the_seed_says_which():
-    one, same, other = (draw_references(PAPER_CELLS, None, 5, generator_of(seed, "test")) for seed in (0, 0, 1))
+    one, same, other = (
+        draw_references(PAPER_CELLS, None, 5, generator_of(seed, "test")) for seed in (0, 0, 1)
+    )
     np.testing.assert_array_equal(one, same)
     assert (one != other).all()
 
 
 def test_cells_beyond_reach_are_refused():
-    with pytest.raises(CoverageError, match=r"random = 3: of 300 references .* this fin can make 0; train"):
+    with pytest.raises(
+        CoverageError, match=r"random = 3: of 300 references .* this fin can make 0; train"
+    ):
         draw_references((Cell(low=(5, 5), high=(6, 6)),), DISC, 3, generator_of(0, "test"))
 
 
@@ -79,7 +83,8 @@ def test_tiles_and_numbers_stand_at_their_references(errors):
         x0, x1, y0, y1 = image.get_extent()
         for text, error in zip(axes.texts, errors.error[:, index], strict=True):
             x, y = text.get_position()
-            column, row = int((x - x0) / (x1 - x0) * 6), int((y - y0) / (y1 - y0) * 6)
+            column = int((x - x0) / (x1 - x0) * 6)
+            row = int((y - y0) / (y1 - y0) * 6)
             assert image.get_array()[row, column] == pytest.approx(error)
             assert text.get_text() == f"{error:.2f}"
         assert np.ma.count_masked(np.ma.masked_invalid(image.get_array())) == 12

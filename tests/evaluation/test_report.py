@@ -21,7 +21,11 @@ class Page(HTMLParser):
 
     def __init__(self, html: str) -> None:
         super().__init__()
-        self.html, self.text, self.ids, self.fetched, self.tags = html, "", [], [], []
+        self.html = html
+        self.text = ""
+        self.ids = []
+        self.fetched = []
+        self.tags = []
         self.feed(html)
         self.words = " ".join(self.text.split())
 
@@ -39,7 +43,12 @@ class Page(HTMLParser):
 
 def net(window=100, parameters=113601, rmse=0.0312):
     scores = {"rmse": rmse, "mae": 0.002, "dtw_raw": 9.0, "dtw_rms": 0.4, "dtw_mae": 0.0015}
-    return {"window": window, "parameters": parameters, "physical": scores, "scaled": {**scores, "rmse": rmse / 2}}
+    return {
+        "window": window,
+        "parameters": parameters,
+        "physical": scores,
+        "scaled": {**scores, "rmse": rmse / 2},
+    }
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +58,9 @@ def evaluation():
 
 @pytest.fixture(scope="module")
 def results(evaluation):
-    still = evaluate(Flapper(angle=0.0), AnalyticFin(noise_n=0.3), EvaluateConfig(seconds=4, seeds=3))
+    still = evaluate(
+        Flapper(angle=0.0), AnalyticFin(noise_n=0.3), EvaluateConfig(seconds=4, seeds=3)
+    )
     return {
         "title": "A run",
         "plant": "the analytic fin",
@@ -102,14 +113,20 @@ def test_ids_are_unique_over_the_whole_page(page):
 
 def test_every_figure_is_there(page):
     assert page.tags.count("svg") == 5
-    for caption in ("Prediction", "Learning", "Single", "Single again", "Errors of Table II by reference"):
+    for caption in (
+        "Prediction",
+        "Learning",
+        "Single",
+        "Single again",
+        "Errors of Table II by reference",
+    ):
         assert caption in page.words
 
 
 def test_table_one_has_each_net_in_both_units_beside_the_paper(page):
     assert (
-        "PosNet, commands to angle 100 113,601 rad 0.0312 0.00200 0.00150 0.0156 0.00200 0.00150 0.03 0.002 0.002"
-        in page.words
+        "PosNet, commands to angle 100 113,601 rad 0.0312 0.00200 0.00150 0.0156 0.00200 0.00150 "
+        "0.03 0.002 0.002" in page.words
     )
     assert "ForceNet, free-running behind PosNet 100 129,794 N 0.777" in page.words
 
@@ -145,7 +162,9 @@ def test_an_imported_surrogate_has_no_table_one(results, tmp_path):
 
 
 def test_references_of_ones_own_have_no_column_of_the_paper(tmp_path):
-    own = evaluate(Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1))
+    own = evaluate(
+        Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1)
+    )
     write_report(tmp_path / "report.html", {"controllers": {"single": own.summary()}})
     words = Page((tmp_path / "report.html").read_text()).words
     assert "(0.5, 0)" in words
@@ -155,7 +174,8 @@ def test_references_of_ones_own_have_no_column_of_the_paper(tmp_path):
 
 
 def with_errors(summary, errors):
-    """The summary of an evaluation, its references changed to these errors in y, alike at all seeds."""
+    """The summary of an evaluation, its references changed to these errors in y, alike at all
+    seeds."""
     rows = [
         row | {"still": False, "x": row["x"] | {"error_n": 0.0}, "y": row["y"] | {"error_n": error}}
         for row, error in zip(summary["references"], errors, strict=True)
@@ -171,7 +191,9 @@ def test_the_headline_is_of_the_best_controller_and_bounds_its_error_at_every_re
     assert best.controller == "good"
     assert best.holds
     assert best.sentence == "The fin holds each of six forces within 0.04 N on average."
-    corrected = headline({"controllers": {"good": good}, "trimmed": {"good": with_errors(summary, [0.01] * 6)}})
+    corrected = headline(
+        {"controllers": {"good": good}, "trimmed": {"good": with_errors(summary, [0.01] * 6)}}
+    )
     assert "within 0.01 N on average; without force feedback, within 0.04" in corrected.sentence
 
 
@@ -180,7 +202,8 @@ def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(e
     said = headline({"controllers": {"single": missing}})
     assert not said.holds
     assert (
-        "holds four of six forces within 0.2 N on average; it misses (2, \N{MINUS SIGN}1) N by 0.30 N" in said.sentence
+        "holds four of six forces within 0.2 N on average; it misses (2, \N{MINUS SIGN}1) N by "
+        "0.30 N" in said.sentence
     )
     missing["references"][3]["still"] = True
     assert "stands still" in headline({"controllers": {"single": missing}}).sentence
@@ -189,7 +212,10 @@ def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(e
 
 def test_the_page_begins_with_the_headline(page):
     assert page.tags.index("strong") < page.tags.index("nav") < page.tags.index("table")
-    assert "stands still at some of the target forces" in page.words or "of six forces within" in page.words
+    assert (
+        "stands still at some of the target forces" in page.words
+        or "of six forces within" in page.words
+    )
     assert "window" in page.words.partition("Definitions")[0]
 
 
@@ -201,7 +227,10 @@ def test_behind_an_error_stand_two_seeds_values_or_an_interval(seeds, shown):
 
 
 def test_text_is_escaped(results, tmp_path):
-    write_report(tmp_path / "report.html", {**results, "plant": "<script>alert(1)</script>", "title": "a & b"})
+    write_report(
+        tmp_path / "report.html",
+        {**results, "plant": "<script>alert(1)</script>", "title": "a & b"},
+    )
     html = (tmp_path / "report.html").read_text()
     assert "<script>" not in html
     assert "<title>a &amp; b</title>" in html

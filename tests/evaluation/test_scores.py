@@ -18,13 +18,19 @@ from softfin.task.signals import Ramp, Recorded, Sinusoid, Step
 STEP = Step(start_n=(1, 0), to_n=(2, 0), at_s=5).sample(1500).astype(float)
 
 
-def record(force: np.ndarray, angle: np.ndarray | None = None, reference=(0.0, 0.0)) -> ExperimentRecording:
+def record(
+    force: np.ndarray, angle: np.ndarray | None = None, reference=(0.0, 0.0)
+) -> ExperimentRecording:
     """One experiment of one seed from a force ``(ticks, 2)`` and an angle ``(ticks,)``."""
     ticks = len(force)
     angle = np.zeros(ticks) if angle is None else angle
     time = np.arange(1, ticks + 1) / 100
-    batch = tuple(np.asarray(x, np.float32)[None, None] for x in (time, angle, np.zeros(ticks), force))
-    return ExperimentRecording(np.array([reference], np.float32), Command(batch[1], batch[1]), Reading(*batch))
+    batch = tuple(
+        np.asarray(x, np.float32)[None, None] for x in (time, angle, np.zeros(ticks), force)
+    )
+    return ExperimentRecording(
+        np.array([reference], np.float32), Command(batch[1], batch[1]), Reading(*batch)
+    )
 
 
 def test_the_moving_average_is_the_mean_of_each_full_window():
@@ -90,11 +96,15 @@ def test_a_fin_that_stops_after_a_while_is_seen():
     assert scores.late_travel[0, 0] == 0
 
 
-@pytest.mark.parametrize(("freedom", "quantile"), [(2, 4.3027), (4, 2.7764), (9, 2.2622), (30, 2.0423)])
+@pytest.mark.parametrize(
+    ("freedom", "quantile"), [(2, 4.3027), (4, 2.7764), (9, 2.2622), (30, 2.0423)]
+)
 def test_the_half_width_is_students_quantile_over_the_root_of_the_samples(freedom, quantile):
     values = np.arange(freedom + 1.0)
     low, high = interval(values)
-    assert (high - low) / 2 == pytest.approx(quantile * values.std(ddof=1) / np.sqrt(freedom + 1), rel=1e-4)
+    assert (high - low) / 2 == pytest.approx(
+        quantile * values.std(ddof=1) / np.sqrt(freedom + 1), rel=1e-4
+    )
 
 
 def test_a_95_percent_interval_holds_the_mean_in_95_of_100_samples():
@@ -116,7 +126,8 @@ def test_seeds_that_are_all_alike_have_no_interval():
 def test_the_papers_rows_are_complete_and_its_printed_means_disagree_where_we_say():
     for controller, rows in PAPER_TABLE_II.items():
         assert tuple(rows) == PAPER_REFERENCES
-        printed, means = PAPER_PRINTED_MEANS[controller], recomputed_means(controller)
+        printed = PAPER_PRINTED_MEANS[controller]
+        means = recomputed_means(controller)
         far = [abs(p - m) > 0.0015 for p, m in zip(printed, means, strict=True)]
         assert far == [controller == "grid"] * 4
     assert recomputed_means("grid")[3] == pytest.approx(0.293, abs=0.0005)
@@ -147,12 +158,15 @@ def test_overshoot_is_a_part_of_the_step_whatever_its_sign_and_size():
     force = reference.copy()
     force[500:800] += 0.25 * (reference[500] - reference[0])
     (response,) = step_responses(force, reference)
-    np.testing.assert_allclose([response[f"overshoot_{axis}_percent"] for axis in "xy"], 25, atol=1e-6)
+    np.testing.assert_allclose(
+        [response[f"overshoot_{axis}_percent"] for axis in "xy"], 25, atol=1e-6
+    )
 
 
 def test_settling_is_on_both_axes_and_for_good():
     force = STEP.copy()
-    # For 200 samples 0.5 N off in y, long after x is there: the average leaves the band of 0.2 N and comes back.
+    # For 200 samples 0.5 N off in y, long after x is there: the average leaves the band of 0.2 N
+    # and comes back.
     force[900:1100, 1] = 0.5
     (response,) = step_responses(force, STEP)
     assert response["settling_s"] == pytest.approx((1100 + 120 - 500) / 100, abs=0.011)
@@ -166,7 +180,9 @@ def test_a_step_that_is_never_reached_has_no_times():
 
 
 def test_one_step_is_scored_up_to_the_next():
-    reference = Recorded(time_s=(0, 4, 9), force_n=((1, 0), (2, 0), (2, 2))).sample(1300).astype(float)
+    reference = (
+        Recorded(time_s=(0, 4, 9), force_n=((1, 0), (2, 0), (2, 2))).sample(1300).astype(float)
+    )
     force = reference.copy()
     force[1000:] = 7
     first, second = step_responses(force, reference)
@@ -183,7 +199,9 @@ def test_only_changes_between_forces_held_for_a_window_are_steps():
 
 
 def test_a_force_that_is_its_reference_has_no_error_on_a_ramp_either():
-    reference = Ramp(start_n=(0, 0), to_n=(2, -4), begin_s=0.01, end_s=20.01).sample(2001)[1:].astype(float)
+    reference = (
+        Ramp(start_n=(0, 0), to_n=(2, -4), begin_s=0.01, end_s=20.01).sample(2001)[1:].astype(float)
+    )
     ticks = np.zeros((1, 1, 2000))
     recording = ExperimentRecording(
         reference[None], Command(ticks, ticks), Reading(ticks, ticks, ticks, reference[None, None])

@@ -28,7 +28,9 @@ def fitted_within(limit):
     """The surrogate with data that lie within so much of nothing remembered."""
     plant = small.surrogate()
     size = plant.familiarity.mean.size
-    return eqx.tree_at(lambda p: p.familiarity, plant, Familiarity(jnp.zeros(size), jnp.eye(size) / limit))
+    return eqx.tree_at(
+        lambda p: p.familiarity, plant, Familiarity(jnp.zeros(size), jnp.eye(size) / limit)
+    )
 
 
 def test_a_plant_that_does_not_estimate_its_errors_has_no_uncertainty(recording):
@@ -47,7 +49,9 @@ def test_the_half_width_is_that_of_the_members_own_means_over_the_recorded_comma
         state, each = advance(state, Command(*(part[tick] for part in commands)))
         force.append(np.asarray(each.force[:, 0]))
     means = moving_average(np.stack(force, axis=1))
-    np.testing.assert_allclose(uncertainty.half_width[1], plant.interval.half_width(means).mean(axis=0), rtol=1e-3)
+    np.testing.assert_allclose(
+        uncertainty.half_width[1], plant.interval.half_width(means).mean(axis=0), rtol=1e-3
+    )
     again = roll(plant, plant.init(jax.random.key(0)), commands)[1]
     np.testing.assert_allclose(again.force, recording.reading.force[1, 0], atol=1e-4)
 
@@ -61,8 +65,13 @@ def test_samples_beyond_the_data_are_counted(recording, limit, share):
 
 def test_a_warning_carries_the_numbers_and_comes_above_one_percent():
     of = {"furthest": np.array([0.9, 2.34]), "half_width": np.zeros((2, 2))}
-    assert SurrogateUncertainty(out_of_distribution_fraction=np.array([0.0, 0.019]), **of).warning() is None
-    warning = SurrogateUncertainty(out_of_distribution_fraction=np.array([0.0, 0.05]), **of).warning()
+    assert (
+        SurrogateUncertainty(out_of_distribution_fraction=np.array([0.0, 0.019]), **of).warning()
+        is None
+    )
+    warning = SurrogateUncertainty(
+        out_of_distribution_fraction=np.array([0.0, 0.05]), **of
+    ).warning()
     assert "2.5% of the samples" in warning
     assert "up to 2.3" in warning
 

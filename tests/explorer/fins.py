@@ -1,4 +1,5 @@
-"""Plants for the page's tests, and their programs in double precision, in which rounding hides no slip."""
+"""Plants for the page's tests, and their programs in double precision, in which rounding hides no
+slip."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +26,8 @@ UNUSUAL = TankConfig.build(
     },
     "unusual",
 )
-"""A tank in which everything counts that does nothing in the default one: play, limits, taper, memory of strokes."""
+"""A tank in which everything counts that does nothing in the default one: play, limits, taper,
+memory of strokes."""
 
 
 @contextmanager
@@ -36,7 +38,9 @@ def doubles() -> Iterator[None]:
 
 
 def as_doubles(tree: Any) -> Any:
-    return jax.tree.map(lambda x: jnp.asarray(x, np.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree)
+    return jax.tree.map(
+        lambda x: jnp.asarray(x, np.float64) if jnp.issubdtype(x.dtype, jnp.floating) else x, tree
+    )
 
 
 def roll_tank(tank: Tank, commands: Command, double: bool) -> np.ndarray:
@@ -45,7 +49,9 @@ def roll_tank(tank: Tank, commands: Command, double: bool) -> np.ndarray:
     def roll(tank: Tank, state: Any, commands: Command) -> Any:
         def tick(state: Any, command: Command) -> Any:
             state, reading, _ = tank.tick(state, command)
-            return state, jnp.concatenate([jnp.stack([reading.angle, reading.velocity]), reading.force])
+            return state, jnp.concatenate(
+                [jnp.stack([reading.angle, reading.velocity]), reading.force]
+            )
 
         return jax.lax.scan(tick, state, commands)[1]
 
@@ -63,17 +69,24 @@ def _roll(members: Any, state: Any, commands: Command) -> Any:
 
     state, (motion, force) = jax.vmap(one)(members, state)
     mean = force.mean(axis=0)
-    return state, jnp.column_stack([motion.angle.mean(axis=0), motion.velocity.mean(axis=0), mean]), force
+    return (
+        state,
+        jnp.column_stack([motion.angle.mean(axis=0), motion.velocity.mean(axis=0), mean]),
+        force,
+    )
 
 
 def roll_surrogate(surrogate: StreamingSurrogate) -> Any:
-    """State at rest, and the function of a state and commands to the next state, readings and forces of members."""
+    """State at rest, and the function of a state and commands to the next state, readings and
+    forces of members."""
     with doubles():
         members, rest = as_doubles((surrogate.members, surrogate.rest))
 
     def roll(state: Any, commands: Command) -> Any:
         with doubles():
-            state, reading, forces = _roll(members, state, Command(*(jnp.asarray(x, np.float64) for x in commands)))
+            state, reading, forces = _roll(
+                members, state, Command(*(jnp.asarray(x, np.float64) for x in commands))
+            )
         return state, np.asarray(reading), np.asarray(forces)
 
     return rest, roll

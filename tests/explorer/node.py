@@ -11,7 +11,8 @@ from tests.patience import HANG_S
 
 
 def run(driver: str, **given: Any) -> Any:
-    """Value of `output` after the driver, which finds what is given in `input`; skips the test without Node."""
+    """Value of `output` after the driver, which finds what is given in `input`; skips the test
+    without Node."""
     node = shutil.which("node")
     if node is None:
         needs.give_up("node", "node is not on PATH")
@@ -23,7 +24,12 @@ let output;
 {driver}
 require("fs").writeSync(1, JSON.stringify(output));
 """
-    done = subprocess.run([node, "-e", script], input=json.dumps(given), capture_output=True, text=True,
-                          timeout=HANG_S)  # fmt: skip
+    done = subprocess.run(
+        [node, "-e", script],
+        input=json.dumps(given),
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout)

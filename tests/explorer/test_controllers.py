@@ -50,11 +50,13 @@ def controllers(tmp_path_factory):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_controller_commands_what_it_commands_with_numpy(controllers, kind):
-    controller, played = controllers[kind], episode(5)
+    controller = controllers[kind]
+    played = episode(5)
     rows = [list(row) for row in zip(*(part.tolist() for part in played), strict=True)]
     page = np.array(node.run(ACT, controller=controller_data(controller), episode=rows))
     for acting, commands in zip((controller, DisturbanceObserver(controller)), page, strict=True):
-        state, expected = acting.init(), []
+        state = acting.init()
+        expected = []
         for angle, force, reference in rows:
             state, command = acting.act(state, Measured(angle, np.array(force)), tuple(reference))
             expected.append(tuple(command))
@@ -63,9 +65,13 @@ def test_a_controller_commands_what_it_commands_with_numpy(controllers, kind):
 
 
 def closed(controller, surrogate, references):
-    """Command and force of every tick, with the outer loop, under a reference that each action observes anew."""
-    acting, (plant, roll) = DisturbanceObserver(controller), fins.roll_surrogate(surrogate)
-    state, rows, measured = acting.init(), [], Measured(0.0, np.zeros(2))
+    """Command and force of every tick, with the outer loop, under a reference that each action
+    observes anew."""
+    acting = DisturbanceObserver(controller)
+    (plant, roll) = fins.roll_surrogate(surrogate)
+    state = acting.init()
+    rows = []
+    measured = Measured(0.0, np.zeros(2))
     for ticks in (33, 33, 34) * (len(references) // 100):
         state, command = acting.act(state, measured, tuple(references[len(rows)].tolist()))
         plant, reading, _ = roll(plant, Command(*(np.full(ticks, part) for part in command)))
@@ -76,19 +82,29 @@ def closed(controller, surrogate, references):
 
 @pytest.mark.parametrize("kind", ["single", "grid", "gaits"])
 def test_thirty_seconds_of_moving_references_are_the_same_in_the_closed_loop(controllers, kind):
-    controller, surrogate = controllers[kind], small.surrogate()
+    controller = controllers[kind]
+    surrogate = small.surrogate()
     time = np.arange(3000) / 100
     jumps = np.where((time > 12) & (time < 20), 0.9, 0.0)
     references = np.stack([2 + np.sin(time), jumps - 0.6 * np.cos(0.7 * time)], axis=1)
-    page = np.array(node.run(
-        LOOP, controller=controller_data(controller), plant=surrogate_data(surrogate), references=references.tolist()
-    ))  # fmt: skip
+    page = np.array(
+        node.run(
+            LOOP,
+            controller=controller_data(controller),
+            plant=surrogate_data(surrogate),
+            references=references.tolist(),
+        )
+    )
     expected = closed(controller, surrogate, references)
     np.testing.assert_allclose(page[:, :2], expected[:, :2], atol=1e-5, rtol=0)
-    # Policies run in single precision with NumPy, and what that rounds off the commands shows at corners of the force.
-    np.testing.assert_allclose(page[:, 2:4], expected[:, 2:], atol=3e-5 if kind == "grid" else 1e-5, rtol=0)
+    # Policies run in single precision with NumPy, and what that rounds off the commands shows at
+    # corners of the force.
+    np.testing.assert_allclose(
+        page[:, 2:4], expected[:, 2:], atol=3e-5 if kind == "grid" else 1e-5, rtol=0
+    )
     for tick in (50, 199, 1000, 2999):
-        force, count = expected[: tick + 1, 2:], np.int64(min(tick + 1, 200))
+        force = expected[: tick + 1, 2:]
+        count = np.int64(min(tick + 1, 200))
         np.testing.assert_allclose(page[tick, 4:6], window_mean(force, count), atol=1e-5)
         np.testing.assert_allclose(page[tick, 8:10], sobolev(force, count), atol=1e-5)
     last = moving_error(expected[-200:, 2:], references[-1])
@@ -101,13 +117,17 @@ def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controller
     for kind in ("single", "grid", "gaits"):
         controller = controllers[kind]
         forces = numbers.uniform((-2, -4), (6, 4), (40, 2))
-        page = np.array(node.run(
-            """
+        page = np.array(
+            node.run(
+                """
             const { cells, reachable } = input.controller;
             const region = reachable === null ? null : new Reachable(reachable);
             output = input.forces.map((force) => nearestReference(cells, region, force));
-            """, controller=controller_data(controller), forces=forces.tolist(),
-        ))  # fmt: skip
+            """,
+                controller=controller_data(controller),
+                forces=forces.tolist(),
+            )
+        )
         for force, near in zip(forces, page, strict=True):
             try:
                 expected = nearest_trackable(controller, force[None])[0]
@@ -122,9 +142,15 @@ def test_a_force_that_cannot_be_held_is_moved_to_the_nearest_that_can(controller
 
 @pytest.mark.parametrize("begun", [0, 1, 2])
 def test_the_outer_loop_may_begin_at_any_phase_of_the_clock(controllers, begun):
-    """It weighs actions of 33 and 34 ticks by their place on the clock: here those of 34 alone make a force, 1 N."""
-    # So unsure of its measurements that it learns next to nothing, and that no error looks like a change of the fin.
-    trim = controller_data(controllers["single"])["trim"] | {"bias_n": 1e-3, "noise_n": 1.0, "drift_n": 0.0}
+    """It weighs actions of 33 and 34 ticks by their place on the clock: here those of 34 alone make
+    a force, 1 N."""
+    # So unsure of its measurements that it learns next to nothing, and that no error looks like a
+    # change of the fin.
+    trim = controller_data(controllers["single"])["trim"] | {
+        "bias_n": 1e-3,
+        "noise_n": 1.0,
+        "drift_n": 0.0,
+    }
     gain = trim["bias_n"] ** 2 / (trim["bias_n"] ** 2 + 6 * trim["noise_n"] ** 2)
     bias = node.run(
         """
@@ -132,23 +158,37 @@ def test_the_outer_loop_may_begin_at_any_phase_of_the_clock(controllers, begun):
         const act = (action) => observer.correct([(action + 2) % 3 === 2 ? 1 : 0, 0], [2, 0]);
         for (let k = 0; k <= input.trim.settle_actions; k++) act(input.begun + k);
         output = observer.bias[0];
-        """, trim=trim,
-        cells=controller_data(controllers["single"])["cells"], begun=begun,
-    )  # fmt: skip
+        """,
+        trim=trim,
+        cells=controller_data(controllers["single"])["cells"],
+        begun=begun,
+    )
     np.testing.assert_allclose(bias / gain, 0.34 - 2, atol=1e-9)
 
 
 def test_where_cells_touch_the_same_policy_acts(controllers):
     """1.1 has no exact single precision, in which NumPy has references and cells."""
-    grid, edges, forces = controllers["grid"], ((0.5, 1.1), (1.1, 3.5)), [[1.1, 0.0], [0.9, 0.0], [1.2, 0.0]]
-    data = controller_data(grid) | {"cells": [{"low": [x, -1.5], "high": [y, 1.5]} for x, y in edges] * 3}
+    grid = controllers["grid"]
+    edges = ((0.5, 1.1), (1.1, 3.5))
+    forces = [[1.1, 0.0], [0.9, 0.0], [1.2, 0.0]]
+    data = controller_data(grid) | {
+        "cells": [{"low": [x, -1.5], "high": [y, 1.5]} for x, y in edges] * 3
+    }
     page = node.run(
         """
         const controller = new Controller(input.controller);
         output = input.forces.map((force) => controller.step.nearestCell(force.map(Math.fround)));
-        """, controller=data, forces=forces,
-    )  # fmt: skip
-    low, high = (np.array([cell[name] for cell in data["cells"]], np.float32) for name in ("low", "high"))
+        """,
+        controller=data,
+        forces=forces,
+    )
+    low, high = (
+        np.array([cell[name] for cell in data["cells"]], np.float32) for name in ("low", "high")
+    )
     step = dataclasses.replace(grid.step, low=low, high=high)
     singles = [np.array(force, np.float32) for force in forces]
-    assert page == [int(step.active_cell(operations_of(low), step.init(), force)) for force in singles] == [0, 0, 1]
+    assert (
+        page
+        == [int(step.active_cell(operations_of(low), step.init(), force)) for force in singles]
+        == [0, 0, 1]
+    )

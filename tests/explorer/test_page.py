@@ -23,7 +23,8 @@ from tests.surrogate.streaming import small
 
 
 def gaits(path):
-    """Strokes about 0 that grow with the force x and turn with the force y: not searched for, but of the right kind."""
+    """Strokes about 0 that grow with the force x and turn with the force y: not searched for, but
+    of the right kind."""
     table = GaitTable.over(Cell(low=(0.5, -1.5), high=(3.5, 1.5)), 1.0)
     for i, j in np.ndindex(table.nodes):
         x, y = table.references()[i, j]
@@ -40,7 +41,9 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("explore")
     folder_of("grid", out)
     gaits(out / "gaits")
-    save_surrogate(out / "<b>fin", small.surrogate(), None, {"data_hash": "dataset"}, configuration={})
+    save_surrogate(
+        out / "<b>fin", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
+    )
     return out
 
 
@@ -49,15 +52,20 @@ def page(folder):
     out = folder / "explore.html"
     summary = explore([folder / "gaits", folder / "grid"], out, ["tank", str(folder / "<b>fin")])
     assert summary == {
-        "page": str(out), "controllers": ["gaits", "grid"], "plants": ["tank", "<b>fin"], "bytes": out.stat().st_size,
-    }  # fmt: skip
+        "page": str(out),
+        "controllers": ["gaits", "grid"],
+        "plants": ["tank", "<b>fin"],
+        "bytes": out.stat().st_size,
+    }
     return out
 
 
 def test_the_page_fetches_nothing_and_is_small(page):
     html = page.read_text()
     assert Page(html).fetched == []
-    assert not re.search(r"https?:|@import|url\(|import\s*\(|fetch\(|XMLHttpRequest|WebSocket", html)
+    assert not re.search(
+        r"https?:|@import|url\(|import\s*\(|fetch\(|XMLHttpRequest|WebSocket", html
+    )
     assert len(html) < 200_000
 
 
@@ -118,8 +126,8 @@ def opened(browser, page, request):
 def middle(browser, force):
     """Pixels of a force in the page."""
     return browser.run(
-        f"(() => {{ const box = plane.getBoundingClientRect(), [x, y] = planeScale(range, box.width, box.height)"
-        f".place({list(force)}); return [box.left + x, box.top + y]; }})()"
+        "(() => { const box = plane.getBoundingClientRect(), [x, y] = planeScale(range, "
+        f"box.width, box.height).place({list(force)}); return [box.left + x, box.top + y]; }})()"
     )
 
 
@@ -137,7 +145,8 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     assert "reference=3.0" in address(opened).replace("2.99", "3.0").replace("%2C", ",")
     assert opened.run("loop.time") == 0
     assert (
-        opened.run("draw() || element('status').textContent") == f"Asked for {force_text(asked(opened))} N; press Play."
+        opened.run("draw() || element('status').textContent")
+        == f"Asked for {force_text(asked(opened))} N; press Play."
     )
     opened.run("run(400); draw()")
     assert opened.run("loop.time") == 400
@@ -146,13 +155,16 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     added = np.subtract(opened.run("loop.controller.tracked"), asked(opened))
     assert np.abs(added).max() > 0.01
     assert opened.run("element('bias').textContent") == f"Trim adds {force_text(added)} N."
-    assert float(opened.run("element('error-x').textContent")) == pytest.approx(opened.run("loop.error()[0]"), abs=1e-3)
+    assert float(opened.run("element('error-x').textContent")) == pytest.approx(
+        opened.run("loop.error()[0]"), abs=1e-3
+    )
 
 
 def address(browser):
     """What the address holds behind the #, once it was written."""
     return browser.run(
-        "new Promise((done) => (function look() { writing ? requestAnimationFrame(look) : done(location.hash); })())"
+        "new Promise((done) => (function look() { writing ? requestAnimationFrame(look) : "
+        "done(location.hash); })())"
     )
 
 
@@ -164,7 +176,15 @@ def test_only_the_first_button_drags(opened):
     before = asked(opened)
     box = middle(opened, (1, 1))
     for kind in ("mousePressed", "mouseReleased"):
-        opened.call("Input.dispatchMouseEvent", type=kind, x=box[0], y=box[1], button="right", buttons=2, clickCount=1)
+        opened.call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=box[0],
+            y=box[1],
+            button="right",
+            buttons=2,
+            clickCount=1,
+        )
         assert asked(opened) == before
     assert opened.run("finger") is None
 
@@ -175,7 +195,8 @@ def test_beyond_reach_the_nearest_force_is_asked_for(opened):
     np.testing.assert_allclose(asked(opened), (2, 1.5), atol=0.03)
     wish = opened.run("[chosen.x, chosen.y]")
     assert opened.run("draw() || element('status').textContent").startswith(
-        f"{force_text(wish)} N cannot be held: the ring is at the nearest. Asked for {force_text(asked(opened))} N"
+        f"{force_text(wish)} N cannot be held: the ring is at the nearest. Asked for "
+        f"{force_text(asked(opened))} N"
     )
     # Each controller is asked for what is wished for, whatever another one could not hold.
     opened.run("choose({ x: 3.2, y: 1.3 })")
@@ -191,21 +212,33 @@ def test_a_finger_drags_on_a_phone_and_nothing_is_cut_off(opened):
     opened.touch("touchMove", middle(opened, (1.5, 0.5)))
     opened.touch("touchEnd")
     np.testing.assert_allclose(asked(opened), (1.5, 0.5), atol=0.03)
-    opened.run("plane.dispatchEvent(new PointerEvent('pointermove', { pointerId: 7, clientX: 99, clientY: 99 }))")
+    opened.run(
+        "plane.dispatchEvent(new PointerEvent('pointermove', { pointerId: 7, clientX: 99, "
+        "clientY: 99 }))"
+    )
     np.testing.assert_allclose(asked(opened), (1.5, 0.5), atol=0.03)
     assert opened.run("document.documentElement.scrollWidth") <= 400
-    heights = opened.run("[...document.querySelectorAll('button, select')].map((each) => each.offsetHeight)")
+    heights = opened.run(
+        "[...document.querySelectorAll('button, select')].map((each) => each.offsetHeight)"
+    )
     assert min(heights) >= 36
 
 
 def test_the_keyboard_alone_does_everything(opened):
-    left, up, right, tab = 37, 38, 39, 9
+    left = 37
+    up = 38
+    right = 39
+    tab = 9
     opened.press("ArrowRight", right)
     opened.press("ArrowUp", up, shift=True)
     np.testing.assert_allclose(asked(opened), (2.1, 0.5))
     opened.press("ArrowLeft", left, shift=True)
     np.testing.assert_allclose(asked(opened), (1.6, 0.5))
-    for key, changed in (("t", "!chosen.trim"), ("w", "chosen.cold"), ("c", "chosen.controller === 1")):
+    for key, changed in (
+        ("t", "!chosen.trim"),
+        ("w", "chosen.cold"),
+        ("c", "chosen.controller === 1"),
+    ):
         assert not opened.run(changed)
         opened.press(key, ord(key.upper()))
         assert opened.run(changed)
@@ -225,8 +258,22 @@ def test_the_keyboard_alone_does_everything(opened):
     for _ in range(20):
         opened.press("Tab", tab)
         reached.add(opened.run("document.activeElement.id || document.activeElement.tagName"))
-    assert reached >= {"pause", "restart", "controller", "plant", "speed", "trim", "fin", "cold", "push", "plane", "x",
-                       "y", "link", "SUMMARY"}  # fmt: skip
+    assert reached >= {
+        "pause",
+        "restart",
+        "controller",
+        "plant",
+        "speed",
+        "trim",
+        "fin",
+        "cold",
+        "push",
+        "plane",
+        "x",
+        "y",
+        "link",
+        "SUMMARY",
+    }
     opened.run("element('x').focus()")
     opened.press("ArrowUp", up)
     assert opened.run("element('x').value") != "", "the arrow belongs to the field there"
@@ -237,9 +284,15 @@ STATE = "#controller=grid&plant=%3Cb%3Efin&reference=1.20,-0.70&speed=0.25&trim=
 
 @pytest.mark.parametrize("opened", [STATE], indirect=True)
 def test_a_link_holds_the_state(opened):
-    assert opened.run("[chosen.controller, chosen.plant, chosen.speed, chosen.trim, chosen.paused]") == [
-        1, 1, "0.25", False, True,
-    ]  # fmt: skip
+    assert opened.run(
+        "[chosen.controller, chosen.plant, chosen.speed, chosen.trim, chosen.paused]"
+    ) == [
+        1,
+        1,
+        "0.25",
+        False,
+        True,
+    ]
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     assert opened.run("loop.controller.observer === null")
     assert opened.run("['cold', 'push', 'fin'].every((name) => element(name).disabled)")
@@ -247,7 +300,10 @@ def test_a_link_holds_the_state(opened):
     opened.run("location.hash = '#controller=none&plant=tank&reference=what,1&speed=7'")
     opened.frames(2)
     assert opened.run("[chosen.controller, chosen.plant, chosen.speed]") == [1, 0, "0.25"]
-    assert opened.run("draw() || element('missing').textContent") == "Not in this page: controller none."
+    assert (
+        opened.run("draw() || element('missing').textContent")
+        == "Not in this page: controller none."
+    )
     np.testing.assert_allclose(asked(opened), (1.2, -0.7))
     # Copied there and opened here, it says what is as it was at first, too.
     opened.run("choose({ speed: '1', fin: '1', cold: false, trim: true, plant: 0 })")
@@ -256,7 +312,12 @@ def test_a_link_holds_the_state(opened):
     assert address(opened) != usual
     opened.run(f"location.hash = '{usual}'")
     opened.frames(2)
-    assert opened.run("[chosen.speed, chosen.fin, chosen.cold, chosen.trim]") == ["1", "1", False, True]
+    assert opened.run("[chosen.speed, chosen.fin, chosen.cold, chosen.trim]") == [
+        "1",
+        "1",
+        False,
+        True,
+    ]
 
 
 def test_a_restart_clears_the_figures(opened):
@@ -320,8 +381,16 @@ def test_dark_and_light_differ_and_both_can_be_read(opened):
         colours = opened.run("colours")
         pages.append(colours["page"])
         assert contrast(colours["text"], colours["page"]) > 7
-        for name, least in (("soft", 4.5), ("measured", 3), ("predicted", 3), ("asked", 3), ("mean", 7)):
-            for ground in ("page", "reach", "lit", "water") if name == "asked" else ("page", "reach"):
+        for name, least in (
+            ("soft", 4.5),
+            ("measured", 3),
+            ("predicted", 3),
+            ("asked", 3),
+            ("mean", 7),
+        ):
+            for ground in (
+                ("page", "reach", "lit", "water") if name == "asked" else ("page", "reach")
+            ):
                 assert contrast(colours[name], colours[ground]) > least, (dark, name)
     assert pages[0] != pages[1]
 
@@ -330,9 +399,13 @@ EXAMPLE = importlib.resources.files("softfin").joinpath("example")
 
 
 @pytest.mark.parametrize(("plant", "seconds"), [("surrogate", 4), ("tank", 10)])
-def test_trained_controllers_hold_a_dragged_force_within_a_tenth_of_a_newton(browser, tmp_path, plant, seconds):
-    """In the tank that they were not trained in, the outer loop first has to find what the surrogate has wrong."""
-    page, example = tmp_path / "explore.html", Path(str(EXAMPLE))
+def test_trained_controllers_hold_a_dragged_force_within_a_tenth_of_a_newton(
+    browser, tmp_path, plant, seconds
+):
+    """In the tank that they were not trained in, the outer loop first has to find what the
+    surrogate has wrong."""
+    page = tmp_path / "explore.html"
+    example = Path(str(EXAMPLE))
     kinds = ("single", "grid", "gaits")
     explore([example / kind for kind in kinds], page, ["tank", str(example / "surrogate")])
     assert page.stat().st_size < 1_500_000

@@ -47,32 +47,43 @@ def test_a_surrogate_moves_as_in_double_precision_and_nearly_as_in_single():
     np.testing.assert_allclose(page[:, 5:], half_width, atol=1e-6)
 
     start = surrogate.init(jax.random.key(0))
-    after, reading = jax.jit(lambda state, commands: roll(surrogate, state, commands))(start, commands)
+    after, reading = jax.jit(lambda state, commands: roll(surrogate, state, commands))(
+        start, commands
+    )
     np.testing.assert_allclose(page[:, 2:4], reading.force, atol=1e-4)
     np.testing.assert_allclose(page[-1, 4], surrogate.distance(after), rtol=1e-4)
 
 
-@pytest.mark.parametrize("config", [TankConfig(sensor=fins.QUIET), fins.UNUSUAL], ids=["default", "unusual"])
+@pytest.mark.parametrize(
+    "config", [TankConfig(sensor=fins.QUIET), fins.UNUSUAL], ids=["default", "unusual"]
+)
 def test_a_tank_moves_as_in_double_precision_and_nearly_as_in_single(config):
-    tank, commands = Tank(config), small.commands(500, seed=2)
+    tank = Tank(config)
+    commands = small.commands(500, seed=2)
     page = moved(tank_data(tank), commands)
     np.testing.assert_allclose(page[:, :4], fins.roll_tank(tank, commands, double=True), atol=1e-9)
-    np.testing.assert_allclose(page[:, 2:4], fins.roll_tank(tank, commands, double=False)[:, 2:4], atol=1e-3)
+    np.testing.assert_allclose(
+        page[:, 2:4], fins.roll_tank(tank, commands, double=False)[:, 2:4], atol=1e-3
+    )
     assert np.abs(page[:, 2:4]).max() > 2
 
 
 def test_another_stiffness_and_cold_water_are_those_of_other_tanks():
-    tank, commands = Tank(fins.UNUSUAL), small.commands(300, seed=3)
+    tank = Tank(fins.UNUSUAL)
+    commands = small.commands(300, seed=3)
     other = with_parameters(tank, stiffness=1.4, temperature_c=COLD_C - tank.water.temperature)
     rows = np.stack(commands, axis=1).astype(float).tolist()
     conditions = {"stiffness": 1.4, "cold": True}
     page = np.array(node.run(ROLL, plant=tank_data(tank), commands=rows, conditions=conditions))
-    np.testing.assert_allclose(page[:, 2:4], fins.roll_tank(other, commands, double=True)[:, 2:], atol=1e-5)
+    np.testing.assert_allclose(
+        page[:, 2:4], fins.roll_tank(other, commands, double=True)[:, 2:], atol=1e-5
+    )
     assert np.abs(page[:, 2:4] - fins.roll_tank(tank, commands, double=True)[:, 2:]).max() > 0.05
 
 
 def test_a_push_moves_the_water_and_dies_down():
-    tank, commands = Tank(fins.UNUSUAL), small.commands(1000, seed=4)
+    tank = Tank(fins.UNUSUAL)
+    commands = small.commands(1000, seed=4)
     calm, pushed = (moved(tank_data(tank), commands, pushed=tick) for tick in (None, 300))
     apart = np.abs(calm - pushed)[:, 2:4].max(axis=1)
     assert (apart[:300] == 0).all()

@@ -23,7 +23,11 @@ def with_missed(*nodes: tuple[int, int]):
 def drawn(known, tolerance_n=0.1):
     """The lines by their labels, the axes, and that of the colours."""
     axes, colours = map_figure(known, tolerance_n).get_axes()
-    return {line.get_label(): np.stack(line.get_data(), axis=1) for line in axes.get_lines()}, axes, colours
+    return (
+        {line.get_label(): np.stack(line.get_data(), axis=1) for line in axes.get_lines()},
+        axes,
+        colours,
+    )
 
 
 def test_region_nodes_and_references_stand_where_they_are():
@@ -49,7 +53,9 @@ def test_the_tolerance_says_what_is_held():
 
 def test_everything_is_within_the_frame():
     _, axes, _ = drawn(KNOWN)
-    points = np.concatenate([KNOWN.reachable.corners(), KNOWN.gaits.table.references().reshape(-1, 2)])
+    points = np.concatenate(
+        [KNOWN.reachable.corners(), KNOWN.gaits.table.references().reshape(-1, 2)]
+    )
     for low_high, values in zip((axes.get_xlim(), axes.get_ylim()), points.T, strict=True):
         assert low_high[0] < values.min()
         assert values.max() < low_high[1]

@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import PlantError
-from softfin.gaits.force_map import RAY_PARTS, MapConfig, check_star, empty_map, held_region, map_forces
+from softfin.gaits.force_map import (
+    RAY_PARTS,
+    MapConfig,
+    check_star,
+    empty_map,
+    held_region,
+    map_forces,
+)
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.gaits.search import GaitConfig
@@ -29,7 +36,9 @@ def east_misses(lattice: GaitTable) -> GaitSearchResult:
 
 def test_where_all_gaits_hold_the_region_is_what_was_seen() -> None:
     lattice = GaitTable.empty((-2, -2), (2, 2), (5, 5))
-    np.testing.assert_allclose(held_region(WIDE, found(lattice, np.zeros((5, 5))), 0.1).corners(), WIDE.corners())
+    np.testing.assert_allclose(
+        held_region(WIDE, found(lattice, np.zeros((5, 5))), 0.1).corners(), WIDE.corners()
+    )
 
 
 def test_where_gaits_miss_the_region_ends() -> None:
@@ -45,7 +54,9 @@ def test_where_gaits_miss_the_region_ends() -> None:
 
 def test_a_wider_tolerance_leaves_more_of_it() -> None:
     lattice = GaitTable.empty((-2, -2), (2, 2), (9, 9))
-    areas = [held_region(WIDE, east_misses(lattice), tolerance).area() for tolerance in (0.05, 0.3, 2.0)]
+    areas = [
+        held_region(WIDE, east_misses(lattice), tolerance).area() for tolerance in (0.05, 0.3, 2.0)
+    ]
     assert areas == sorted(areas)
     assert areas[2] == pytest.approx(WIDE.area(), rel=1e-5)
 
@@ -70,7 +81,11 @@ def test_a_lattice_of_a_single_force_is_read_without_warnings() -> None:
 def test_without_a_box_the_lattice_is_round_all_that_was_seen_by_whole_spacings() -> None:
     region = Reachable(np.array([1.1, 0], np.float32), np.array([2, 1, 1, 1], np.float32))
     lattice = MapConfig(spacing_n=0.5).empty_table(region)
-    assert (lattice.low.tolist(), lattice.high.tolist(), lattice.nodes) == ([0.0, -1.0], [3.5, 1.0], (8, 5))
+    assert (lattice.low.tolist(), lattice.high.tolist(), lattice.nodes) == (
+        [0.0, -1.0],
+        [3.5, 1.0],
+        (8, 5),
+    )
     assert MapConfig(box=Cell.around((1, 1)), spacing_n=0.5).empty_table(region).nodes == (3, 3)
 
 
@@ -101,11 +116,14 @@ def test_a_fin_without_thrust_has_nothing_to_map() -> None:
 def test_an_empty_map_has_the_shape_of_a_full_one() -> None:
     config = WITHIN
     empty = empty_map(config.empty_table(WIDE), config.survey.directions)
-    assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [np.shape(leaf) for leaf in jax.tree.leaves(mapped())]
+    assert [np.shape(leaf) for leaf in jax.tree.leaves(empty)] == [
+        np.shape(leaf) for leaf in jax.tree.leaves(mapped())
+    ]
 
 
 def cloud(lattice: GaitTable, held: np.ndarray) -> GaitSearchResult:
-    """Gaits that make exactly the forces of the nodes that are `held`, and miss the others by far."""
+    """Gaits that make exactly the forces of the nodes that are `held`, and miss the others by
+    far."""
     return found(lattice, np.where(held, 0.0, 1.0))
 
 

@@ -26,7 +26,9 @@ from tests.plants import AnalyticFin, StrokeFin
 
 NUMBERS = np.random.default_rng(0)
 TABLE = GaitTable(
-    jnp.array([0.5, -1.0]), jnp.array([2.5, 2.0]), jnp.asarray(NUMBERS.uniform(-1, 1, (3, 4, 6, 2)), jnp.float32)
+    jnp.array([0.5, -1.0]),
+    jnp.array([2.5, 2.0]),
+    jnp.asarray(NUMBERS.uniform(-1, 1, (3, 4, 6, 2)), jnp.float32),
 )
 MADE = (TABLE.references() + 0.01).astype(np.float32)
 KNOWN = ForceMap(
@@ -84,7 +86,9 @@ def rewrite(folder: Path, **changes: Any) -> None:
 def weights(folder: Path, **changes: Any) -> None:
     file = folder / "weights.safetensors"
     arrays = safetensors.numpy.load_file(file)
-    safetensors.numpy.save_file({n: a for n, a in {**arrays, **changes}.items() if a is not None}, file)
+    safetensors.numpy.save_file(
+        {n: a for n, a in {**arrays, **changes}.items() if a is not None}, file
+    )
 
 
 def lattice(**changes: Any) -> dict[str, Any]:
@@ -94,15 +98,30 @@ def lattice(**changes: Any) -> dict[str, Any]:
 HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
     (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
-    (lambda f: rewrite(f, format=99), "format is 99, of a newer softfin; this softfin reads .; update softfin"),
+    (
+        lambda f: rewrite(f, format=99),
+        "format is 99, of a newer softfin; this softfin reads .; update softfin",
+    ),
     (lambda f: rewrite(f, reachable=None), "reachable is None; it must be an object"),
-    (lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}), "no radius under 0"),
+    (
+        lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
+        "no radius under 0",
+    ),
     (lambda f: rewrite(f, limits={}), "angle_min_rad is missing"),
-    (lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).to_dict()), "velocity_max_rad_s is 9000"),
+    (
+        lambda f: rewrite(f, limits=PAPER_LIMITS._replace(velocity_max=9000.0).to_dict()),
+        "velocity_max_rad_s is 9000",
+    ),
     (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
     (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"lattice of \(12,\) nodes, two or more"),
-    (lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])), r"lattice of \(1, 12\) nodes, two or more"),
-    (lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])), r"lattice from \[0.5, -1.0\] to \[2.5, -2.0\] N"),
+    (
+        lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])),
+        r"lattice of \(1, 12\) nodes, two or more",
+    ),
+    (
+        lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])),
+        r"lattice from \[0.5, -1.0\] to \[2.5, -2.0\] N",
+    ),
     (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "must be two corners"),
     (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "must be two corners"),
     (lambda f: weights(f, actions=None), "actions"),
@@ -127,7 +146,8 @@ def test_a_controllers_folder_is_no_map(tmp_path: Path) -> None:
 
 
 def test_a_map_is_known_of_the_very_plant_that_it_was_made_of(tmp_path: Path) -> None:
-    fin, config = StrokeFin(), MapConfig(spacing_n=0.25)
+    fin = StrokeFin()
+    config = MapConfig(spacing_n=0.25)
     save_map(tmp_path / "map", KNOWN, config, PAPER_LIMITS, {"plant_identity": identity(fin)})
     loaded = load_force_map(tmp_path / "map", fin, "mine")
     jax.tree.map(np.testing.assert_array_equal, loaded.force_map.gaits, KNOWN.gaits)

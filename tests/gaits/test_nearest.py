@@ -14,7 +14,9 @@ def test_it_is_as_near_as_any_force_that_both_hold():
     near = CLOVER.nearest_within(CELLS, FORCES)
     lattice = np.stack(np.meshgrid(*[np.linspace(-2, 3, 501)] * 2), axis=-1).reshape(-1, 2)
     lattice = lattice[CLOVER.contains(lattice)]
-    lattice = lattice[[min(cell.distance((x, y)) for cell in CELLS) == 0 for x, y in lattice.tolist()]]
+    lattice = lattice[
+        [min(cell.distance((x, y)) for cell in CELLS) == 0 for x, y in lattice.tolist()]
+    ]
     best = np.hypot(*np.moveaxis(lattice - FORCES[:, None], -1, 0)).min(axis=1)
     ours = np.hypot(*(near - FORCES).T)
     assert (ours <= best + 2 * TOLERANCE_N).all()

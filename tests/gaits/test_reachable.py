@@ -58,7 +58,9 @@ def test_a_force_is_projected_to_where_its_line_to_the_centre_meets_the_polygon(
         return
     edge = first_crossing(region, force)
     beyond = np.hypot(*np.subtract(force, region.centre)) > np.hypot(*(edge - region.centre))
-    np.testing.assert_allclose(projected(region, jnp.asarray(force, jnp.float32)), edge if beyond else force, atol=2e-4)
+    np.testing.assert_allclose(
+        projected(region, jnp.asarray(force, jnp.float32)), edge if beyond else force, atol=2e-4
+    )
 
 
 @given(REGIONS, FORCES)

@@ -23,7 +23,9 @@ from tests.plants import StrokeFin
 
 KEY = jax.random.key(0)
 RANDOM = GaitTable(
-    jnp.array([0.5, -1]), jnp.array([2.5, 2]), jax.random.uniform(KEY, (3, 4, 6, 2), minval=-1, maxval=1)
+    jnp.array([0.5, -1]),
+    jnp.array([2.5, 2]),
+    jax.random.uniform(KEY, (3, 4, 6, 2), minval=-1, maxval=1),
 )
 """Nodes 1 N apart."""
 LATTICE = GaitTable.empty((0.5, -0.5), (1.5, 0.5), (3, 3))
@@ -55,11 +57,15 @@ def test_beyond_reach_a_node_makes_the_nearest_force_that_the_fin_can_make() -> 
 
 
 def test_a_fin_without_any_choice_leaves_its_nodes_where_they_are() -> None:
-    """Nothing that a fin without thrust does changes its force: no slope, no step, and no number that is none."""
+    """Nothing that a fin without thrust does changes its force: no slope, no step, and no number
+    that is none."""
     still = StrokeFin(gain=0.0, bias=(0.3, 0.0))
     few = SurveyConfig(cycles=2, batch=256, directions=8, pushes=1)
     found = find_gaits(
-        still, survey(still, few), GaitTable.empty((0, 0), (1, 1), (2, 2)), GaitConfig(cycles=2, steps=7, halvings=0)
+        still,
+        survey(still, few),
+        GaitTable.empty((0, 0), (1, 1), (2, 2)),
+        GaitConfig(cycles=2, steps=7, halvings=0),
     )
     np.testing.assert_allclose(found.force, np.broadcast_to([0.3, 0], (2, 2, 2)), atol=1e-5)
     assert np.isfinite(found.table.actions).all()
@@ -71,10 +77,17 @@ def from_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "_start", lambda *_: start)
 
 
-def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_smoothness_lowers_the_sobolev_term_of_gaits_that_make_the_same_forces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     from_anywhere(monkeypatch)
     rough, smooth = (
-        find_gaits(FIN, surveyed(), LATTICE, GAITS.model_copy(update={"likeness": 0.0, "smoothness": weight}))
+        find_gaits(
+            FIN,
+            surveyed(),
+            LATTICE,
+            GAITS.model_copy(update={"likeness": 0.0, "smoothness": weight}),
+        )
         for weight in (0.0, 1.0)
     )
     assert smooth.force_error().mean() < 0.05
@@ -100,13 +113,19 @@ def test_a_plant_that_cannot_be_hashed_gets_the_same_gaits() -> None:
 def test_halving_the_spacing_leaves_less_between_the_nodes() -> None:
     places = np.random.default_rng(0).uniform((0.5, -0.5), (1.5, 0.5), (20, 2)).astype(np.float32)
     coarse, fine = (
-        find_gaits(FIN, surveyed(), LATTICE, GAITS.model_copy(update={"halvings": count})) for count in (0, 1)
+        find_gaits(FIN, surveyed(), LATTICE, GAITS.model_copy(update={"halvings": count}))
+        for count in (0, 1)
     )
     assert fine.table.nodes == (5, 5)
     np.testing.assert_array_equal(fine.table.actions[::2, ::2], coarse.table.actions)
     assert fine.force_error().max() < 0.01
     left = [
-        np.mean([np.abs(simulate_gait(FIN, found.table.gait(place), 2, KEY).force - place) for place in places])
+        np.mean(
+            [
+                np.abs(simulate_gait(FIN, found.table.gait(place), 2, KEY).force - place)
+                for place in places
+            ]
+        )
         for found in (coarse, fine)
     ]
     assert left[1] < 0.5 * left[0]
@@ -124,7 +143,9 @@ def test_a_lattice_has_the_corners_of_the_box_and_no_wider_spacing() -> None:
 
 
 @given(st.floats(0.1, 5), st.floats(0.1, 5), st.floats(0.05, 2))
-def test_nodes_are_as_few_as_the_spacing_allows(width: float, height: float, spacing: float) -> None:
+def test_nodes_are_as_few_as_the_spacing_allows(
+    width: float, height: float, spacing: float
+) -> None:
     lattice = GaitTable.over(Cell(low=(0, 0), high=(width, height)), spacing)
     for length, count in zip((width, height), lattice.nodes, strict=True):
         assert length / (count - 1) <= spacing * (1 + 1e-4)
@@ -133,7 +154,9 @@ def test_nodes_are_as_few_as_the_spacing_allows(width: float, height: float, spa
 
 def test_at_a_node_the_blend_is_its_gait() -> None:
     for i, j in np.ndindex(3, 4):
-        np.testing.assert_allclose(blended(RANDOM, 0.5 + i, -1.0 + j), RANDOM.actions[i, j], atol=1e-5)
+        np.testing.assert_allclose(
+            blended(RANDOM, 0.5 + i, -1.0 + j), RANDOM.actions[i, j], atol=1e-5
+        )
 
 
 @given(st.integers(0, 1), st.integers(0, 2), st.floats(0, 1), st.floats(0, 1))
@@ -151,7 +174,9 @@ def test_beyond_the_lattice_it_is_the_gait_of_the_edge() -> None:
 
 def test_a_lattice_for_a_single_force_has_its_gait() -> None:
     """A cell may be one reference; its lattice has no width."""
-    table = GaitTable.over(Cell(low=(1, 0), high=(1, 0)), 0.5)._replace(actions=RANDOM.actions[:2, :2])
+    table = GaitTable.over(Cell(low=(1, 0), high=(1, 0)), 0.5)._replace(
+        actions=RANDOM.actions[:2, :2]
+    )
     assert np.isfinite(blended(table, 1.0, 0.0)).all()
 
 
@@ -163,9 +188,15 @@ def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(
     for module in (survey_module, search):
         monkeypatch.setattr(module, "FAMILIES", FAMILIES[:2])
     monkeypatch.setattr(survey_module, "SIDE_BY_SIDE", 4)
-    fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
+    fin = import_keras(
+        published / "cnn_pos_net.keras",
+        published / "lstm_force_net.keras",
+        published / "scalers.json",
+    )
     surveyed = survey(fin, SurveyConfig(cycles=2, directions=8, pushes=0))
     lattice = GaitTable.empty((1.5, -0.25), (2, 0), (2, 2))
     found = find_gaits(fin, surveyed, lattice, GaitConfig(cycles=2, steps=8, halvings=0))
-    response = jax.jit(lambda gait: simulate(fin, gait, 4, KEY))(found.table.gait(jnp.array([2.0, 0.0])))
+    response = jax.jit(lambda gait: simulate(fin, gait, 4, KEY))(
+        found.table.gait(jnp.array([2.0, 0.0]))
+    )
     np.testing.assert_allclose(response.force, (2, 0), atol=0.02)

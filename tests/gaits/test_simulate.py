@@ -15,7 +15,8 @@ SWEEP = np.array([(1, 1), (-1, 1)] * 3, np.float32)
 
 
 def test_the_mean_force_is_that_of_the_strokes():
-    """Each stroke of 180 degrees at pi rad/s pushes 0.5 pi 2 N along its middle, which is straight ahead."""
+    """Each stroke of 180 degrees at pi rad/s pushes 0.5 pi 2 N along its middle, which is straight
+    ahead."""
     got = simulate_gait(StrokeFin(bias=(0.2, -0.1)), SWEEP, 2, KEY)
     np.testing.assert_allclose(got.force, [np.pi + 0.2, -0.1], atol=1e-4)
     np.testing.assert_allclose(got.smoothness, 0, atol=1e-3)
@@ -75,7 +76,10 @@ def test_every_waveform_is_tried_at_every_velocity():
 
 def test_the_slope_of_the_mean_force_is_that_of_finite_differences():
     gait = jnp.asarray(stroke(0, 0.8, 0.0, 0.4), jnp.float32)
-    force = jax.jit(jax.value_and_grad(lambda gait: simulate_gait(StrokeFin(), gait, 2, KEY).force[0]))
-    slope, step = force(gait)[1][2, 0], 1e-2
+    force = jax.jit(
+        jax.value_and_grad(lambda gait: simulate_gait(StrokeFin(), gait, 2, KEY).force[0])
+    )
+    slope = force(gait)[1][2, 0]
+    step = 1e-2
     up, down = (force(gait.at[2, 0].add(sign * step))[0] for sign in (1, -1))
     np.testing.assert_allclose(slope, (up - down) / (2 * step), rtol=1e-2)

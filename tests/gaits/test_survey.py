@@ -1,4 +1,5 @@
-"""The survey of a fin whose reach is known: 0.5 v (1 - cos stroke) N along the middle of each stroke."""
+"""The survey of a fin whose reach is known: 0.5 v (1 - cos stroke) N along the middle of each
+stroke."""
 
 import dataclasses
 
@@ -6,7 +7,15 @@ import jax
 import numpy as np
 
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.gaits.simulate import AMPLITUDES, CENTRES, FAMILIES, SurveyConfig, _middle, strokes, survey
+from softfin.gaits.simulate import (
+    AMPLITUDES,
+    CENTRES,
+    FAMILIES,
+    SurveyConfig,
+    _middle,
+    strokes,
+    survey,
+)
 from tests.learning.mapped import FIN, SURVEY, simulate_gait, surveyed
 from tests.plants import StrokeFin
 
@@ -18,7 +27,11 @@ def test_every_gait_was_tried_and_its_force_kept_beside_it() -> None:
     found = surveyed()
     assert found.force.shape == (9, 11, 7, 2)
     for place in ((0, 0, 3), (4, 8, 2), (8, 10, 6)):
-        gait = strokes(*FAMILIES[place[0]], CENTRES[place[1] : place[1] + 1], AMPLITUDES[place[2] : place[2] + 1])[0]
+        gait = strokes(
+            *FAMILIES[place[0]],
+            CENTRES[place[1] : place[1] + 1],
+            AMPLITUDES[place[2] : place[2] + 1],
+        )[0]
         alone = simulate_gait(FIN, gait, SURVEY.cycles, jax.random.key(0))
         np.testing.assert_allclose(found.force[place], alone.force, atol=1e-4)
 
@@ -35,7 +48,8 @@ def test_the_region_reaches_as_far_as_the_fin_and_no_farther() -> None:
     (x0, y0), (x1, y1) = found.bounds()
     assert 0.95 * MOST_N < x1 <= MOST_N + 1e-3
     assert x0 > -0.01
-    # The middle of a stroke of s is at most (pi - s) / 2 aside: most is 0.5 pi max_s (1 - cos s) cos(s / 2).
+    # The middle of a stroke of s is at most (pi - s) / 2 aside: most is 0.5 pi max_s (1 - cos s)
+    # cos(s / 2).
     stroke = np.linspace(0, np.pi, 1000)
     aside = (0.5 * np.pi * (1 - np.cos(stroke)) * np.cos(stroke / 2)).max()
     np.testing.assert_allclose([-y0, y1], aside, rtol=0.12)

@@ -33,12 +33,18 @@ class Probe:
     def init(self, key: Any) -> ProbeState:
         return ProbeState(jnp.int32(0), jax.random.rademacher(key, (), jnp.float32), jnp.zeros(2))
 
-    def hold_action(self, state: ProbeState, command: Command, ticks: Any) -> tuple[ProbeState, Reading]:
+    def hold_action(
+        self, state: ProbeState, command: Command, ticks: Any
+    ) -> tuple[ProbeState, Reading]:
         return self.advance(state, command, MOST_TICKS)
 
-    def advance(self, state: ProbeState, command: Command, ticks: int) -> tuple[ProbeState, Reading]:
+    def advance(
+        self, state: ProbeState, command: Command, ticks: int
+    ) -> tuple[ProbeState, Reading]:
         angle, force = self.reading(state, command)
-        return ProbeState(state.actions + 1, state.sign, commanded(command)), _reading(ticks, angle, force)
+        return ProbeState(state.actions + 1, state.sign, commanded(command)), _reading(
+            ticks, angle, force
+        )
 
     def reading(self, state: ProbeState, command: Command) -> tuple[Any, Any]:
         """Angle and force after an action."""
@@ -67,10 +73,11 @@ class Still(Probe):
 
 
 class Late(Probe):
-    """No force in the first three actions, (1, 0) N in all others, whatever is done; the angle counts the actions.
+    """No force in the first three actions, (1, 0) N in all others, whatever is done; the angle
+    counts the actions.
 
-    From the fifth action on its states repeat on the clock, so an episode longer than that never bootstraps with one
-    that no action is taken in.
+    From the fifth action on its states repeat on the clock, so an episode longer than that never
+    bootstraps with one that no action is taken in.
     """
 
     def reading(self, state: ProbeState, command: Command) -> tuple[Any, Any]:
@@ -79,7 +86,8 @@ class Late(Probe):
 
 
 class Recall(Probe):
-    """A hidden sign, drawn at the start, turns the force; it shows once, as the angle after the first action.
+    """A hidden sign, drawn at the start, turns the force; it shows once, as the angle after the
+    first action.
 
     Where past actions are hidden, only memory can hold the reference.
     """
@@ -93,7 +101,8 @@ PROBES: tuple[type[Probe], ...] = (Direct, Delayed, Still, Late, Recall)
 
 
 class AnyProbe(Probe):
-    """That of `PROBES` with an index, which may be a value in a program: so one program holds them all."""
+    """That of `PROBES` with an index, which may be a value in a program: so one program holds them
+    all."""
 
     def __init__(self, index: Any) -> None:
         self._index = index
@@ -112,12 +121,26 @@ def _reading(ticks: int, angle: Any, force: Any) -> Reading:
     return Reading(TICK_S * ones, angle * ones, 0 * ones, ones[:, None] * force)
 
 
-def learner(plant: Any, updates: int, episode: int = 12, past_actions: int = 0, **changes: Any) -> PPO:
+def learner(
+    plant: Any, updates: int, episode: int = 12, past_actions: int = 0, **changes: Any
+) -> PPO:
     task = TaskConfig(
-        window_samples=32, episode_actions=episode, reference_actions=episode, past_actions=past_actions, reward=SMOOTH
+        window_samples=32,
+        episode_actions=episode,
+        reference_actions=episode,
+        past_actions=past_actions,
+        reward=SMOOTH,
     )
-    config = PPOConfig(**{"num_envs": 16, "num_steps": episode, "num_epochs": 8, "num_minibatches": 4,
-                          "final_learning_rate": 0.1, **changes})  # fmt: skip
+    config = PPOConfig(
+        **{
+            "num_envs": 16,
+            "num_steps": episode,
+            "num_epochs": 8,
+            "num_minibatches": 4,
+            "final_learning_rate": 0.1,
+            **changes,
+        }
+    )
     return PPO(ForceTracking(plant, task), config, PolicyConfig(units=16, width=16), updates)
 
 

@@ -1,6 +1,8 @@
-"""Ray for the tests, in a network of its own with nothing but loopback: Ray listens more widely than it is told.
+"""Ray for the tests, in a network of its own with nothing but loopback: Ray listens more widely
+than it is told.
 
-`python -m tests.learning.ray_cluster CASE FOLDER` is what runs in there; `within` starts it and ends all it started.
+`python -m tests.learning.ray_cluster CASE FOLDER` is what runs in there; `within` starts it and
+ends all it started.
 """
 
 import fcntl
@@ -59,18 +61,33 @@ def run_directory(
 
 def alike(one: TrainingResult, other: TrainingResult) -> None:
     """To the bit."""
-    jax.tree.map(np.testing.assert_array_equal, (one.policies, one.evaluation), (other.policies, other.evaluation))
+    jax.tree.map(
+        np.testing.assert_array_equal,
+        (one.policies, one.evaluation),
+        (other.policies, other.evaluation),
+    )
 
 
 def within(case: str, folder: Path) -> dict[str, Any]:
-    """What a case tells; skips the test where there is no Ray, or no network of one's own to be had."""
+    """What a case tells; skips the test where there is no Ray, or no network of one's own to be
+    had."""
     needs.module("ray", "the extra ray is not installed")
-    if shutil.which("unshare") is None or subprocess.run([*ALONE, "true"], capture_output=True).returncode:
-        needs.give_up("ray", "Ray is tried in a network namespace of its own, and none can be had here")
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run([*ALONE, "true"], capture_output=True).returncode
+    ):
+        needs.give_up(
+            "ray", "Ray is tried in a network namespace of its own, and none can be had here"
+        )
     command = [*ALONE, sys.executable, "-m", "tests.learning.ray_cluster", case, str(folder)]
     environment = os.environ | {"HOME": str(folder)}
     run = subprocess.run(
-        command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True, timeout=HANG_S
+        command,
+        cwd=Path(__file__).parents[2],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
     )
     assert run.returncode == 0, run.stderr[-4000:]
     told: dict[str, Any] = json.loads((folder / "told.json").read_text())
@@ -117,7 +134,8 @@ def task_by_task(folder: Path, seeds: tuple[int, ...]) -> TrainingResult:
         trained = train(AnalyticFin(), task.config, task.seeds, run_directory(folder / task.name))
         results.append((trained.policies, trained.evaluation))
     policies, evaluation = jax.tree.map(
-        lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]), *results
+        lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
+        *results,
     )
     return TrainingResult.of_plant(AnalyticFin(), SMALL, seeds, policies, evaluation, None)
 
@@ -126,7 +144,11 @@ def own(folder: Path) -> dict[str, Any]:
     """A cluster that softfin starts and ends."""
     said: list[Any] = []
     theirs = train_on_ray(
-        AnalyticFin(), SMALL, (0,), run_directory(folder, seeds=(0,)), lambda *note: said.append(note)
+        AnalyticFin(),
+        SMALL,
+        (0,),
+        run_directory(folder, seeds=(0,)),
+        lambda *note: said.append(note),
     )
     alike(theirs, task_by_task(folder / "here", (0,)))
     import psutil
@@ -142,10 +164,13 @@ def own(folder: Path) -> dict[str, Any]:
 
 
 def cells(folder: Path) -> dict[str, Any]:
-    """Seeds on a cluster of two nodes, as in this process; the worker of one is killed in the middle."""
+    """Seeds on a cluster of two nodes, as in this process; the worker of one is killed in the
+    middle."""
     said: list[Any] = []
     space = run_directory(folder / "ray", kind=Deadly)
-    theirs = train_on_ray(AnalyticFin(), SMALL, SEEDS, space, lambda *note: said.append(note), cluster=_two_nodes())
+    theirs = train_on_ray(
+        AnalyticFin(), SMALL, SEEDS, space, lambda *note: said.append(note), cluster=_two_nodes()
+    )
     alike(theirs, task_by_task(folder / "here", SEEDS))
     lost = space.folder / "seed-1"
     return {
@@ -173,9 +198,21 @@ def failures(folder: Path) -> dict[str, Any]:
 
 def commands(folder: Path) -> dict[str, Any]:
     """``softfin train`` on Ray of this machine, and on a cluster that was there before it."""
-    (folder / "train.yaml").write_text(json.dumps(GRADIENT | {"cells": [cell.model_dump() for cell in SMALL.cells]}))
-    common = ("train", "tests.plants:AnalyticFin", "--controller", "grid", "--config", str(folder / "train.yaml"))
-    engines = {"own": ("--engine", "ray"), "cluster": ("--engine", "ray", "--cluster", _two_nodes())}
+    (folder / "train.yaml").write_text(
+        json.dumps(GRADIENT | {"cells": [cell.model_dump() for cell in SMALL.cells]})
+    )
+    common = (
+        "train",
+        "tests.plants:AnalyticFin",
+        "--controller",
+        "grid",
+        "--config",
+        str(folder / "train.yaml"),
+    )
+    engines = {
+        "own": ("--engine", "ray"),
+        "cluster": ("--engine", "ray", "--cluster", _two_nodes()),
+    }
     for name, options in engines.items():
         command = [sys.executable, "-m", "softfin.cli", *common, *options]
         subprocess.run([*command, "--out", str(folder / name)], check=True)
@@ -184,7 +221,14 @@ def commands(folder: Path) -> dict[str, Any]:
 
 def _two_nodes() -> str:
     """Of one processor each; they end with the namespace."""
-    ray = [sys.executable, "-m", "ray.scripts.scripts", "start", "--num-cpus=1", "--object-store-memory=100000000"]
+    ray = [
+        sys.executable,
+        "-m",
+        "ray.scripts.scripts",
+        "start",
+        "--num-cpus=1",
+        "--object-store-memory=100000000",
+    ]
     head = [
         "--head",
         "--port=6399",
@@ -205,7 +249,8 @@ def _loopback() -> None:
 
 if __name__ == "__main__":
     _loopback()
-    case, folder = sys.argv[1], Path(sys.argv[2])
+    case = sys.argv[1]
+    folder = Path(sys.argv[2])
     # By its own name, so that workers find what is defined here.
     from tests.learning import ray_cluster
 

@@ -1,13 +1,14 @@
-"""Write what sb3-contrib's RecurrentPPO makes of given data into recurrent_ppo.json, for test_parity.py to compare.
+"""Write what sb3-contrib's RecurrentPPO makes of given data into recurrent_ppo.json, for
+test_parity.py to compare.
 
     python -m tests.learning.recurrent_ppo
 
-It needs sb3-contrib and nothing of softfin. The file lies in the repository because sb3-contrib brings 5 GB, which is
-too much for every run of the tests; make it again only to add a case.
+It needs sb3-contrib and nothing of softfin. The file lies in the repository because sb3-contrib
+brings 5 GB, which is too much for every run of the tests; make it again only to add a case.
 
-Time limits: RecurrentPPO adds discount x (value of the state that was left) to the last reward of an episode and treats
-the episode as ended there; softfin keeps the reward and bootstraps the truncated episode. The buffer here is filled in
-the way that RecurrentPPO fills it.
+Time limits: RecurrentPPO adds discount x (value of the state that was left) to the last reward of
+an episode and treats the episode as ended there; softfin keeps the reward and bootstraps the
+truncated episode. The buffer here is filled in the way that RecurrentPPO fills it.
 """
 
 import json
@@ -26,24 +27,33 @@ NUM_ENVS = 4
 EPISODE = 6
 """Actions of an episode; the environments are truncated at different times."""
 
-SETTINGS = {"entropy_coef": 0.02, "value_coef": 0.7, "clip_ratio": 0.15, "discount": 0.83, "gae_lambda": 0.9}
+SETTINGS = {
+    "entropy_coef": 0.02,
+    "value_coef": 0.7,
+    "clip_ratio": 0.15,
+    "discount": 0.83,
+    "gae_lambda": 0.9,
+}
 
 
 class Numbered(gymnasium.Env[Any, Any]):
-    """Never played; an observation is the number of its sample, so that shuffled samples can be told apart."""
+    """Never played; an observation is the number of its sample, so that shuffled samples can be
+    told apart."""
 
     observation_space = gymnasium.spaces.Box(0, TIME * NUM_ENVS, (1,), np.float64)
     action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
 
 
 def draw_inputs() -> dict[str, Any]:
-    """Return a rollout and the outputs of the networks before and after a change of their weights, rounded for JSON."""
+    """Return a rollout and the outputs of the networks before and after a change of their weights,
+    rounded for JSON."""
     random = np.random.default_rng(0)
 
     def draw(*shape: int, scale: float = 1.0) -> np.ndarray:
         return np.round(scale * random.normal(size=(TIME, NUM_ENVS, *shape)), 4)
 
-    # An environment is truncated every EPISODE actions, each at a time of its own; the last step is one of them.
+    # An environment is truncated every EPISODE actions, each at a time of its own; the last step is
+    # one of them.
     steps = np.arange(1, TIME + 1)[:, None] + 3 * np.arange(NUM_ENVS)
     truncated = steps % EPISODE == 0
     is_first = np.concatenate([np.ones((1, NUM_ENVS), bool), truncated[:-1]])
@@ -69,7 +79,8 @@ def draw_inputs() -> dict[str, Any]:
 
 
 def peer_outputs(inputs: dict[str, Any]) -> dict[str, Any]:
-    """Return advantages and returns of RecurrentPPO's buffer, and what its `train` logs about the changed networks."""
+    """Return advantages and returns of RecurrentPPO's buffer, and what its `train` logs about the
+    changed networks."""
     import sb3_contrib
     import torch
     from stable_baselines3.common.distributions import DiagGaussianDistribution
@@ -119,7 +130,9 @@ def peer_outputs(inputs: dict[str, Any]) -> dict[str, Any]:
             log_prob[t],
             lstm_states=memory,
         )
-    model.rollout_buffer.compute_returns_and_advantage(tensor("next_value")[-1], inputs["truncated"][-1])
+    model.rollout_buffer.compute_returns_and_advantage(
+        tensor("next_value")[-1], inputs["truncated"][-1]
+    )
     advantages = model.rollout_buffer.advantages.copy()
     returns = model.rollout_buffer.returns.copy()
 
@@ -132,12 +145,21 @@ def peer_outputs(inputs: dict[str, Any]) -> dict[str, Any]:
 
     def evaluate_actions(observations: Any, *_: Any) -> Any:
         sample = observations.flatten().long()
-        return changed_value[sample] + nothing, changed_log_prob[sample] + nothing, changed_entropy[sample]
+        return (
+            changed_value[sample] + nothing,
+            changed_log_prob[sample] + nothing,
+            changed_entropy[sample],
+        )
 
     model.policy.evaluate_actions = evaluate_actions
     model.train()
     logged = model.logger.name_to_value
-    names = {"clipped": "clip_fraction", "kl": "approx_kl", "value_loss": "value_loss", "loss": "loss"}
+    names = {
+        "clipped": "clip_fraction",
+        "kl": "approx_kl",
+        "value_loss": "value_loss",
+        "loss": "loss",
+    }
     return {
         "advantages": advantages,
         "returns": returns,
@@ -157,7 +179,9 @@ def main() -> None:
     inputs = draw_inputs()
     outputs = peer_outputs(inputs)
     reference = {
-        "made_with": {name: version(name) for name in ("sb3-contrib", "stable-baselines3", "torch")},
+        "made_with": {
+            name: version(name) for name in ("sb3-contrib", "stable-baselines3", "torch")
+        },
         "settings": SETTINGS,
         "inputs": {name: to_json(value) for name, value in inputs.items()},
         "outputs": {name: to_json(value) for name, value in outputs.items()},

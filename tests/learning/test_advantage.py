@@ -23,8 +23,15 @@ def test_advantages_equal_a_plain_loop_with_truncations_bootstrapped(
         for t in reversed(range(12)):
             if truncated[t, env]:
                 advantage = 0.0
-            advantage = reward[t, env] + discount * after[t, env] - value[t, env] + discount * gae_lambda * advantage
+            advantage = (
+                reward[t, env]
+                + discount * after[t, env]
+                - value[t, env]
+                + discount * gae_lambda * advantage
+            )
             expected[t, env] = advantage
 
-    got = advantages(*(jnp.asarray(x) for x in (reward, value, after, truncated)), discount, gae_lambda)
+    got = advantages(
+        *(jnp.asarray(x) for x in (reward, value, after, truncated)), discount, gae_lambda
+    )
     np.testing.assert_allclose(got, expected, atol=1e-4)

@@ -1,4 +1,5 @@
-"""Agents over two devices; in a process of its own, because JAX counts its devices when it starts."""
+"""Agents over two devices; in a process of its own, because JAX counts its devices when it
+starts."""
 
 import json
 import os
@@ -22,9 +23,12 @@ from tests.plants import AnalyticFin
 FORCED = "--xla_force_host_platform_device_count=2"
 
 
-@pytest.mark.parametrize(("agents", "devices", "used"), [(6, 4, 3), (8, 4, 4), (5, 4, 1), (1, 8, 1), (49, 8, 7)])
+@pytest.mark.parametrize(
+    ("agents", "devices", "used"), [(6, 4, 3), (8, 4, 4), (5, 4, 1), (1, 8, 1), (49, 8, 7)]
+)
 def test_as_many_devices_share_the_agents_as_get_equal_parts(agents, devices, used, monkeypatch):
-    run, tree = TrainingRun(AnalyticFin(), SMALL, (0,), None), (jnp.zeros(agents),)
+    run = TrainingRun(AnalyticFin(), SMALL, (0,), None)
+    tree = (jnp.zeros(agents),)
     run.agents = [(0, SMALL.cells[0])] * agents
     chosen: list[Any] = []
     monkeypatch.setattr(jax, "devices", lambda: list(range(devices)))
@@ -44,8 +48,14 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
         "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
     }
     command = [sys.executable, "-m", "tests.learning.test_devices", str(file)]
-    run = subprocess.run(command, cwd=Path(__file__).parents[2], env=environment, capture_output=True, text=True,
-                         timeout=HANG_S)  # fmt: skip
+    run = subprocess.run(
+        command,
+        cwd=Path(__file__).parents[2],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+    )
     assert run.returncode == 0, run.stderr[-4000:]
     return json.loads(file.read_text())
 
@@ -59,7 +69,8 @@ def test_two_devices_learn_what_one_learns(told: Any):
 
 
 def _trained() -> dict[str, Any]:
-    """What each device keeps of the fins' angles after two updates, and how far these are from those of one device."""
+    """What each device keeps of the fins' angles after two updates, and how far these are from
+    those of one device."""
     every = jax.devices()
 
     def updated(config: TrainConfig, devices: list[Any]) -> tuple[Any, Any]:

@@ -1,4 +1,5 @@
-"""Gradient training: its slope is the true one, it lowers its loss, and it goes on as if it had never stopped."""
+"""Gradient training: its slope is the true one, it lowers its loss, and it goes on as if it had
+never stopped."""
 
 from functools import cache
 from pathlib import Path
@@ -20,7 +21,14 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
 from softfin.gaits.simulate import missing_gradient
-from softfin.learning.configuration import GRADIENT_SINGLE, GRID, TRAIN_PRESETS, TrainConfig, check, choose_preset
+from softfin.learning.configuration import (
+    GRADIENT_SINGLE,
+    GRID,
+    TRAIN_PRESETS,
+    TrainConfig,
+    check,
+    choose_preset,
+)
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.rollout import AgentState, EnvState
@@ -45,11 +53,13 @@ QUICK = GRADIENT_SINGLE.model_copy(
         "lattice": 1,
         "task": TaskConfig(phase=True, episode_actions=12, reference_actions=6),
         "gradient": GradientConfig(
-            num_envs=4, num_steps=6, learning_rate=1e-2,
+            num_envs=4,
+            num_steps=6,
+            learning_rate=1e-2,
             map=MapConfig(survey=SURVEY, gaits=GAITS),
         ),
     }
-)  # fmt: skip
+)
 SEEDS = (0, 1, 2, 3)
 TASK = ForceTracking(StrokeFin(), QUICK.task)
 LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.num_updates)
@@ -59,9 +69,13 @@ LEARNER = Gradient(TASK, QUICK.gradient, QUICK.policy, QUICK.num_updates)
 def loud() -> AgentState:
     """Four lanes with policies that beat: where a fin rests, its force has no slope."""
     keys = jax.random.split(jax.random.key(0), len(SEEDS))
-    references = stack_references([Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), mapped().reachable)
+    references = stack_references(
+        [Cell(low=(1, -0.25), high=(1.5, 0.25))] * len(SEEDS), mapped().reachable
+    )
     lanes = jax.jit(jax.vmap(LEARNER.init))(keys, references)
-    return lanes._replace(policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder))
+    return lanes._replace(
+        policy=eqx.tree_at(lambda policy: policy.net.output.kernel, lanes.policy, replace_fn=louder)
+    )
 
 
 def louder(kernel: Any) -> Any:
@@ -85,17 +99,23 @@ def judged(
     weight: Any = (1.0, 1.0),
     smoothness: Any = (0.01, 0.01),
 ) -> Judged:
-    """The loss of the learner with other settings; defaults of a compiled function would be constants in it."""
+    """The loss of the learner with other settings; defaults of a compiled function would be
+    constants in it."""
     found: Judged = _judged(policy, env_state, rounding, weight, smoothness)
     return found
 
 
 @jax.jit
-def _judged(policy: Policy, env_state: EnvState, rounding: Any, weight: Any, smoothness: Any) -> Judged:
+def _judged(
+    policy: Policy, env_state: EnvState, rounding: Any, weight: Any, smoothness: Any
+) -> Judged:
     reward = QUICK.task.reward.model_copy(update={"weight": weight, "smoothness": smoothness})
     task = ForceTracking(TASK.plant, QUICK.task.model_copy(update={"reward": reward}))
     learner = Gradient(
-        task, QUICK.gradient.model_copy(update={"rounding_n": rounding}), QUICK.policy, QUICK.num_updates
+        task,
+        QUICK.gradient.model_copy(update={"rounding_n": rounding}),
+        QUICK.policy,
+        QUICK.num_updates,
     )
     (loss, (_, metrics)), slope = jax.value_and_grad(learner.loss, has_aux=True)(policy, env_state)
     return Judged(loss, metrics["reward"], slope)
@@ -103,18 +123,24 @@ def _judged(policy: Policy, env_state: EnvState, rounding: Any, weight: Any, smo
 
 def test_its_slope_is_that_of_finite_differences() -> None:
     """For the weight that the loss depends on most, and its neighbours."""
-    lane, rounding = start(), QUICK.gradient.rounding_n
+    lane = start()
+    rounding = QUICK.gradient.rounding_n
     slope = np.asarray(judged(lane.policy, lane.env_state, rounding).slope.net.hidden.kernel)
-    place, step = np.unravel_index(np.argmax(np.abs(slope)), slope.shape), 3e-2
+    place = np.unravel_index(np.argmax(np.abs(slope)), slope.shape)
+    step = 3e-2
 
     def moved(by: float) -> float:
         kernel = np.array(lane.policy.net.hidden.kernel)
         kernel[place] += by
-        there = eqx.tree_at(lambda policy: policy.net.hidden.kernel, lane.policy, jnp.asarray(kernel))
+        there = eqx.tree_at(
+            lambda policy: policy.net.hidden.kernel, lane.policy, jnp.asarray(kernel)
+        )
         return float(judged(there, lane.env_state, rounding).loss)
 
     assert float(slope[place]) != 0
-    np.testing.assert_allclose(float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05)
+    np.testing.assert_allclose(
+        float(slope[place]), (moved(step) - moved(-step)) / (2 * step), rtol=0.05
+    )
 
 
 def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
@@ -124,8 +150,11 @@ def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
 
 
 def test_updates_lower_the_loss() -> None:
-    """On average over four policies: which references a short run draws weighs nearly as much as what it learns."""
-    run, lanes, losses = TrainingRun(StrokeFin(), QUICK, SEEDS, mapped()), loud(), []
+    """On average over four policies: which references a short run draws weighs nearly as much as
+    what it learns."""
+    run = TrainingRun(StrokeFin(), QUICK, SEEDS, mapped())
+    lanes = loud()
+    losses = []
     for number in range(QUICK.num_updates):
         lanes, metrics = run.update(lanes, number + 1)
         losses.append(np.asarray(metrics["loss"]))
@@ -136,7 +165,10 @@ def test_updates_lower_the_loss() -> None:
 def test_a_loss_of_rounded_errors_is_the_plain_one_less_at_most_the_rounding() -> None:
     """sqrt(e^2 + r^2) - r lies between e - r and e."""
     lane = start()
-    plain, rounded = (float(judged(lane.policy, lane.env_state, by).loss) for by in (1e-6, QUICK.gradient.rounding_n))
+    plain, rounded = (
+        float(judged(lane.policy, lane.env_state, by).loss)
+        for by in (1e-6, QUICK.gradient.rounding_n)
+    )
     assert plain - 2 * QUICK.gradient.rounding_n <= rounded < plain
 
 
@@ -149,7 +181,8 @@ def test_the_loss_is_the_reward_of_the_task_but_for_the_rounding() -> None:
 
 
 def test_a_new_policy_acts_as_the_gait_for_each_reference_that_its_table_holds() -> None:
-    """Gaits that differ from node to node, so that a gait for another reference is another action."""
+    """Gaits that differ from node to node, so that a gait for another reference is another
+    action."""
     table = GaitTable.over(Cell(low=(-2, -2), high=(2, 2)), 1.0)
     actions = np.random.default_rng(0).uniform(-0.8, 0.8, table.actions.shape).astype(np.float32)
     table = table._replace(actions=actions)
@@ -168,7 +201,8 @@ def test_the_errors_shown_are_means_over_the_actions_of_all_fins() -> None:
     _, (_, metrics) = jax.jit(LEARNER.loss)(lane.policy, lane.env_state)
     act = jax.jit(jax.vmap(lane.policy.act))
     step = jax.jit(jax.vmap(TASK.step, in_axes=(0, 0, None)))
-    states, memories = lane.env_state.states, lane.env_state.memories
+    states = lane.env_state.states
+    memories = lane.env_state.memories
     errors = []
     for ticks in ticks_of(QUICK.gradient.num_steps):
         memories, action = act(memories, jax.vmap(TASK.observe)(states))
@@ -179,9 +213,14 @@ def test_the_errors_shown_are_means_over_the_actions_of_all_fins() -> None:
 
 
 def test_a_policy_that_begins_as_gaits_must_observe_the_phase() -> None:
-    with pytest.raises(ConfigurationError, match=r"task\.phase is false, and a policy that begins as gaits observes"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"task\.phase is false, and a policy that begins as gaits observes",
+    ):
         GRADIENT_SINGLE.changed(["task.phase=false"])
-    assert not GRADIENT_SINGLE.changed(["task.phase=false", "gradient.warm_start=false"]).begins_as_gaits
+    assert not GRADIENT_SINGLE.changed(
+        ["task.phase=false", "gradient.warm_start=false"]
+    ).begins_as_gaits
 
 
 class Numb(StrokeFin):
@@ -203,7 +242,9 @@ class Branching(StrokeFin):
     """A fin whose own code fails: it asks for the value of what is only traced."""
 
     def advance(self, state: Any, command: Command, ticks: int) -> Any:
-        return super().advance(state, command if command.angle > 0 else Command(*map(jnp.negative, command)), ticks)
+        return super().advance(
+            state, command if command.angle > 0 else Command(*map(jnp.negative, command)), ticks
+        )
 
 
 class Broken(StrokeFin):
@@ -216,13 +257,19 @@ class Broken(StrokeFin):
 @pytest.mark.parametrize(
     ("plant", "reason"),
     [
-        (StrokeFin(), None), (AnalyticFin(), None), (PlainFin(), None), (Direct(), None), (Delayed(), None),
+        (StrokeFin(), None),
+        (AnalyticFin(), None),
+        (PlainFin(), None),
+        (Direct(), None),
+        (Delayed(), None),
         (Numb(), "its slope is 0 throughout"),
         (Foreign(), "JAX cannot differentiate it (ValueError: Pure callbacks do not support JVP."),
     ],
     ids=["strokes", "analytic", "plain", "direct", "delayed", "numb", "foreign"],
-)  # fmt: skip
-def test_a_plant_has_a_gradient_where_its_force_has_a_slope(plant: Plant, reason: str | None) -> None:
+)
+def test_a_plant_has_a_gradient_where_its_force_has_a_slope(
+    plant: Plant, reason: str | None
+) -> None:
     found = missing_gradient(plant)
     assert found is None if reason is None else found is not None and found.startswith(reason)
 
@@ -235,7 +282,11 @@ def test_a_plant_has_a_gradient_where_its_force_has_a_slope(plant: Plant, reason
             PlantError,
             "^plant Branching: cannot be traced .TracerBoolConversionError: .*check_plant says",
         ),
-        (Broken(), PlantError, "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant says"),
+        (
+            Broken(),
+            PlantError,
+            "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant says",
+        ),
     ],
     ids=["branching", "broken"],
 )
@@ -325,12 +376,18 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
     assert WITHIN.box is not None
     assert wide.training_range == WITHIN.box.expanded(0.25)
     check(StrokeFin(), QUICK, (0,), mapped())
-    with pytest.raises(ConfigurationError, match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over",
+    ):
         check(StrokeFin(), wide, (0,), mapped())
 
 
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
-    assert choose_preset(StrokeFin(), "single") == (GRADIENT_SINGLE, "gradient, as the plant has gradients")
+    assert choose_preset(StrokeFin(), "single") == (
+        GRADIENT_SINGLE,
+        "gradient, as the plant has gradients",
+    )
     relabelled, reason = choose_preset(Numb())
     assert relabelled.algorithm == "ppo"
     assert relabelled.ppo.relabelling == 1
@@ -345,7 +402,9 @@ def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
 
 def test_members_are_trained_in_only_where_there_are_several() -> None:
     config = TrainConfig(ensemble="each")
-    with pytest.raises(ConfigurationError, match="ensemble = each: the plant is not an ensemble of two members or"):
+    with pytest.raises(
+        ConfigurationError, match="ensemble = each: the plant is not an ensemble of two members or"
+    ):
         check(StrokeFin(), config, (0,))
     check(streaming.surrogate(), config, (0,))
 
@@ -361,7 +420,9 @@ def test_references_are_scored_at_the_nearest_force_that_the_fin_can_make() -> N
 
 
 @pytest.mark.parametrize("preset", TRAIN_PRESETS, ids="-".join)
-def test_no_policy_is_selected_on_the_references_of_the_paper(preset: tuple[AlgorithmPreset, PolicyLayout]) -> None:
+def test_no_policy_is_selected_on_the_references_of_the_paper(
+    preset: tuple[AlgorithmPreset, PolicyLayout],
+) -> None:
     selected_on = TRAIN_PRESETS[preset].evaluation_references(None).reshape(-1, 2)
     for reference in PAPER_REFERENCES:
         assert np.linalg.norm(selected_on - np.array(reference), axis=1).min() > 0.1
@@ -409,7 +470,9 @@ class Twins(StrokeFin):
 def test_an_ensemble_of_ones_own_takes_what_only_an_ensemble_can_do(tmp_path: Path) -> None:
     assert isinstance(Twins(), EnsemblePlant)
     assert isinstance(jit_argument(Twins()), EnsemblePlant)
-    config = QUICK.changed(("ensemble=each", "steps=24", "num_evaluations=1", "gradient.warm_start=false"))
+    config = QUICK.changed(
+        ("ensemble=each", "steps=24", "num_evaluations=1", "gradient.warm_start=false")
+    )
     result = train(Twins(), config, (0,), RunDirectory(tmp_path / "out", {}))
     assert np.isfinite(result.evaluation.error).all()
     np.testing.assert_array_equal(result.evaluation.out_of_distribution_fraction, 1)

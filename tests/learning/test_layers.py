@@ -24,8 +24,12 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
 def test_a_step_is_that_of_hochreiter_and_schmidhuber() -> None:
     lstm = create(jax.random.key(0), 3, 4)
     random = np.random.default_rng(0)
-    x, h, c = random.normal(size=3), random.normal(size=4), random.normal(size=4)
-    i, f, g, o = np.split(x @ np.asarray(lstm.kernel) + h @ np.asarray(lstm.recurrent) + np.asarray(lstm.bias), 4)
+    x = random.normal(size=3)
+    h = random.normal(size=4)
+    c = random.normal(size=4)
+    i, f, g, o = np.split(
+        x @ np.asarray(lstm.kernel) + h @ np.asarray(lstm.recurrent) + np.asarray(lstm.bias), 4
+    )
     cell = sigmoid(f) * c + sigmoid(i) * np.tanh(g)
     memory = step(lstm, PolicyMemory(np.float32(h), np.float32(c)), np.float32(x), False)
     np.testing.assert_allclose(memory.cell, cell, atol=1e-5)
@@ -38,12 +42,15 @@ def test_step_by_step_equals_the_sequence_with_its_resets() -> None:
     fresh = np.isin(np.arange(20), [0, 7, 8, 15])
     before = PolicyMemory(np.ones(8, np.float32), np.ones(8, np.float32))
 
-    memory, outputs = before, []
+    memory = before
+    outputs = []
     for now in zip(x, fresh, strict=True):
         memory = step(lstm, memory, *now)
         outputs.append(np.asarray(memory.hidden))
 
-    np.testing.assert_allclose(jax.jit(LSTMCell.sequence)(lstm, before, x, fresh), np.stack(outputs), atol=1e-6)
+    np.testing.assert_allclose(
+        jax.jit(LSTMCell.sequence)(lstm, before, x, fresh), np.stack(outputs), atol=1e-6
+    )
 
 
 def test_nothing_before_a_reset_reaches_what_comes_after() -> None:
@@ -54,7 +61,9 @@ def test_nothing_before_a_reset_reaches_what_comes_after() -> None:
         return lstm.sequence(start, x, fresh)[5:].sum()
 
     x = np.random.default_rng(1).normal(size=(10, 3)).astype(np.float32)
-    slopes = jax.jit(jax.grad(after, argnums=(0, 1)))(x, PolicyMemory(np.zeros(8, np.float32), np.zeros(8, np.float32)))
+    slopes = jax.jit(jax.grad(after, argnums=(0, 1)))(
+        x, PolicyMemory(np.zeros(8, np.float32), np.zeros(8, np.float32))
+    )
     slope, start = jax.tree.map(np.asarray, slopes)
     assert not np.any(slope[:5])
     assert not np.any(start.hidden)

@@ -1,4 +1,5 @@
-"""Running normalisation: the statistics are those of all that was seen, and no gradient reaches them."""
+"""Running normalisation: the statistics are those of all that was seen, and no gradient reaches
+them."""
 
 from typing import Any
 
@@ -27,7 +28,9 @@ def samples(seed: int, rows: int, mean: float = 3.0, deviation: float = 2.0) -> 
 
 def test_nothing_is_changed_at_the_start() -> None:
     x = samples(0, 5)
-    read, undone = jax.jit(lambda x: (Normalisation.create(4)(x), Normalisation.create(4).inverse(x)))(x)
+    read, undone = jax.jit(
+        lambda x: (Normalisation.create(4)(x), Normalisation.create(4).inverse(x))
+    )(x)
     np.testing.assert_array_equal(read, x)
     np.testing.assert_array_equal(undone, x)
 
@@ -68,8 +71,11 @@ def test_a_number_that_never_varied_is_not_blown_up_later() -> None:
 
 
 def test_old_vectors_weigh_no_more_than_asked() -> None:
-    old, new = samples(2, 1000, mean=-8), samples(3, 50, mean=2)
-    forgets = jax.jit(lambda old, new: Normalisation.create(4).updated(old).updated(new, 50))(old, new)
+    old = samples(2, 1000, mean=-8)
+    new = samples(3, 50, mean=2)
+    forgets = jax.jit(lambda old, new: Normalisation.create(4).updated(old).updated(new, 50))(
+        old, new
+    )
     np.testing.assert_allclose(forgets.mean, (old.mean(axis=0) + new.mean(axis=0)) / 2, atol=1e-3)
     assert float(forgets.count) == 100
 
@@ -78,9 +84,13 @@ def test_no_gradient_reaches_the_statistics_of_a_policy_and_all_weights_have_one
     def loss(policy: Policy) -> jax.Array:
         memory, action = policy.act(policy.init(), jnp.ones(4))
         mean = policy.sequence(policy.init(), jnp.asarray(samples(5, 6)), jnp.zeros(6, bool))
-        return action.sum() + mean.sum() + policy.log_prob(mean, mean + 1).sum() + memory.hidden.sum()
+        return (
+            action.sum() + mean.sum() + policy.log_prob(mean, mean + 1).sum() + memory.hidden.sum()
+        )
 
-    slope = jax.jit(lambda policy, seen: jax.grad(loss)(policy.update_statistics(seen)))(create(), samples(4, 20))
+    slope = jax.jit(lambda policy, seen: jax.grad(loss)(policy.update_statistics(seen)))(
+        create(), samples(4, 20)
+    )
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(slope.normalisation))
     assert all(np.any(leaf) for leaf in jax.tree.leaves((slope.net, slope.log_std)))
 
@@ -100,7 +110,8 @@ def test_a_policy_reads_its_observations_normalised_step_by_step_as_in_sequence(
 
 
 def test_a_critic_says_the_same_in_its_new_unit_and_learns_in_it() -> None:
-    seen, target = samples(7, 200), samples(8, 200, -50, 9)[:, 0]
+    seen = samples(7, 200)
+    target = samples(8, 200, -50, 9)[:, 0]
 
     @jax.jit
     def said(critic: Critic, seen: Any, target: Any) -> Any:
@@ -114,11 +125,14 @@ def test_a_critic_says_the_same_in_its_new_unit_and_learns_in_it() -> None:
 
 
 def test_no_gradient_reaches_the_statistics_of_a_critic() -> None:
-    seen, target = samples(9, 50), np.linspace(-3, 1, 50, dtype=np.float32)
+    seen = samples(9, 50)
+    target = np.linspace(-3, 1, 50, dtype=np.float32)
 
     @jax.jit
     def slope_of(critic: Critic, seen: Any, target: Any) -> Any:
-        return jax.grad(lambda critic: critic.loss(seen, target))(critic.update_statistics(seen, target, 100))
+        return jax.grad(lambda critic: critic.loss(seen, target))(
+            critic.update_statistics(seen, target, 100)
+        )
 
     slope = slope_of(create_critic(), seen, target)
     assert not any(np.any(leaf) for leaf in jax.tree.leaves((slope.inputs, slope.values)))

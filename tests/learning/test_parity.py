@@ -1,6 +1,8 @@
-"""Parity with sb3-contrib's RecurrentPPO on the same data: advantages, and the loss that its own `train` logs.
+"""Parity with sb3-contrib's RecurrentPPO on the same data: advantages, and the loss that its own
+`train` logs.
 
-recurrent_ppo.json has the data and what RecurrentPPO made of it; recurrent_ppo.py next to it wrote them.
+recurrent_ppo.json has the data and what RecurrentPPO made of it; recurrent_ppo.py next to it wrote
+them.
 """
 
 import json
@@ -49,18 +51,27 @@ class Case(NamedTuple):
 def networks(log_std: Any) -> ActorCritic:
     policy = GivenPolicy.create(jax.random.key(0), PolicyConfig(units=2, width=2), observations=2)
     return ActorCritic(
-        eqx.tree_at(lambda policy: policy.log_std, policy, log_std), GivenCritic.create(jax.random.key(0), 1, 2)
+        eqx.tree_at(lambda policy: policy.log_std, policy, log_std),
+        GivenCritic.create(jax.random.key(0), 1, 2),
     )
 
 
 @pytest.fixture(scope="module")
 def case() -> Case:
     reference = json.loads(FILE.read_text())
-    inputs = {name: jnp.asarray(value, bool if name in ("is_first", "truncated") else jnp.float32)
-              for name, value in reference["inputs"].items()}  # fmt: skip
+    inputs = {
+        name: jnp.asarray(value, bool if name in ("is_first", "truncated") else jnp.float32)
+        for name, value in reference["inputs"].items()
+    }
     time, num_envs = inputs["reward"].shape
     ppo = learner(
-        AnalyticFin(), 3, num_envs=num_envs, episode=time, num_minibatches=1, num_epochs=1, **reference["settings"]
+        AnalyticFin(),
+        3,
+        num_envs=num_envs,
+        episode=time,
+        num_minibatches=1,
+        num_epochs=1,
+        **reference["settings"],
     )
     before = networks(inputs["log_std"])
     rollout = Rollout(
@@ -77,7 +88,15 @@ def case() -> Case:
         weight=jnp.ones((time, num_envs)),
     )
     batch, _ = ppo.batch(before.critic, rollout)
-    return Case(ppo, inputs, reference["outputs"], before, networks(inputs["changed_log_std"]), rollout, batch)
+    return Case(
+        ppo,
+        inputs,
+        reference["outputs"],
+        before,
+        networks(inputs["changed_log_std"]),
+        rollout,
+        batch,
+    )
 
 
 def test_the_rollout_has_truncations_within_it_and_at_its_end(case: Case) -> None:
@@ -88,26 +107,38 @@ def test_the_rollout_has_truncations_within_it_and_at_its_end(case: Case) -> Non
 
 
 def test_advantages_and_targets_are_those_of_its_buffer(case: Case) -> None:
-    config, inputs = case.ppo.config, case.inputs
+    config = case.ppo.config
+    inputs = case.inputs
     reward = (1 - config.discount) * inputs["reward"]
     ours = advantages(
-        reward, inputs["value"], inputs["next_value"], inputs["truncated"], config.discount, config.gae_lambda
+        reward,
+        inputs["value"],
+        inputs["next_value"],
+        inputs["truncated"],
+        config.discount,
+        config.gae_lambda,
     )
     np.testing.assert_allclose(ours, case.outputs["advantages"], atol=1e-5)
     np.testing.assert_allclose(case.batch.target, case.outputs["returns"], atol=1e-5)
 
 
 def test_the_loss_is_the_one_that_its_training_step_logs(case: Case) -> None:
-    inputs, logged = case.inputs, case.outputs
+    inputs = case.inputs
+    logged = case.outputs
     num_samples = inputs["reward"].size
     # torch's standard deviation divides by n - 1.
     unbiased = case.batch.advantage * ((num_samples - 1) / num_samples) ** 0.5
     rollout = case.rollout._replace(
-        observation=inputs["changed_mean"], privileged_observation=inputs["changed_value"][..., None]
+        observation=inputs["changed_mean"],
+        privileged_observation=inputs["changed_value"][..., None],
     )
     batch = case.batch._replace(rollout=rollout, advantage=unbiased)
-    memories = jax.tree.map(lambda leaf: jnp.tile(leaf, (inputs["reward"].shape[1], 1)), case.changed.policy.init())
-    loss, metrics = case.ppo.loss(case.changed, batch, memories, jnp.float32(case.ppo.config.entropy_coef))
+    memories = jax.tree.map(
+        lambda leaf: jnp.tile(leaf, (inputs["reward"].shape[1], 1)), case.changed.policy.init()
+    )
+    loss, metrics = case.ppo.loss(
+        case.changed, batch, memories, jnp.float32(case.ppo.config.entropy_coef)
+    )
     assert 0.1 < logged["clipped"] < 0.9
     np.testing.assert_allclose(metrics["clipped"], logged["clipped"], atol=1e-6)
     np.testing.assert_allclose(metrics["kl"], logged["kl"], rtol=1e-3, atol=1e-5)

@@ -40,29 +40,37 @@ def test_the_deterministic_action_is_within_the_box_and_has_no_noise(policy: Pol
 
 def test_a_policy_steps_as_its_sequence_runs(policy: Policy) -> None:
     x = np.random.default_rng(1).normal(size=(9, 11)).astype(np.float32)
-    memory, means, step = policy.init(), [], jax.jit(lambda policy, *now: policy.step(*now))
+    memory = policy.init()
+    means = []
+    step = jax.jit(lambda policy, *now: policy.step(*now))
     for observation in x:
         memory, mean = step(policy, memory, observation)
         means.append(np.asarray(mean))
-    along = jax.jit(lambda policy, x: policy.sequence(policy.init(), x, jnp.zeros(9, bool)))(policy, x)
+    along = jax.jit(lambda policy, x: policy.sequence(policy.init(), x, jnp.zeros(9, bool)))(
+        policy, x
+    )
     np.testing.assert_allclose(along, np.stack(means), atol=1e-6)
 
 
 def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     deviation = np.array([0.5, 2.0])
     policy = Policy(policy.net, jnp.log(jnp.float32(deviation)), policy.normalisation, None)
-    mean, raw = np.array([0.3, -1.0]), np.array([0.1, 0.7])
+    mean = np.array([0.3, -1.0])
+    raw = np.array([0.1, 0.7])
     density = np.exp(-0.5 * ((raw - mean) / deviation) ** 2) / (deviation * np.sqrt(2 * np.pi))
-    np.testing.assert_allclose(policy.log_prob(jnp.float32(mean), jnp.float32(raw)), np.log(density).sum(), rtol=1e-5)
+    np.testing.assert_allclose(
+        policy.log_prob(jnp.float32(mean), jnp.float32(raw)), np.log(density).sum(), rtol=1e-5
+    )
     entropy = np.log(deviation * np.sqrt(2 * np.pi * np.e)).sum()
     np.testing.assert_allclose(policy.action_entropy(), entropy, rtol=1e-5)
 
 
 OBSERVATION = Observation(phase=True)
 GAITS = GaitTable(
-    np.array([-1, -1], np.float32), np.array([1, 1], np.float32),
+    np.array([-1, -1], np.float32),
+    np.array([1, 1], np.float32),
     np.random.default_rng(5).uniform(-0.9, 0.9, (2, 2, 6, 2)).astype(np.float32),
-)  # fmt: skip
+)
 """Over references in units of the observation."""
 
 
@@ -77,7 +85,9 @@ def with_gaits() -> Policy:
     return Policy.create(jax.random.key(1), CONFIG, OBSERVATION.size, gaits=GAITS)
 
 
-def test_a_policy_with_gaits_begins_nearly_as_the_gait_of_the_reference_in_its_phase(with_gaits: Policy) -> None:
+def test_a_policy_with_gaits_begins_nearly_as_the_gait_of_the_reference_in_its_phase(
+    with_gaits: Policy,
+) -> None:
     for age in range(7):
         action = np.asarray(act(with_gaits, observed((0.4, -0.3), age)))
         np.testing.assert_allclose(action, GAITS.gait((0.4, -0.3))[age % 6], atol=0.02)
@@ -93,10 +103,15 @@ def test_no_slope_reaches_the_gaits(with_gaits: Policy) -> None:
 def test_a_stored_policy_with_gaits_acts_the_same_on_a_robot(with_gaits: Policy) -> None:
     arrays = weights(with_gaits)
     limits = PAPER_LIMITS
-    step, _ = SingleStep.load({"task": OBSERVATION.model_dump()}, arrays, limits, (Cell.around((0, 0)),))
-    state, memory = step.init(), with_gaits.init()
+    step, _ = SingleStep.load(
+        {"task": OBSERVATION.model_dump()}, arrays, limits, (Cell.around((0, 0)),)
+    )
+    state = step.init()
+    memory = with_gaits.init()
     advance = jax.jit(Policy.act)
-    for age, reference in enumerate(np.random.default_rng(6).uniform(-1, 1, (9, 2)).astype(np.float32)):
+    for age, reference in enumerate(
+        np.random.default_rng(6).uniform(-1, 1, (9, 2)).astype(np.float32)
+    ):
         seen = observed(reference, age)
         seen[3:-2] = state.actions[: len(seen) - 5]
         memory, expected = advance(with_gaits, memory, seen)
@@ -114,7 +129,9 @@ def test_damaged_gaits_of_a_policy_are_refused(with_gaits: Policy) -> None:
     missing = {name: array for name, array in weights(with_gaits).items() if name != "gaits.high"}
     with pytest.raises(ValueError, match=r"a table of gaits is not gaits\.actions, gaits\.low"):
         fold(missing, OBSERVATION)
-    with pytest.raises(ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"):
+    with pytest.raises(
+        ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"
+    ):
         fold(weights(with_gaits), Observation())
 
 
@@ -122,5 +139,7 @@ def test_weights_and_normalisation_go_by_name(policy: Policy) -> None:
     seen = np.random.default_rng(2).normal(size=(5, 11)).astype(np.float32)
     policy = jax.jit(Policy.update_statistics)(policy, seen)
     arrays = weights(policy)
-    assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(arrays)
+    assert {"net.lstm.kernel", "net.output.bias", "log_deviation", "normalisation.mean"} <= set(
+        arrays
+    )
     np.testing.assert_array_equal(arrays["normalisation.deviation"], policy.normalisation.std)

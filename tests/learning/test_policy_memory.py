@@ -1,4 +1,5 @@
-"""Memory of policies: what is counted is what lies on disk, and a policy of the default size fits in 200 kB."""
+"""Memory of policies: what is counted is what lies on disk, and a policy of the default size fits
+in 200 kB."""
 
 from pathlib import Path
 
@@ -21,7 +22,9 @@ def made(config: PolicyConfig) -> Policy:
     )
 
 
-def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_disk(tmp_path: Path) -> None:
+def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_disk(
+    tmp_path: Path,
+) -> None:
     policy = made(PolicyConfig())
     arrays = {name: np.asarray(leaf) for name, leaf in named(policy).items()}
     artifacts.save(tmp_path / "c", "controller", {"kind": "controller"}, arrays)
@@ -34,7 +37,8 @@ def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_dis
 def test_the_optimisers_part_is_what_adam_holds() -> None:
     policy = made(PolicyConfig(units=4, width=4))
     held = sum(
-        leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(jax.eval_shape(optax.adam(1e-3).init, policy))
+        leaf.size * leaf.dtype.itemsize
+        for leaf in jax.tree.leaves(jax.eval_shape(optax.adam(1e-3).init, policy))
     )
     assert memory_of(policy)["optimiser_bytes"] == pytest.approx(held, abs=8)
 
@@ -42,7 +46,8 @@ def test_the_optimisers_part_is_what_adam_holds() -> None:
 def test_stacked_policies_are_counted_each_alike() -> None:
     alone = made(PolicyConfig(units=4, width=4))
     six = jax.tree.map(lambda x: np.stack([x] * 6), alone)
-    one, all_six = memory_of(alone), memory_of(six)
+    one = memory_of(alone)
+    all_six = memory_of(six)
     for name in ("policies", "total_bytes", "total_weights_bytes"):
         assert all_six[name] == 6 * one[name]
     for name in ("weights", "weights_bytes", "optimiser_bytes"):

@@ -15,13 +15,26 @@ from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO, PPOConfig
 from softfin.learning.rollout import AgentState, EnvState, Rollout, collect, evaluate_policy
 from softfin.task.references import References
-from tests.learning.probes import PROBES, AnyProbe, Delayed, Direct, Late, Probe, Recall, Still, box, learner
+from tests.learning.probes import (
+    PROBES,
+    AnyProbe,
+    Delayed,
+    Direct,
+    Late,
+    Probe,
+    Recall,
+    Still,
+    box,
+    learner,
+)
 
 
 class Playing(Policy):
-    """It may be blind to its past actions, into which a policy without memory writes notes to itself.
+    """It may be blind to its past actions, into which a policy without memory writes notes to
+    itself.
 
-    And its memory may be cleared at every step. Both are values, so that one program holds them all.
+    And its memory may be cleared at every step. Both are values, so that one program holds them
+    all.
     """
 
     blind: Any
@@ -55,7 +68,12 @@ def one(probe: type[Probe], reference: tuple[float, float], *rest: float) -> Cas
 
 
 CASES = {
-    "direct": Case(PROBES.index(Direct), box((-3, 1.5), (3, 2.5)), np.float32([(-2, 1.5), (2, 2.5), (0, 2)]), 3e-3),
+    "direct": Case(
+        PROBES.index(Direct),
+        box((-3, 1.5), (3, 2.5)),
+        np.float32([(-2, 1.5), (2, 2.5), (0, 2)]),
+        3e-3,
+    ),
     "delayed": one(Delayed, (2, 2)),
     "still": one(Still, (4, -3)),
     "late": one(Late, (1, 0)),
@@ -74,17 +92,26 @@ class CasePPO(PPO):
 
     @classmethod
     def of(cls, case: Case) -> "CasePPO":
-        plain = learner(AnyProbe(case.probe), updates=60, episode=ACTIONS, discount=0.5, averaging=3.0)
+        plain = learner(
+            AnyProbe(case.probe), updates=60, episode=ACTIONS, discount=0.5, averaging=3.0
+        )
         config = plain.config.model_copy(update={"learning_rate": case.learning_rate})
         return cls(plain.task, config, plain.policy, plain.num_updates)
 
     def begun(self, case: Case, key: Any) -> AgentState:
         lane = PPO.init(self, key, case.references)
         policy = Playing(
-            lane.policy.net, lane.policy.log_std, lane.policy.normalisation, None, case.blind, case.forgets
+            lane.policy.net,
+            lane.policy.log_std,
+            lane.policy.normalisation,
+            None,
+            case.blind,
+            case.forgets,
         )
         networks = ActorCritic(policy, lane.networks.critic)
-        return lane._replace(networks=networks, policy=policy, optimiser=self._optimiser().init(networks))
+        return lane._replace(
+            networks=networks, policy=policy, optimiser=self._optimiser().init(networks)
+        )
 
 
 begin = jax.jit(jax.vmap(lambda case, key: CasePPO.of(case).begun(case, key)))
@@ -95,7 +122,9 @@ update = jax.jit(jax.vmap(lambda case, lane: CasePPO.of(case).update(lane)[0]))
 @jax.vmap
 def played(case: Case, lane: AgentState, environments: EnvState, key: Any) -> tuple[Rollout, Any]:
     """A rollout, and what the critic says along it."""
-    rollout = collect(CasePPO.of(case).task, lane.networks.policy, environments, key, ACTIONS // 3)[1]
+    rollout = collect(CasePPO.of(case).task, lane.networks.policy, environments, key, ACTIONS // 3)[
+        1
+    ]
     return rollout, lane.networks.critic(rollout.privileged_observation)
 
 
@@ -110,7 +139,9 @@ def from_rest(case: Case, now: EnvState) -> EnvState:
 @jax.vmap
 def errors(case: Case, policy: Policy) -> Any:
     """Deterministic, for each reference 16 fins with keys of their own."""
-    return evaluate_policy(CasePPO.of(case).task, policy, jnp.repeat(case.at, 16, axis=0), jax.random.key(7)).error
+    return evaluate_policy(
+        CasePPO.of(case).task, policy, jnp.repeat(case.at, 16, axis=0), jax.random.key(7)
+    ).error
 
 
 def of(name: str, values: Any) -> Any:
@@ -152,7 +183,9 @@ def values(learnt: Learnt) -> np.ndarray:
     return np.asarray(played(LANES, learnt.end, batch, learnt.end.key)[1].mean(axis=2))
 
 
-def test_the_action_that_makes_the_reference_is_learnt_for_every_reference(learnt: Learnt, scored: Any) -> None:
+def test_the_action_that_makes_the_reference_is_learnt_for_every_reference(
+    learnt: Learnt, scored: Any
+) -> None:
     assert of("direct", scored).mean() < 0.15
     assert of("direct", np.asarray(errors(LANES, learnt.before.networks.policy))).mean() > 0.5
 
@@ -166,7 +199,9 @@ def test_the_value_of_a_constant_reward_is_that_reward(values: np.ndarray) -> No
 
 
 def test_values_ahead_of_a_change_are_discounted(values: np.ndarray) -> None:
-    np.testing.assert_allclose(of("late", values)[:6], [-(1 - 0.5**3), -(1 - 0.5**2), -0.5, 0, 0, 0], atol=0.05)
+    np.testing.assert_allclose(
+        of("late", values)[:6], [-(1 - 0.5**3), -(1 - 0.5**2), -0.5, 0, 0, 0], atol=0.05
+    )
 
 
 def test_a_task_that_needs_memory_is_learnt_with_it(learnt: Learnt, scored: Any) -> None:
@@ -192,7 +227,9 @@ def test_the_policy_reads_in_units_of_what_its_fins_observed(learnt: Learnt) -> 
 
 def test_the_kept_policy_lies_between_where_it_was_and_where_learning_is(learnt: Learnt) -> None:
     policies = (learnt.before.policy, learnt.after.policy, learnt.after.networks.policy)
-    start, kept, newest = (np.asarray(of("direct", policy.net.output.kernel)) for policy in policies)
+    start, kept, newest = (
+        np.asarray(of("direct", policy.net.output.kernel)) for policy in policies
+    )
     assert 0.05 < np.linalg.norm(kept - start) / np.linalg.norm(newest - start) < 0.5
 
 
@@ -200,7 +237,8 @@ def test_without_averaging_the_newest_policy_is_kept() -> None:
     ppo = learner(Direct(), updates=2, averaging=0.0, num_epochs=1)
     start = ppo.init(jax.random.key(0), box((1, 1.5), (2, 2.5)))
     after = jax.jit(ppo.update)(start)[0]
-    kept, newest = after.policy, after.networks.policy
+    kept = after.policy
+    newest = after.networks.policy
     assert not np.array_equal(kept.net.output.kernel, start.policy.net.output.kernel)
     jax.tree.map(np.testing.assert_array_equal, kept, newest)
 
@@ -214,8 +252,12 @@ def test_learning_rate_and_entropy_fall_linearly_over_the_run() -> None:
         entropy_coef=0.1,
         final_entropy_coef=0.2,
     )
-    np.testing.assert_allclose([config.learning_rates(10)(step) for step in (0, 30, 60, 99)], [0.4, 0.22, 0.04, 0.04])
-    np.testing.assert_allclose([config.entropy_coefs(10)(update) for update in (0, 5, 10, 20)], [0.1, 0.06, 0.02, 0.02])
+    np.testing.assert_allclose(
+        [config.learning_rates(10)(step) for step in (0, 30, 60, 99)], [0.4, 0.22, 0.04, 0.04]
+    )
+    np.testing.assert_allclose(
+        [config.entropy_coefs(10)(update) for update in (0, 5, 10, 20)], [0.1, 0.06, 0.02, 0.02]
+    )
 
 
 def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
@@ -223,10 +265,13 @@ def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
     def slope(lane: AgentState, rollout: Rollout, weight: Any) -> Any:
         ppo = CasePPO.of(CASES["direct"])
         batch, _ = ppo.batch(lane.networks.critic, rollout)
-        found = jax.grad(lambda n: ppo.loss(n, batch, lane.env_state.memories, weight)[0])(lane.networks)
+        found = jax.grad(lambda n: ppo.loss(n, batch, lane.env_state.memories, weight)[0])(
+            lane.networks
+        )
         return found.policy.log_std
 
-    before, rollout = of("direct", learnt.before), of("direct", learnt.rollout)
+    before = of("direct", learnt.before)
+    rollout = of("direct", learnt.rollout)
     with_it, without = (np.asarray(slope(before, rollout, jnp.float32(w))) for w in (0.3, 0.0))
     np.testing.assert_allclose(with_it - without, -0.3, atol=1e-4)
 

@@ -27,26 +27,35 @@ def test_several_seeds_are_a_task_each_and_one_seed_is_a_task_per_cell():
 
 
 def test_a_cluster_without_ray_is_refused(tmp_path: Path):
-    with pytest.raises(ConfigurationError, match="cluster here:1: the local engine has none; give --engine ray"):
+    with pytest.raises(
+        ConfigurationError, match="cluster here:1: the local engine has none; give --engine ray"
+    ):
         train("tests.plants:AnalyticFin", tmp_path / "out", cluster="here:1")
 
 
 def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ConfigurationError, match=r"^--engine ray needs ray, .*pip install .*\[ray\]"):
+    with pytest.raises(
+        ConfigurationError, match=r"^--engine ray needs ray, .*pip install .*\[ray\]"
+    ):
         check_cluster("127.0.0.1:6399")
 
 
 @pytest.mark.parametrize(
     ("cluster", "message"),
     [
-        ("127.0.0.1:{unused}", r"nothing answers there \(.*refused\); give --cluster HOST:PORT as `ray start --head` "),
+        (
+            "127.0.0.1:{unused}",
+            r"nothing answers there \(.*refused\); give --cluster HOST:PORT as `ray start --head` ",
+        ),
         ("no-such-host.invalid:6379", r"nothing answers there \(.*\); give --cluster HOST:PORT"),
         ("auto", "not an address HOST:PORT; give --cluster HOST:PORT"),
         ("127.0.0.1:65536", "not an address HOST:PORT"),
     ],
 )
-def test_a_cluster_that_is_not_there_is_told_at_once_in_one_line(cluster, message, monkeypatch: pytest.MonkeyPatch):
+def test_a_cluster_that_is_not_there_is_told_at_once_in_one_line(
+    cluster, message, monkeypatch: pytest.MonkeyPatch
+):
     """Before Ray does anything: one that is installed, and no more, stands in for it."""
     monkeypatch.setitem(sys.modules, "ray", types.ModuleType("ray"))
     with socket.socket() as bound:
@@ -58,14 +67,18 @@ def test_a_cluster_that_is_not_there_is_told_at_once_in_one_line(cluster, messag
 
 
 @pytest.mark.slow
-def test_a_cluster_of_this_machine_learns_the_same_bits_as_this_process_and_leaves_nothing(tmp_path: Path):
+def test_a_cluster_of_this_machine_learns_the_same_bits_as_this_process_and_leaves_nothing(
+    tmp_path: Path,
+):
     told = within("own", tmp_path)
     assert [round(2 * done) for _, done, _ in told["said"]] == [1, 2]
     assert (told["left"], told["connected"], told["home"]) == ([], False, [])
 
 
 @pytest.mark.slow
-def test_two_nodes_learn_the_same_bits_as_this_process_though_a_worker_is_killed_in_the_middle(tmp_path: Path):
+def test_two_nodes_learn_the_same_bits_as_this_process_though_a_worker_is_killed_in_the_middle(
+    tmp_path: Path,
+):
     told = within("cells", tmp_path)
     assert told["deaths"] == 1
     assert len(told["said"]) == 2
@@ -78,7 +91,11 @@ def test_a_task_that_fails_for_good_is_told_in_one_line_when_the_others_are_done
     told = within("failures", tmp_path)
     last_step = SMALL.ppo.steps_per_update * SMALL.num_updates
     assert told["refuse"] == ["RunError", "seed-0: out of water", last_step]
-    assert told["fail"] == ["RunError", "seed-0: its worker failed with IndexError: no such fin", last_step]
+    assert told["fail"] == [
+        "RunError",
+        "seed-0: its worker failed with IndexError: no such fin",
+        last_step,
+    ]
     kind, message, finished = told["die"]
     assert (kind, finished) == ("RunError", last_step)
     assert message.startswith("seed-0: its worker died 3 times (")

@@ -1,4 +1,5 @@
-"""Rollouts that are learnt from for other references: what the task would have given, and how much it weighs."""
+"""Rollouts that are learnt from for other references: what the task would have given, and how much
+it weighs."""
 
 from typing import Any, NamedTuple
 
@@ -13,8 +14,10 @@ from softfin.task.references import References
 from tests.learning.probes import box, learner
 from tests.plants import AnalyticFin
 
-FINS, ACTIONS = 4, 12
-LOW, HIGH = (1.0, -1.0), (3.0, 1.0)
+FINS = 4
+ACTIONS = 12
+LOW = (1.0, -1.0)
+HIGH = (3.0, 1.0)
 
 
 class Relabelled(NamedTuple):
@@ -44,9 +47,12 @@ def relabelled() -> Relabelled:
     return Relabelled(ppo, *begin(jax.random.key(0)))
 
 
-def test_a_relabelled_sequence_is_what_the_same_actions_give_for_the_other_reference(relabelled: Relabelled) -> None:
+def test_a_relabelled_sequence_is_what_the_same_actions_give_for_the_other_reference(
+    relabelled: Relabelled,
+) -> None:
     ppo, _, rollout, both = relabelled
-    task, reference = ppo.task, both.reference[0, FINS]
+    task = ppo.task
+    reference = both.reference[0, FINS]
     assert np.all(both.reference[:, FINS] == reference)
     assert np.abs(reference - rollout.reference[0, 0]).min() > 0.01
 
@@ -65,17 +71,25 @@ def test_a_relabelled_sequence_is_what_the_same_actions_give_for_the_other_refer
             np.testing.assert_allclose(one, other, atol=1e-4)
 
 
-def test_the_other_references_are_of_the_box_and_about_as_far_as_the_errors_are_large(relabelled: Relabelled) -> None:
+def test_the_other_references_are_of_the_box_and_about_as_far_as_the_errors_are_large(
+    relabelled: Relabelled,
+) -> None:
     _, _, rollout, both = relabelled
     references = np.asarray(both.reference)
     assert np.all((references >= LOW) & (references <= HIGH))
-    shift, error = (np.sqrt(np.mean(x**2)) for x in (references[:, FINS:] - rollout.reference, rollout.force_error))
+    shift, error = (
+        np.sqrt(np.mean(x**2))
+        for x in (references[:, FINS:] - rollout.reference, rollout.force_error)
+    )
     assert 0.05 * error < shift < 2 * error
 
 
-def test_actions_weigh_as_often_as_the_policy_would_choose_them_there_at_most_once(relabelled: Relabelled) -> None:
+def test_actions_weigh_as_often_as_the_policy_would_choose_them_there_at_most_once(
+    relabelled: Relabelled,
+) -> None:
     _, agent, rollout, both = relabelled
-    policy, memories = agent.policy, agent.env_state.memories
+    policy = agent.policy
+    memories = agent.env_state.memories
     replay = jax.jit(jax.vmap(policy.sequence, in_axes=(0, 1, 1), out_axes=1))
     mean = replay(memories, both.observation[:, FINS:], rollout.is_first)
     log_prob = np.asarray(policy.log_prob(mean, rollout.pre_tanh_action))
@@ -87,12 +101,17 @@ def test_actions_weigh_as_often_as_the_policy_would_choose_them_there_at_most_on
 
 def test_the_rollout_itself_stays_and_weighs_fully(relabelled: Relabelled) -> None:
     _, _, rollout, both = relabelled
-    jax.tree.map(lambda whole, part: np.testing.assert_array_equal(whole[:, :FINS], part), both, rollout)
+    jax.tree.map(
+        lambda whole, part: np.testing.assert_array_equal(whole[:, :FINS], part), both, rollout
+    )
     np.testing.assert_array_equal(rollout.weight, 1)
 
 
 def test_without_relabelling_the_rollout_is_all_that_is_learnt_from(relabelled: Relabelled) -> None:
     _, agent, rollout, _ = relabelled
     plain = learner(AnalyticFin(), 3, num_envs=FINS, episode=ACTIONS, relabelling=0.0)
-    memories, references = agent.env_state.memories, agent.env_state.states.references
-    assert plain.relabelled(agent.policy, rollout, memories, references, jax.random.key(0)) is rollout
+    memories = agent.env_state.memories
+    references = agent.env_state.states.references
+    assert (
+        plain.relabelled(agent.policy, rollout, memories, references, jax.random.key(0)) is rollout
+    )

@@ -38,7 +38,9 @@ class Cut(Exception):
     """The power goes."""
 
 
-def trained(folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any) -> TrainingResult:
+def trained(
+    folder: Path, seeds: tuple[int, ...] = (0,), config: TrainConfig = SMALL, **options: Any
+) -> TrainingResult:
     metadata = {"configuration": config.model_dump(mode="json"), "seeds": list(seeds)}
     run_directory = RunDirectory(folder / "out", metadata, resume=options.pop("resume", False))
     return train(options.pop("plant", AnalyticFin()), config, seeds, run_directory, **options)
@@ -54,7 +56,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[TrainingResult, Pat
     return trained(folder, (0, 1)), folder
 
 
-def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(whole: tuple[TrainingResult, Path]) -> None:
+def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(
+    whole: tuple[TrainingResult, Path],
+) -> None:
     kernels = np.asarray(whole[0].policies.net.lstm.kernel)
     assert kernels.shape[:2] == (2, 2)
     assert len(np.unique(kernels.reshape(4, -1), axis=0)) == 4
@@ -62,7 +66,9 @@ def test_there_is_a_policy_for_each_seed_and_cell_and_none_are_alike(whole: tupl
     assert np.isfinite(whole[0].evaluation.error).all()
 
 
-def test_a_resumed_run_ends_as_one_that_was_never_stopped(whole: tuple[TrainingResult, Path], tmp_path: Path) -> None:
+def test_a_resumed_run_ends_as_one_that_was_never_stopped(
+    whole: tuple[TrainingResult, Path], tmp_path: Path
+) -> None:
     def cut(stage: str, done: float, note: str) -> None:
         if done >= 0.6:
             raise Cut
@@ -82,27 +88,39 @@ def test_a_lane_learns_the_same_whatever_lanes_are_beside_it(
     """Alone, too: test_devices.py compares that."""
     other = trained(tmp_path, (1, 7), SMALL.model_copy(update={"cells": SMALL.cells[::-1]}))
     jax.tree.map(
-        lambda a, b: np.testing.assert_allclose(a[0, 0], b[1, 1], atol=1e-3), other.policies, whole[0].policies
+        lambda a, b: np.testing.assert_allclose(a[0, 0], b[1, 1], atol=1e-3),
+        other.policies,
+        whole[0].policies,
     )
 
 
-def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(whole: tuple[TrainingResult, Path]) -> None:
+def test_the_log_tells_every_update_and_seed_and_the_deterministic_score(
+    whole: tuple[TrainingResult, Path],
+) -> None:
     entries = log_of(whole[1])
     assert [entry["step"] for entry in entries] == [24, 48, 72, 96]
     for entry in entries:
-        assert {f"seed{s}/{n}" for s in (0, 1) for n in ("reward", "kl", "score_x_n", "score_y_n")} <= set(entry)
+        assert {
+            f"seed{s}/{n}" for s in (0, 1) for n in ("reward", "kl", "score_x_n", "score_y_n")
+        } <= set(entry)
     assert list((whole[1] / ".out.unfinished").glob("events.*"))
 
 
-def test_the_policy_with_the_best_deterministic_score_is_kept(whole: tuple[TrainingResult, Path]) -> None:
+def test_the_policy_with_the_best_deterministic_score_is_kept(
+    whole: tuple[TrainingResult, Path],
+) -> None:
     entries = log_of(whole[1])
     for i, seed in enumerate((0, 1)):
         best = np.asarray(whole[0].evaluation.error)[i].mean()
-        logged = [entry[f"seed{seed}/score_x_n"] + entry[f"seed{seed}/score_y_n"] for entry in entries]
+        logged = [
+            entry[f"seed{seed}/score_x_n"] + entry[f"seed{seed}/score_y_n"] for entry in entries
+        ]
         assert best <= min(logged) / 2 + 1e-6
 
 
-def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkpoint(tmp_path: Path) -> None:
+def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkpoint(
+    tmp_path: Path,
+) -> None:
     """After one good update the plant has no forces any more."""
 
     def cut(stage: str, done: float, note: str) -> None:
@@ -110,7 +128,10 @@ def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkp
 
     with pytest.raises(Cut):
         trained(tmp_path, (5, 6), progress=cut)
-    words = r"the loss is not finite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 N; lower ppo.learning"
+    words = (
+        r"the loss is not finite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 "
+        r"N; lower ppo.learning"
+    )
     with pytest.raises(RunError, match=words):
         trained(tmp_path, (5, 6), plant=AnalyticFin(gain=np.nan), resume=True)
     with safetensors.safe_open(tmp_path / ".out.unfinished" / CHECKPOINT, "numpy") as file:
@@ -120,12 +141,15 @@ def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkp
 def test_scores_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else a run of hours would end with policies that were never any good."""
     run = object.__new__(TrainingRun)
-    run.config, run.agents = SMALL, [(5, cell) for cell in SMALL.cells]
+    run.config = SMALL
+    run.agents = [(5, cell) for cell in SMALL.cells]
     worst = PolicyEvaluation(jnp.array([[[0.5, 0.5]], [[jnp.nan, 0.5]]]), jnp.zeros((2, 1, 2)))
     monkeypatch.setattr(run_module, "_evaluate", lambda *given: worst)
-    run.plant, run.references = None, jnp.zeros((2, 1, 2))
+    run.plant = None
+    run.references = jnp.zeros((2, 1, 2))
     words = (
-        r"^train: the force while the policies are evaluated is not finite in update 3 of 4, seed 5, cell x 1.5 .. 2.5"
+        r"^train: the force while the policies are evaluated is not finite in update 3 of 4, "
+        r"seed 5, cell x 1.5 .. 2.5"
     )
     with pytest.raises(RunError, match=words):
         run.evaluate(jax.eval_shape(lambda: Policy.create(jax.random.key(0), SMALL.policy, 11)), 3)
@@ -133,9 +157,13 @@ def test_scores_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.M
 
 def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Path) -> None:
     small = SMALL.model_copy(update={"steps": 23})
-    with pytest.raises(ConfigurationError, match=r"steps = 23: fewer than one rollout of 24 \(4 environments x 6"):
+    with pytest.raises(
+        ConfigurationError, match=r"steps = 23: fewer than one rollout of 24 \(4 environments x 6"
+    ):
         trained(tmp_path, config=small)
-    with pytest.raises(ConfigurationError, match=r"seeds \[3, 3\]: give at least one, and each once"):
+    with pytest.raises(
+        ConfigurationError, match=r"seeds \[3, 3\]: give at least one, and each once"
+    ):
         trained(tmp_path, (3, 3))
 
 
@@ -159,7 +187,8 @@ def test_the_budgets_are_those_of_the_paper() -> None:
 def test_the_log_says_how_often_policies_leave_the_data_of_a_surrogate_that_knows(
     whole: tuple[TrainingResult, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is the scoring that says so: here nothing is learnt, as learning in a surrogate takes long to compile."""
+    """It is the scoring that says so: here nothing is learnt, as learning in a surrogate takes long
+    to compile."""
     idle = dict.fromkeys(("loss", "gradient_norm", "error_x_n", "error_y_n"), jnp.zeros(1))
     monkeypatch.setattr(run_module, "_update", lambda program, plant, lanes: (lanes, idle))
     one = SMALL.model_copy(update={"cells": SMALL.cells[:1], "num_evaluations": 1})
@@ -184,7 +213,9 @@ def test_policies_are_scored_in_the_plant_as_it_is_now(whole: tuple[TrainingResu
     np.testing.assert_array_equal(before, error(PlainFin(gain=0.1)))
 
 
-def test_policies_are_scored_without_the_noise_of_the_sensed_angle(whole: tuple[TrainingResult, Path]) -> None:
+def test_policies_are_scored_without_the_noise_of_the_sensed_angle(
+    whole: tuple[TrainingResult, Path],
+) -> None:
     policies = jax.tree.map(lambda x: np.asarray(x).reshape(-1, *x.shape[2:]), whole[0].policies)
     noisy = SMALL.changed(["task.sensing.noise_rad=0.5"])
     evaluation = TrainingRun(AnalyticFin(), noisy, (0, 1), None).evaluate(policies, 0)
@@ -193,5 +224,7 @@ def test_policies_are_scored_without_the_noise_of_the_sensed_angle(whole: tuple[
 
 
 def test_an_episode_without_a_whole_window_is_refused_before_the_work(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"episode_actions = 3: an episode of 100 samples .* window of 200"):
+    with pytest.raises(
+        ConfigurationError, match=r"episode_actions = 3: an episode of 100 samples .* window of 200"
+    ):
         trained(tmp_path, config=SMALL.changed(["task.episode_actions=3"]))

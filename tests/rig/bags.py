@@ -10,7 +10,10 @@ from mcap_ros2.decoder import DecoderFactory
 def events_of(path: Path) -> list[str]:
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return [each.decoded_message.data for each in reader.iter_decoded_messages(topics=["/fin/events"])]
+        return [
+            each.decoded_message.data
+            for each in reader.iter_decoded_messages(topics=["/fin/events"])
+        ]
 
 
 def counts_of(path: Path) -> Counter[str]:
@@ -23,5 +26,7 @@ def commands_of(path: Path) -> list[tuple[float, float]]:
     """Time [s] and angle [rad] of each."""
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return [(each.message.log_time / 1e9, each.decoded_message.position[0])
-                for each in reader.iter_decoded_messages(topics=["/fin/command"])]  # fmt: skip
+        return [
+            (each.message.log_time / 1e9, each.decoded_message.position[0])
+            for each in reader.iter_decoded_messages(topics=["/fin/command"])
+        ]

@@ -1,4 +1,5 @@
-"""A fin behind emulated devices that needs no JAX and brakes like a mass, so that its way to rest can be measured."""
+"""A fin behind emulated devices that needs no JAX and brakes like a mass, so that its way to rest
+can be measured."""
 
 import math
 import threading
@@ -33,7 +34,8 @@ class BrakingFin:
     """Turns at constant velocity to its target; a halt brakes at `quick_stop_rad_s2`."""
 
     def __init__(self, quick_stop_rad_s2: float, clock: Clock = REAL) -> None:
-        self._quick_stop_rad_s2, self._clock = quick_stop_rad_s2, clock
+        self._quick_stop_rad_s2 = quick_stop_rad_s2
+        self._clock = clock
         self._lock = threading.Lock()
         self._motion = _Motion(0.0, clock(), 0.0, 0.0, 0.0)
 
@@ -42,7 +44,9 @@ class BrakingFin:
             now = self._clock()
             here, _ = self._motion.at(now)
             way = angle - here
-            self._motion = _Motion(here, now, math.copysign(velocity, way), 0.0, abs(way) / velocity)
+            self._motion = _Motion(
+                here, now, math.copysign(velocity, way), 0.0, abs(way) / velocity
+            )
 
     def halt(self) -> None:
         self._brake(self._quick_stop_rad_s2)
@@ -53,7 +57,9 @@ class BrakingFin:
     def now(self) -> FinMotion:
         with self._lock:
             angle, velocity = self._motion.at(self._clock())
-        return FinMotion(angle, velocity, angle, abs(velocity), (-FORCE_N * velocity, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return FinMotion(
+            angle, velocity, angle, abs(velocity), (-FORCE_N * velocity, 0.0, 0.0, 0.0, 0.0, 0.0)
+        )
 
     def _brake(self, deceleration: float) -> None:
         with self._lock:

@@ -1,8 +1,10 @@
-"""Deaths of hosts and cuts of cables, of one fin or of several on one bus: how soon does each fin stand by itself?
+"""Deaths of hosts and cuts of cables, of one fin or of several on one bus: how soon does each fin
+stand by itself?
 
-Every fin has an emulated drive and sensor, and a host of its own: a rig and a session that strokes from end to end. To
-a drive, a host that is killed and one that is stopped look the same: nothing comes any more. `Fleet` has the emulators
-and watches the fins, in simulated or in real time; the hosts are threads here, and processes in benchmarks/rig_deaths.
+Every fin has an emulated drive and sensor, and a host of its own: a rig and a session that strokes
+from end to end. To a drive, a host that is killed and one that is stopped look the same: nothing
+comes any more. `Fleet` has the emulators and watches the fins, in simulated or in real time; the
+hosts are threads here, and processes in benchmarks/rig_deaths.
 """
 
 import contextlib
@@ -34,7 +36,8 @@ WATCH_STEP_S = 0.001
 """Time between two looks at the fins."""
 
 SIMULATED_MARGIN_S = 2 * MOTION_STEP_S + WATCH_STEP_S
-"""The drive looks at its host's silence once a step and at its own standstill once a step; the watcher comes last."""
+"""The drive looks at its host's silence once a step and at its own standstill once a step; the
+watcher comes last."""
 
 AFTERWARDS_S = 0.2
 """Time after the limit for which a fin is watched on: it must not move again."""
@@ -43,17 +46,20 @@ LONGEST_START_S = 60.0
 """Time within which all fins must swim; a real host takes seconds on a busy computer."""
 
 MOMENTS_S = 1.0
-"""A death comes at a random moment within so long, which begins when the first controlword powers the motor up."""
+"""A death comes at a random moment within so long, which begins when the first controlword powers
+the motor up."""
 
 STROKE_RAD = 1.5
 SLOWEST_STROKE_RAD_S = 1.0
 """At this velocity, too, a stroke lasts longer than an action: the fin is never at rest."""
 
 RECORDS_HZ = 200.0
-"""Records of each sensor; few, because the deaths are the drives' business and four sensors take much of a computer."""
+"""Records of each sensor; few, because the deaths are the drives' business and four sensors take
+much of a computer."""
 
 PATIENT_SYNC_S = 0.1
-"""In real time Python serves the bus: a drive may take tenths of a second to acknowledge a target."""
+"""In real time Python serves the bus: a drive may take tenths of a second to acknowledge a
+target."""
 
 DRIVE = {
     "encoder_lines": 500,
@@ -69,7 +75,12 @@ class Station:
     """The emulated side of one fin."""
 
     def __init__(
-        self, bus: BusConfig, host_bus: dict[str, Any], drive: dict[str, Any], traits: DriveTraits, clock: Clock
+        self,
+        bus: BusConfig,
+        host_bus: dict[str, Any],
+        drive: dict[str, Any],
+        traits: DriveTraits,
+        clock: Clock,
     ) -> None:
         config = Epos2Config.build(drive, "drive")
         self.name = f"fin {config.node}"
@@ -102,18 +113,22 @@ class Outcome(NamedTuple):
     """What the watcher of a fleet has seen."""
 
     rest_s: float
-    """Time until the last of the fins that were to stand stood without power, for good; infinite if one did not."""
+    """Time until the last of the fins that were to stand stood without power, for good; infinite if
+    one did not."""
     way_rad: float
     """Longest way of these fins."""
     disturbed: tuple[str, ...]
-    """Fins that did what they must not, each with what it was: most often one that did not swim on."""
+    """Fins that did what they must not, each with what it was: most often one that did not swim
+    on."""
     lag_s: float
-    """Time for which frames of a dead host still came in, because the bus lags behind; one of copper does not."""
+    """Time for which frames of a dead host still came in, because the bus lags behind; one of
+    copper does not."""
     look_s: float
     """Longest time between two looks: how late the threads of this process run."""
 
     def then(self, later: "Outcome") -> "Outcome":
-        """Return this outcome followed by a later one, in which nothing may move that stood before."""
+        """Return this outcome followed by a later one, in which nothing may move that stood
+        before."""
         moved_again = () if later.rest_s == 0.0 else ("a fin that was to stand moved",)
         return Outcome(
             rest_s=self.rest_s,
@@ -127,7 +142,9 @@ class Outcome(NamedTuple):
 class Fleet(contextlib.ExitStack):
     """Emulated drives with the nodes 1, 2 .. on one bus, a fin and a sensor each."""
 
-    def __init__(self, count: int, heartbeat_s: float, clock: Clock, traits: DriveTraits = USUAL) -> None:
+    def __init__(
+        self, count: int, heartbeat_s: float, clock: Clock, traits: DriveTraits = USUAL
+    ) -> None:
         super().__init__()
         self.clock = clock
         channel = f"fleet-{uuid.uuid4().hex[:8]}"
@@ -145,7 +162,8 @@ class Fleet(contextlib.ExitStack):
             self.stations.append(station)
         config = Epos2Config.build(drive, "drive")
         self.limit_s = heartbeat_s + config.fastest_rad_s / config.quick_stop_rad_s2
-        """Longest time from a death to rest, without a margin: silence until the drive notices, and its braking."""
+        """Longest time from a death to rest, without a margin: silence until the drive notices, and
+        its braking."""
 
     def await_swimming(self, victim: Station) -> None:
         """Wait until the victim's motor is being powered up and all others swim."""
@@ -181,7 +199,8 @@ class Fleet(contextlib.ExitStack):
                 ways[index] += abs(angle - angles[index])
                 angles[index] = angle
             for station in affected:
-                # The drive's own note of its host's last heartbeat, which it forgets when it misses the next ones.
+                # The drive's own note of its host's last heartbeat, which it forgets when it misses
+                # the next ones.
                 lag_s = max(lag_s, (station.drive._host_beat or began) - began)
             if not all(station.is_at_rest for station in affected):
                 rest_since = None
@@ -190,7 +209,9 @@ class Fleet(contextlib.ExitStack):
             for station in others:
                 state = station.drive.state
                 if state is not State.OPERATION_ENABLED:
-                    disturbed.setdefault(station, f"{station.name}: {state.words} after {now - began:.3f} s")
+                    disturbed.setdefault(
+                        station, f"{station.name}: {state.words} after {now - began:.3f} s"
+                    )
             is_over = now - began >= seconds
         way_by_station = dict(zip(self.stations, ways, strict=True))
         for station in others:
@@ -230,7 +251,8 @@ def swim_by_values(values: dict[str, Any], seed: int, clock: Clock = REAL) -> No
 
 
 class HostClock(SimulatedClock):
-    """A simulated clock as the threads of one host have it: while the host is dead, none of its waits ends."""
+    """A simulated clock as the threads of one host have it: while the host is dead, none of its
+    waits ends."""
 
     __slots__ = ("is_dead",)
 
@@ -293,7 +315,9 @@ class Trial(NamedTuple):
     def problem(self, outcome: Outcome, limit_s: float) -> str | None:
         """Describe what went wrong; None if nothing did."""
         if outcome.rest_s - outcome.lag_s > limit_s:
-            return f"{self}: at rest after {outcome.rest_s:.4f} s, at most {limit_s:.4f} s ({outcome})"
+            return (
+                f"{self}: at rest after {outcome.rest_s:.4f} s, at most {limit_s:.4f} s ({outcome})"
+            )
         if outcome.disturbed:
             return f"{self}: {', '.join(outcome.disturbed)} ({outcome})"
         return None
@@ -311,7 +335,9 @@ def cut(stations: Sequence[Station]) -> None:
 
 
 @contextlib.contextmanager
-def simulated_hosts(fleet: Fleet, clock: SimulatedClock, numbers: random.Random) -> Iterator[list[SimulatedHost]]:
+def simulated_hosts(
+    fleet: Fleet, clock: SimulatedClock, numbers: random.Random
+) -> Iterator[list[SimulatedHost]]:
     """Start a host for each fin; all are stopped at the end."""
     with contextlib.ExitStack() as stack:
         hosts = []
@@ -322,11 +348,17 @@ def simulated_hosts(fleet: Fleet, clock: SimulatedClock, numbers: random.Random)
         yield hosts
 
 
-def run_simulated_trial(trial: Trial, heartbeat_s: float = 0.2, traits: DriveTraits = USUAL) -> tuple[Outcome, float]:
-    """Return what was seen and the limit [s]; a host that goes on after its death must not move its fin again."""
+def run_simulated_trial(
+    trial: Trial, heartbeat_s: float = 0.2, traits: DriveTraits = USUAL
+) -> tuple[Outcome, float]:
+    """Return what was seen and the limit [s]; a host that goes on after its death must not move its
+    fin again."""
     clock = SimulatedClock()
     numbers = trial.numbers
-    with Fleet(trial.count, heartbeat_s, clock, traits) as fleet, simulated_hosts(fleet, clock, numbers) as hosts:
+    with (
+        Fleet(trial.count, heartbeat_s, clock, traits) as fleet,
+        simulated_hosts(fleet, clock, numbers) as hosts,
+    ):
         place = numbers.randrange(trial.count)
         victim = fleet.stations[place]
         fleet.await_swimming(victim)

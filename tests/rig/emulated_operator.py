@@ -1,6 +1,8 @@
-"""An operator beside an emulated rig: turns its shaft, hangs weights on its sensor, pulls its cables, answers.
+"""An operator beside an emulated rig: turns its shaft, hangs weights on its sensor, pulls its
+cables, answers.
 
-What an operator does badly, or finds broken, is set before a step: `answers` overrides what is answered to a question.
+What an operator does badly, or finds broken, is set before a step: `answers` overrides what is
+answered to a question.
 """
 
 import contextlib
@@ -21,7 +23,8 @@ class EmulatedOperator:
         self.told: list[str] = []
         self.asked: list[str] = []
         self.answers: dict[str, Any] = {}
-        """Answer by a word of the question; otherwise yes, and what the data sheets of the emulated rig say."""
+        """Answer by a word of the question; otherwise yes, and what the data sheets of the emulated
+        rig say."""
         self.weight_n = 9.81
         self.turn_rad_per_deg = math.pi / 180
         self.ignores: set[str] = set()

@@ -1,4 +1,5 @@
-"""What the tests of the drive share: a configuration, a drive with its emulator behind it, frames made by hand."""
+"""What the tests of the drive share: a configuration, a drive with its emulator behind it, frames
+made by hand."""
 
 import struct
 import uuid
@@ -37,13 +38,15 @@ def bus_config() -> BusConfig:
 
 def block(fin: Any) -> None:
     """The fin stays where it is while its profile goes on."""
-    free, angle = fin.now, fin.now().angle
+    free = fin.now
+    angle = fin.now().angle
     fin.now = lambda: free()._replace(angle=angle, velocity=0.0)
 
 
 def ignore_targets(drive: EmulatedDrive, count: int) -> None:
     """It takes none of the next targets, as if their frames were lost."""
-    control, left = drive.motor.control, [count]
+    control = drive.motor.control
+    left = [count]
 
     def partly(word: int, before: int) -> None:
         if word & ~before & 0x10 and left[0]:
@@ -74,9 +77,14 @@ class Bench(NamedTuple):
 
 
 @contextmanager
-def bench(emulated: Epos2Config | None = None, traits: DriveTraits = USUAL, **changes: Any) -> Iterator[Bench]:
+def bench(
+    emulated: Epos2Config | None = None, traits: DriveTraits = USUAL, **changes: Any
+) -> Iterator[Bench]:
     clock = SimulatedClock()
-    config, bus, fin, faults = drive_config(**changes), bus_config(), SimpleFin(clock), []
+    config = drive_config(**changes)
+    bus = bus_config()
+    fin = SimpleFin(clock)
+    faults = []
     with closing(EmulatedDrive(bus, emulated or config, fin, clock, traits)) as behind:
         drive = Epos2(bus, config, clock, on_fault=faults.append)
         try:
@@ -98,7 +106,8 @@ class Sniffer:
     """All frames of a bus, each with the time that it came."""
 
     def __init__(self, made: Bench) -> None:
-        self._bus, self._clock = open_bus(made.bus, made.clock), made.clock
+        self._bus = open_bus(made.bus, made.clock)
+        self._clock = made.clock
         self._frames: list[tuple[float, int, bytes]] = []
 
     @property
@@ -113,7 +122,11 @@ class Sniffer:
 
     def controlwords(self) -> list[int]:
         """By process data."""
-        return [struct.unpack("<Hi", data)[0] for _, cob_id, data in self.frames if cob_id == 0x200 + NODE]
+        return [
+            struct.unpack("<Hi", data)[0]
+            for _, cob_id, data in self.frames
+            if cob_id == 0x200 + NODE
+        ]
 
     def __enter__(self) -> "Sniffer":
         return self

@@ -1,4 +1,5 @@
-"""Faults of the network between an emulated sensor and its client: datagrams lost, late, doubled, out of order."""
+"""Faults of the network between an emulated sensor and its client: datagrams lost, late, doubled,
+out of order."""
 
 import random
 from collections import deque
@@ -23,9 +24,14 @@ class FaultyNetwork:
         sensor.transmit = network.transmit
         return network
 
-    def disturb(self, drop: float = 0.0, duplicate: float = 0.0, reorder: float = 0.0, late: int = 0) -> None:
+    def disturb(
+        self, drop: float = 0.0, duplicate: float = 0.0, reorder: float = 0.0, late: int = 0
+    ) -> None:
         """From now on; `late` is how many datagrams later each one comes."""
-        self.drop, self.duplicate, self.reorder, self.late = drop, duplicate, reorder, late
+        self.drop = drop
+        self.duplicate = duplicate
+        self.reorder = reorder
+        self.late = late
 
     def transmit(self, datagram: bytes) -> Iterator[bytes]:
         if self._random.random() < self.drop:

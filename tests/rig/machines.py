@@ -1,4 +1,5 @@
-"""A machine that needs no device and no time: a fin that turns at constant velocity, on a clock that the test moves."""
+"""A machine that needs no device and no time: a fin that turns at constant velocity, on a clock
+that the test moves."""
 
 import math
 import threading
@@ -27,10 +28,12 @@ class Hours(Clock):
 
 
 class FreeFin:
-    """Meets the Machine contract; every call is noted in `calls`, `altered` changes what is read."""
+    """Meets the Machine contract; every call is noted in `calls`, `altered` changes what is
+    read."""
 
     def __init__(self, clock: Clock = REAL) -> None:
-        self.name, self.limits = "free fin", Limits(*map(float, PAPER_LIMITS))
+        self.name = "free fin"
+        self.limits = Limits(*map(float, PAPER_LIMITS))
         self.notes: tuple[str, ...] = ()
         self.stop_unconfirmed: str | None = None
         self.clock = clock
@@ -39,7 +42,9 @@ class FreeFin:
         self.enabled = False
         self.commands: list[Target] = []
         self._lock = threading.RLock()
-        self._angle, self._target, self._at = 0.0, Target(0.0, 1.0), clock()
+        self._angle = 0.0
+        self._target = Target(0.0, 1.0)
+        self._at = clock()
 
     def open(self) -> None:
         self.calls.append("open")
@@ -56,7 +61,8 @@ class FreeFin:
         with self._lock:
             self.calls.append("enable")
             self._advance()
-            self.enabled, self._target = True, Target(self._angle, 1.0)
+            self.enabled = True
+            self._target = Target(self._angle, 1.0)
 
     def command(self, target: Target) -> None:
         with self._lock:
@@ -90,7 +96,8 @@ class FreeFin:
         self._angle = angle
 
     def _advance(self) -> float:
-        passed, self._at = self.clock() - self._at, self.clock()
+        passed = self.clock() - self._at
+        self._at = self.clock()
         rest = self._target.angle - self._angle if self.enabled else 0.0
         step = math.copysign(min(abs(rest), self._target.velocity * passed), rest)
         self._angle += step
@@ -135,7 +142,9 @@ class Wagging:
     def init(self) -> int:
         return 0
 
-    def act(self, state: int, measured: Measured, reference: tuple[float, float]) -> tuple[int, Command]:
+    def act(
+        self, state: int, measured: Measured, reference: tuple[float, float]
+    ) -> tuple[int, Command]:
         self.asked.append(reference)
         self.forces.append(measured.force)
         target = self._worse(state) or Target(0.5 if state % 2 else -0.5, 2.0)

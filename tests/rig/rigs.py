@@ -1,4 +1,5 @@
-"""Emulated rigs for tests: in simulated time, but for the few that are reached over sockets from another process."""
+"""Emulated rigs for tests: in simulated time, but for the few that are reached over sockets from
+another process."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,7 +24,13 @@ from tests.rig.simple_fin import SimpleFin
 SAFETY = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "acceleration_rad_s2": 1e5}
 """The simple fin is as fast as it likes at once."""
 
-WIDE = {"overrun_s": 1.0, "stale_s": 1.0, "force_stale_s": 1.0, "watchdog_s": 2.0, "following_s": 2.0}
+WIDE = {
+    "overrun_s": 1.0,
+    "stale_s": 1.0,
+    "force_stale_s": 1.0,
+    "watchdog_s": 2.0,
+    "following_s": 2.0,
+}
 """For real time, because the machine that runs the tests is shared."""
 
 
@@ -45,7 +52,10 @@ def emulated(tank: Tank | None = None, **safety: Any) -> Iterator[tuple[Emulated
     """With a fin that needs no JAX, unless a tank is given."""
     with simulated(tank) as behind:
         values = values_of(behind, **safety)
-        yield behind, robot_of(behind, **{name: value for name, value in values.items() if name != "bus"})
+        yield (
+            behind,
+            robot_of(behind, **{name: value for name, value in values.items() if name != "bus"}),
+        )
 
 
 @contextmanager
@@ -59,7 +69,11 @@ def simulated(tank: Tank | None = None) -> Iterator[EmulatedRig]:
 def robot_of(behind: EmulatedRig, **values: Any) -> RobotSetup:
     config = config_of(behind, **values)
     return RobotSetup(
-        Rig(config, behind.clock), config.safety, config.fin, config.settle_s, config.model_dump(mode="json")
+        Rig(config, behind.clock),
+        config.safety,
+        config.fin,
+        config.settle_s,
+        config.model_dump(mode="json"),
     )
 
 
@@ -87,7 +101,8 @@ def over_sockets(path: Path) -> Iterator[EmulatedRig]:
 
 
 def prove(path: Path) -> None:
-    """Record that the emulated drive of a rig's file stops by itself, as `softfin rig check --prove` would."""
+    """Record that the emulated drive of a rig's file stops by itself, as `softfin rig check
+    --prove` would."""
     config = load_rig(path)
     proof = StopProof(
         date="2026-01-01T00:00:00+00:00",
@@ -101,7 +116,8 @@ def prove(path: Path) -> None:
 
 @contextmanager
 def patient() -> Iterator[None]:
-    """On a busy machine an emulated sensor in real time is silent at times; no more than its age is judged then."""
+    """On a busy machine an emulated sensor in real time is silent at times; no more than its age is
+    judged then."""
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.axia80.sensor.SILENT_S", 2.0)
         yield

@@ -1,4 +1,5 @@
-"""A transport without a network, for tests of what stands on it, and messages made by rosbags' general serialiser."""
+"""A transport without a network, for tests of what stands on it, and messages made by rosbags'
+general serialiser."""
 
 from collections import defaultdict
 
@@ -16,9 +17,11 @@ HEARD_BY = {
     "latched": ("reliable", "best_effort", "latched"),
     "from before": ("latched",),
 }
-"""Readers that hear a publisher, by what it offers; "from before" is latched and was sent before they were there."""
+"""Readers that hear a publisher, by what it offers; "from before" is latched and was sent before
+they were there."""
 
-JOINT, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
+JOINT = "sensor_msgs/msg/JointState"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
 
 
 class Messages:
@@ -41,17 +44,29 @@ class Messages:
 
     def header(self, stamp_ns, frame):
         return self.make(
-            "std_msgs/msg/Header", self.make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9)), frame
+            "std_msgs/msg/Header",
+            self.make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9)),
+            frame,
         )
 
     def joint(self, stamp_ns, frame, name, angle, velocity):
         return self.make(
-            JOINT, self.header(stamp_ns, frame), [name], np.array([angle]), np.array([velocity]), np.zeros(0)
+            JOINT,
+            self.header(stamp_ns, frame),
+            [name],
+            np.array([angle]),
+            np.array([velocity]),
+            np.zeros(0),
         )
 
     def wrench(self, stamp_ns, frame, wrench):
-        parts = (self.make("geometry_msgs/msg/Vector3", *map(float, part)) for part in (wrench[:3], wrench[3:]))
-        return self.make(WRENCH, self.header(stamp_ns, frame), self.make("geometry_msgs/msg/Wrench", *parts))
+        parts = (
+            self.make("geometry_msgs/msg/Vector3", *map(float, part))
+            for part in (wrench[:3], wrench[3:])
+        )
+        return self.make(
+            WRENCH, self.header(stamp_ns, frame), self.make("geometry_msgs/msg/Wrench", *parts)
+        )
 
 
 class MemoryTransport:
@@ -111,18 +126,24 @@ class MemoryTransport:
 
 
 class TopicDriver:
-    """A fin and its driver behind a transport in memory, in simulated time, which can fail as drivers do."""
+    """A fin and its driver behind a transport in memory, in simulated time, which can fail as
+    drivers do."""
 
     STEP_S = 0.005
 
     def __init__(self, clock, transport, delay_s=0.02, acceleration=100.0, dead_man_s=None):
-        """`delay_s` is the time from a message to its effect; without a command for `dead_man_s` the fin stops."""
-        self.clock, self.transport = clock, transport
-        self.delay_s, self.acceleration, self.dead_man_s = delay_s, acceleration, dead_man_s
+        """`delay_s` is the time from a message to its effect; without a command for `dead_man_s`
+        the fin stops."""
+        self.clock = clock
+        self.transport = transport
+        self.delay_s = delay_s
+        self.acceleration = acceleration
+        self.dead_man_s = dead_man_s
         self.is_there = self.takes_commands = self.takes_stops = True
         self.is_blocked = False
         self.angle = self.velocity = self.target = 0.0
-        self.speed, self.commanded_at = 0.0, -1.0
+        self.speed = 0.0
+        self.commanded_at = -1.0
         self.is_stopped = False
         self.done = defaultdict(int)
         clock.spawn(self._run, "driver")
@@ -141,14 +162,17 @@ class TopicDriver:
     def _new(self, topic):
         """Messages whose effect is due."""
         times = self.transport.sent_at[topic]
-        while self.done[topic] < len(times) and times[self.done[topic]] <= self.clock() - self.delay_s:
+        while (
+            self.done[topic] < len(times) and times[self.done[topic]] <= self.clock() - self.delay_s
+        ):
             self.done[topic] += 1
             yield self.transport.sent[topic][self.done[topic] - 1]
 
     def _listen(self):
         for command in self._new("/command"):
             if self.takes_commands:
-                self.target, self.speed = command.position[0], command.velocity[0]
+                self.target = command.position[0]
+                self.speed = command.velocity[0]
                 self.commanded_at = self.clock()
         for stop in self._new("/stop"):
             if self.takes_stops:
@@ -156,8 +180,12 @@ class TopicDriver:
 
     def _move(self):
         rest = self.target - self.angle
-        wanted = np.sign(rest) * min(self.speed, np.sqrt(2 * self.acceleration * abs(rest)), abs(rest) / self.STEP_S)
-        is_alone = self.dead_man_s is not None and self.clock() - self.commanded_at > self.dead_man_s
+        wanted = np.sign(rest) * min(
+            self.speed, np.sqrt(2 * self.acceleration * abs(rest)), abs(rest) / self.STEP_S
+        )
+        is_alone = (
+            self.dead_man_s is not None and self.clock() - self.commanded_at > self.dead_man_s
+        )
         if self.is_stopped or is_alone:
             wanted = 0.0
         change = self.acceleration * self.STEP_S

@@ -1,7 +1,9 @@
-"""Two processes on DDS, alone on loopback: `python -m tests.rig.ros2_processes CASE FOLDER` and its child.
+"""Two processes on DDS, alone on loopback: `python -m tests.rig.ros2_processes CASE FOLDER` and its
+child.
 
-The child knows nothing of softfin: its types are written by hand, and cyclonedds makes their bytes. Where it can be
-had, both are in a network namespace of their own; else Cyclone DDS is kept to loopback.
+The child knows nothing of softfin: its types are written by hand, and cyclonedds makes their bytes.
+Where it can be had, both are in a network namespace of their own; else Cyclone DDS is kept to
+loopback.
 """
 
 import fcntl
@@ -41,17 +43,29 @@ LOOPBACK = (
     '<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>'
 )
 
-QUALITY = Qos(Policy.Reliability.Reliable(100_000_000), Policy.History.KeepLast(10), Policy.Durability.Volatile)
+QUALITY = Qos(
+    Policy.Reliability.Reliable(100_000_000),
+    Policy.History.KeepLast(10),
+    Policy.Durability.Volatile,
+)
 
 RELIABLE = Policy.Reliability.Reliable(100_000_000)
 
 OFFERS = {
     "reliable": QUALITY,
-    "best_effort": Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10), Policy.Durability.Volatile),
+    "best_effort": Qos(
+        Policy.Reliability.BestEffort, Policy.History.KeepLast(10), Policy.Durability.Volatile
+    ),
     "latched": Qos(RELIABLE, Policy.History.KeepLast(1), Policy.Durability.TransientLocal),
-    "exclusive": Qos(RELIABLE, Policy.History.KeepLast(10), Policy.Durability.Volatile, Policy.Ownership.Exclusive),
+    "exclusive": Qos(
+        RELIABLE,
+        Policy.History.KeepLast(10),
+        Policy.Durability.Volatile,
+        Policy.Ownership.Exclusive,
+    ),
 }
-"""What publishers of a stop offer; no node of ROS 2 offers the last one, which no reader of softfin hears."""
+"""What publishers of a stop offer; no node of ROS 2 offers the last one, which no reader of softfin
+hears."""
 
 
 @dataclass
@@ -102,14 +116,25 @@ class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
 def within(case: str, folder: Path) -> dict[str, Any]:
     """What a case tells."""
     there = shutil.which("unshare") is not None
-    alone = ALONE if there and not subprocess.run([*ALONE, "true"], capture_output=True).returncode else ()
+    alone = (
+        ALONE
+        if there and not subprocess.run([*ALONE, "true"], capture_output=True).returncode
+        else ()
+    )
     environment = {name: value for name, value in os.environ.items() if name != "CYCLONEDDS_URI"}
     # Without a namespace of its own, a domain that no other test is in.
-    environment |= {"ROS_DOMAIN_ID": "0" if alone else str(1 + os.getpid() % 200), "ALONE": str(bool(alone))}
+    environment |= {
+        "ROS_DOMAIN_ID": "0" if alone else str(1 + os.getpid() % 200),
+        "ALONE": str(bool(alone)),
+    }
     run = subprocess.run(
-        [*alone, sys.executable, "-m", "tests.rig.ros2_processes", case, str(folder)], env=environment,
-        cwd=Path(__file__).parents[2], capture_output=True, text=True, timeout=HANG_S,
-    )  # fmt: skip
+        [*alone, sys.executable, "-m", "tests.rig.ros2_processes", case, str(folder)],
+        env=environment,
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+    )
     assert run.returncode == 0, run.stderr[-4000:]
     told: dict[str, Any] = json.loads((folder / "told.json").read_text())
     return told
@@ -128,7 +153,9 @@ def plant(_: Path) -> dict[str, Any]:
     machine.enable()
     machine.command(Target(0.5, 2.0))
     # However slow this computer is, the driver gets there, and most of the readings are new.
-    moved = _ticked_until(machine, lambda samples: samples[-1].angle > 0.4999 and _count_fresh(samples) > 40)
+    moved = _ticked_until(
+        machine, lambda samples: samples[-1].angle > 0.4999 and _count_fresh(samples) > 40
+    )
     machine.command(Target(-1.0, 1.0))
     _ticked_until(machine, lambda samples: samples[-1].angle < 0.4)
     machine.stop()
@@ -157,7 +184,12 @@ def plant(_: Path) -> dict[str, Any]:
 def _plant_config(**changes: Any) -> Any:
     from softfin.rig.ros2.config import Ros2PlantConfig
 
-    limits = {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0}
+    limits = {
+        "angle_min_rad": -1.5,
+        "angle_max_rad": 1.5,
+        "velocity_min_rad_s": 1.0,
+        "velocity_max_rad_s": 3.0,
+    }
     config = {
         "joint_topic": "/joint",
         "joint_name": "fin",
@@ -186,13 +218,21 @@ def node(_: Path) -> dict[str, Any]:
     while stop is None and time.monotonic() < deadline:
         tick += 1
         now = time.monotonic()
-        ros_node.publish(Sample(now, 0.25, -0.5, None, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ()),
-                       Target(0.001 * tick, 2.0))  # fmt: skip
-        reference, stop = ros_node.reference() or reference, ros_node.stop_reason()
+        ros_node.publish(
+            Sample(now, 0.25, -0.5, None, None, now - 0.02, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), ()),
+            Target(0.001 * tick, 2.0),
+        )
+        reference = ros_node.reference() or reference
+        stop = ros_node.stop_reason()
         time.sleep(0.01)
     listening = ros_node.joint.readers()
     transport.close()
-    return {"reference": reference, "stop": stop, "unsent": ros_node.counters()["unsent"], "listening": listening}
+    return {
+        "reference": reference,
+        "stop": stop,
+        "unsent": ros_node.counters()["unsent"],
+        "listening": listening,
+    }
 
 
 def robot(folder: Path) -> dict[str, Any]:
@@ -219,7 +259,8 @@ def robot(folder: Path) -> dict[str, Any]:
 
 
 def stops(_: Path) -> dict[str, Any]:
-    """Emergency stops of which the child publishes each in its own way, and references that cannot be heard."""
+    """Emergency stops of which the child publishes each in its own way, and references that cannot
+    be heard."""
     from softfin.rig.ros2.config import NodeConfig, TransportConfig
     from softfin.rig.ros2.inputs import EmergencyStop, OnceReporter
     from softfin.rig.ros2.node import RosNode
@@ -232,7 +273,10 @@ def stops(_: Path) -> dict[str, Any]:
         there |= set(transport.topics())
         time.sleep(0.005)
     told: list[str] = []
-    emergency_stops = {name: EmergencyStop(transport, f"/stop/{name}", OnceReporter(told.append)) for name in OFFERS}
+    emergency_stops = {
+        name: EmergencyStop(transport, f"/stop/{name}", OnceReporter(told.append))
+        for name in OFFERS
+    }
     ros_node = RosNode(transport, NodeConfig(reference_topic="/stop/reference"), told.append)
     heard: dict[str, str | None] = {}
     while len(told) < 2 or sum(reason is not None for reason in heard.values()) < len(OFFERS) - 1:
@@ -245,10 +289,13 @@ def stops(_: Path) -> dict[str, Any]:
 
 def dead_man(folder: Path) -> dict[str, Any]:
     """A third process moves the child's fin and is killed in the middle of a stroke."""
-    host = subprocess.Popen([sys.executable, "-m", "tests.rig.ros2_processes", "host_child", str(folder)])
+    host = subprocess.Popen(
+        [sys.executable, "-m", "tests.rig.ros2_processes", "host_child", str(folder)]
+    )
     path = folder / "driver.json"
     while not path.exists():
-        # On a busy computer the driver's switch may act before; then the fin goes on with the next command.
+        # On a busy computer the driver's switch may act before; then the fin goes on with the next
+        # command.
         assert host.poll() is None, f"the host ended with {host.returncode}"
         time.sleep(0.005)
     host.kill()
@@ -324,14 +371,21 @@ def header(frame: str = "driver") -> Header:
 
 
 def plant_child(_: Path) -> None:
-    """A driver: a joint that goes to its command at the velocity asked for, and brakes for good when told to stop."""
+    """A driver: a joint that goes to its command at the velocity asked for, and brakes for good
+    when told to stop."""
     child = Child()
-    joints, wrenches = child.writer("/joint", JointState), child.writer("/wrench", WrenchStamped)
-    commands, stops = child.reader("/command", JointState), child.reader("/stop", Bool)
-    angle, target, speed, stopped = 0.0, 0.0, 0.0, False
+    joints = child.writer("/joint", JointState)
+    wrenches = child.writer("/wrench", WrenchStamped)
+    commands = child.reader("/command", JointState)
+    stops = child.reader("/stop", Bool)
+    angle = 0.0
+    target = 0.0
+    speed = 0.0
+    stopped = False
     while True:
         for command in taken(commands):
-            target, speed = command.position[command.name.index("fin")], command.velocity[0]
+            target = command.position[command.name.index("fin")]
+            speed = command.velocity[0]
         stopped = stopped or any(stop.data for stop in taken(stops))
         rest = 0.0 if stopped else target - angle
         step = max(-speed * 0.005, min(speed * 0.005, rest))
@@ -344,27 +398,41 @@ def plant_child(_: Path) -> None:
 
 
 def dead_man_child(folder: Path) -> None:
-    """A driver with a dead man's switch: without a command for 0.2 s its fin stops, until the next one comes."""
+    """A driver with a dead man's switch: without a command for 0.2 s its fin stops, until the next
+    one comes."""
     child = Child()
-    joints, wrenches = child.writer("/joint", JointState), child.writer("/wrench", WrenchStamped)
+    joints = child.writer("/joint", JointState)
+    wrenches = child.writer("/wrench", WrenchStamped)
     commands = child.reader("/command", JointState)
-    angle, target, speed, heard_at, heard_angle, resting = 0.0, 0.0, 0.0, 0.0, 0.0, 0
+    angle = 0.0
+    target = 0.0
+    speed = 0.0
+    heard_at = 0.0
+    heard_angle = 0.0
+    resting = 0
     while resting < 40:
         for command in taken(commands):
-            target, speed, heard_at, heard_angle = command.position[0], command.velocity[0], time.monotonic(), angle
-        # The fin moves by steps: a busy computer makes it slower, never faster. A tenth of the speed leaves 14 s to
-        # kill the host before it is at its target.
+            target = command.position[0]
+            speed = command.velocity[0]
+            heard_at = time.monotonic()
+            heard_angle = angle
+        # The fin moves by steps: a busy computer makes it slower, never faster. A tenth of the
+        # speed leaves 14 s to kill the host before it is at its target.
         step = 0.0
         if time.monotonic() - heard_at < DEAD_MAN_S:
             step = min(0.1 * speed * 0.005, target - angle)
         angle += step
         joints.write(JointState(header(), ["fin"], [angle], [step / 0.005], []))
-        wrenches.write(WrenchStamped(header(), Wrench(Vector3(0.0, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))))
+        wrenches.write(
+            WrenchStamped(header(), Wrench(Vector3(0.0, 0.0, 0.0), Vector3(0.0, 0.0, 0.0)))
+        )
         if angle > 0.05:
             (folder / "driver.json").touch()
         resting = resting + 1 if step == 0.0 and (folder / "killed").exists() else 0
         time.sleep(0.005)
-    (folder / "rest.part").write_text(json.dumps({"angle": angle, "after_last_command": angle - heard_angle}))
+    (folder / "rest.part").write_text(
+        json.dumps({"angle": angle, "after_last_command": angle - heard_angle})
+    )
     (folder / "rest.part").rename(folder / "rest.json")
     time.sleep(HANG_S)
 
@@ -372,9 +440,16 @@ def dead_man_child(folder: Path) -> None:
 def node_child(folder: Path) -> None:
     """Reads a joint, a wrench and a command, then asks for a force and, after it, for a stop."""
     child = Child()
-    readers = {name: child.reader(f"/fin/{name}", kind) for name, kind in
-               (("joint_states", JointState), ("wrench", WrenchStamped), ("command", JointState))}  # fmt: skip
-    references, stops = child.writer("/fin/reference", WrenchStamped), child.writer("/fin/stop", Bool)
+    readers = {
+        name: child.reader(f"/fin/{name}", kind)
+        for name, kind in (
+            ("joint_states", JointState),
+            ("wrench", WrenchStamped),
+            ("command", JointState),
+        )
+    }
+    references = child.writer("/fin/reference", WrenchStamped)
+    stops = child.writer("/fin/stop", Bool)
     seen: dict[str, str] = {}
     while len(seen) < 3:
         for name, reader in readers.items():
@@ -382,10 +457,16 @@ def node_child(folder: Path) -> None:
                 seen[name] = sample.serialize(use_version_2=False).hex()
         time.sleep(0.005)
     (folder / "seen.json").write_text(json.dumps(seen))
-    while not all(writer.get_publication_matched_status().current_count for writer in (references, stops)):
+    while not all(
+        writer.get_publication_matched_status().current_count for writer in (references, stops)
+    ):
         time.sleep(0.005)
     while True:
-        references.write(WrenchStamped(header("fin_mount"), Wrench(Vector3(1.5, -2.5, 0.0), Vector3(0.0, 0.0, 0.0))))
+        references.write(
+            WrenchStamped(
+                header("fin_mount"), Wrench(Vector3(1.5, -2.5, 0.0), Vector3(0.0, 0.0, 0.0))
+            )
+        )
         time.sleep(0.2)
         stops.write(Bool(True))
 
@@ -393,25 +474,33 @@ def node_child(folder: Path) -> None:
 def stops_child(_: Path) -> None:
     """Publishes stops: once and latched before anybody listens; else again and again."""
     child = Child()
-    writers = {name: child.writer(f"/stop/{name}", Bool, quality) for name, quality in OFFERS.items()}
+    writers = {
+        name: child.writer(f"/stop/{name}", Bool, quality) for name, quality in OFFERS.items()
+    }
     writers["latched"].write(Bool(True))
     references = child.writer("/stop/reference", WrenchStamped, OFFERS["best_effort"])
     while True:
         for name in ("reliable", "best_effort", "exclusive"):
             writers[name].write(Bool(True))
-        references.write(WrenchStamped(header(), Wrench(Vector3(1.0, 1.0, 0.0), Vector3(0.0, 0.0, 0.0))))
+        references.write(
+            WrenchStamped(header(), Wrench(Vector3(1.0, 1.0, 0.0), Vector3(0.0, 0.0, 0.0)))
+        )
         time.sleep(0.005)
 
 
 def robot_child(folder: Path) -> None:
-    """Four fins that publish until they are told to stop, and somebody who asks for a wrench and, later, for a stop."""
-    child, names = Child(), ("front_right", "back_right", "back_left", "front_left")
+    """Four fins that publish until they are told to stop, and somebody who asks for a wrench and,
+    later, for a stop."""
+    child = Child()
+    names = ("front_right", "back_right", "back_left", "front_left")
     asked = (1.0, 0.5, 0.0, 0.0, 0.0, 0.1)
     joints = {name: child.writer(f"/{name}/joint_states", JointState) for name in names}
     references = {name: child.reader(f"/{name}/reference", WrenchStamped) for name in names}
     stops = {name: child.reader(f"/{name}/stop", Bool) for name in names}
-    wrenches, stop = child.writer("/robot/reference", WrenchStamped), child.writer("/robot/stop", Bool)
-    achieved, saturated = child.reader("/robot/wrench", WrenchStamped), child.reader("/robot/saturated", Bool)
+    wrenches = child.writer("/robot/reference", WrenchStamped)
+    stop = child.writer("/robot/stop", Bool)
+    achieved = child.reader("/robot/wrench", WrenchStamped)
+    saturated = child.reader("/robot/saturated", Bool)
     newest: dict[str, Any] = {}
     stopped: set[str] = set()
     is_settled = False
@@ -424,11 +513,16 @@ def robot_child(folder: Path) -> None:
                     newest[name] = [sample.wrench.force.x, sample.wrench.force.y]
             if any(sample.data for sample in taken(stops[name])):
                 stopped.add(name)
-        wrenches.write(WrenchStamped(header("base_link"), Wrench(Vector3(*asked[:3]), Vector3(*asked[3:]))))
+        wrenches.write(
+            WrenchStamped(header("base_link"), Wrench(Vector3(*asked[:3]), Vector3(*asked[3:])))
+        )
         for sample in taken(achieved):
-            force, torque = sample.wrench.force, sample.wrench.torque
+            force = sample.wrench.force
+            torque = sample.wrench.torque
             newest["achieved"] = [force.x, force.y, force.z, torque.x, torque.y, torque.z]
-            error = max(abs(one - other) for one, other in zip(newest["achieved"], asked, strict=True))
+            error = max(
+                abs(one - other) for one, other in zip(newest["achieved"], asked, strict=True)
+            )
             is_settled = is_settled or (error < 0.002 and len(newest) == len(names) + 2)
         for sample in taken(saturated):
             newest["saturated"] = sample.data
@@ -452,7 +546,9 @@ def main(case: str, folder: Path) -> None:
         return
     if os.environ["ALONE"] == "True":
         _loopback()
-    other = subprocess.Popen([sys.executable, "-m", "tests.rig.ros2_processes", f"{case}_child", str(folder)])
+    other = subprocess.Popen(
+        [sys.executable, "-m", "tests.rig.ros2_processes", f"{case}_child", str(folder)]
+    )
     try:
         told = globals()[case](folder)
         assert other.poll() is None, f"the other process ended with {other.returncode}"

@@ -11,18 +11,23 @@ SIMPLE_FORCE_N = 0.5
 
 
 class SimpleFin:
-    """Follows its profile exactly, at constant velocity to the target; its force is proportional to its velocity."""
+    """Follows its profile exactly, at constant velocity to the target; its force is proportional to
+    its velocity."""
 
     def __init__(self, clock: Clock = REAL) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._start, self._began, self._target, self._velocity = 0.0, clock(), 0.0, 1.0
+        self._start = 0.0
+        self._began = clock()
+        self._target = 0.0
+        self._velocity = 1.0
 
     def move(self, angle: float, velocity: float) -> None:
         """Begin where the fin is now."""
         with self._lock:
             self._start, self._began = self._angle(), self._clock()
-            self._target, self._velocity = angle, velocity
+            self._target = angle
+            self._velocity = velocity
 
     def halt(self) -> None:
         """Stop at once."""
@@ -30,13 +35,15 @@ class SimpleFin:
             self._start = self._target = self._angle()
 
     def coast(self) -> None:
-        """Go on at half the velocity for as far as `COAST_RAD_S2` would let it: for as long, too."""
+        """Go on at half the velocity for as far as `COAST_RAD_S2` would let it: for as long,
+        too."""
         with self._lock:
             angle = self._angle()
             way = math.copysign(self._velocity**2 / (2 * COAST_RAD_S2), self._target - angle)
             if self._target == angle:
                 way = 0.0
-            self._start, self._began = angle, self._clock()
+            self._began = self._clock()
+            self._start = angle
             self._target = angle + way
             self._velocity /= 2
 
@@ -46,9 +53,17 @@ class SimpleFin:
             angle = self._angle()
             rest = self._target - angle
             velocity = 0.0 if rest == 0 else math.copysign(self._velocity, rest)
-        return FinMotion(angle, velocity, angle, abs(velocity), (-SIMPLE_FORCE_N * velocity, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return FinMotion(
+            angle,
+            velocity,
+            angle,
+            abs(velocity),
+            (-SIMPLE_FORCE_N * velocity, 0.0, 0.0, 0.0, 0.0, 0.0),
+        )
 
     def _angle(self) -> float:
-        way, passed = self._target - self._start, self._velocity * (self._clock() - self._began)
-        # The target itself, which start + way may miss by a rounding error: then the fin would never be at rest.
+        way = self._target - self._start
+        passed = self._velocity * (self._clock() - self._began)
+        # The target itself, which start + way may miss by a rounding error: then the fin would
+        # never be at rest.
         return self._target if passed >= abs(way) else self._start + math.copysign(passed, way)

@@ -1,4 +1,5 @@
-"""A session in a process of its own, which a test pauses: ``python -m tests.rig.soak_process RIG BAG``."""
+"""A session in a process of its own, which a test pauses: ``python -m tests.rig.soak_process RIG
+BAG``."""
 
 import sys
 from pathlib import Path
@@ -12,9 +13,15 @@ from softfin.rig.session import Session
 from tests.rig.machines import Wagging
 
 SAFETY = SafetyConfig(
-    current_peak_a=20.0, current_sustained_a=10.0, overrun_s=0.8, stale_s=0.8, force_stale_s=0.8, watchdog_s=1.2,
-    acceleration_rad_s2=1e5, velocity_rad_s=100.0,
-)  # fmt: skip
+    current_peak_a=20.0,
+    current_sustained_a=10.0,
+    overrun_s=0.8,
+    stale_s=0.8,
+    force_stale_s=0.8,
+    watchdog_s=1.2,
+    acceleration_rad_s2=1e5,
+    velocity_rad_s=100.0,
+)
 
 
 def main() -> None:

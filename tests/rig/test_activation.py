@@ -1,4 +1,5 @@
-"""A session on the rig after a time in which nobody read its sensor: a person types, a log is written."""
+"""A session on the rig after a time in which nobody read its sensor: a person types, a log is
+written."""
 
 import math
 import os
@@ -26,7 +27,8 @@ class Moment:
     def __init__(self, machine):
         self.ages = []
         self.newest = None
-        read, enable = machine.read, machine.enable
+        read = machine.read
+        enable = machine.enable
 
         def read_and_note():
             self.newest = read()
@@ -36,7 +38,8 @@ class Moment:
             self.ages.append(machine.clock() - self.newest.force_time)
             enable()
 
-        machine.read, machine.enable = read_and_note, enable_and_note
+        machine.read = read_and_note
+        machine.enable = enable_and_note
 
 
 @pytest.fixture(params=BUFFERS_BYTES)
@@ -75,7 +78,9 @@ def test_a_force_that_came_up_in_a_pause_is_seen_before_the_motor_is_powered(ben
     moment = Moment(machine)
     with Session(machine, Guard(safety, machine.limits)) as session:
         session.tick()
-        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(60.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(
+            wrench=(60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        )
         pause(behind, 3.0)
         with pytest.raises(SafetyStop, match=r"force 60\.00 N: at most 30 N"):
             session.activate()
@@ -89,7 +94,9 @@ def test_a_sensor_that_restarted_in_a_pause_is_named_before_the_motor_is_powered
         pause(behind, 5.0)
         behind.sensor.reboot(2.0)
         pause(behind, 20.0)
-        with pytest.raises(SafetyStop, match=r"restarted, its zero is lost; .* softfin rig zero --force"):
+        with pytest.raises(
+            SafetyStop, match=r"restarted, its zero is lost; .* softfin rig zero --force"
+        ):
             session.activate()
     assert moment.ages == []
 
@@ -127,7 +134,11 @@ def test_a_fault_that_comes_and_goes_never_gets_the_motor_powered():
         def read_with_fault():
             ticks.append(None)
             sample = read()
-            return sample._replace(complaints=("it flickers",)) if len(ticks) % GOOD_TICKS == 0 else sample
+            return (
+                sample._replace(complaints=("it flickers",))
+                if len(ticks) % GOOD_TICKS == 0
+                else sample
+            )
 
         machine.read = read_with_fault
         with (
@@ -147,7 +158,9 @@ def test_a_dozen_lost_records_do_not_stop_the_fin(lost):
             session.command(Target(0.5, 1.0))
             for place in range(10):
                 left = iter(range(lost))
-                behind.sensor.transmit = lambda datagram, left=left: () if next(left, None) is not None else (datagram,)
+                behind.sensor.transmit = lambda datagram, left=left: (
+                    () if next(left, None) is not None else (datagram,)
+                )
                 for _ in range(20 + place):
                     session.tick()
             assert machine.counters()["sensor_lost"] == 10 * lost

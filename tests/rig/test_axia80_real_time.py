@@ -14,7 +14,8 @@ from tests.rig.still_fin import StillFin
 
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
-    """Opened as soon as the filter is full, and no complaint where a busy machine starves the emulator."""
+    """Opened as soon as the filter is full, and no complaint where a busy machine starves the
+    emulator."""
     monkeypatch.setattr(axia80, "MEASURED_S", 0.2)
     monkeypatch.setattr(axia80, "SILENT_S", HANG_S)
 
@@ -29,7 +30,9 @@ def emulated(*wrench):
 
 
 def config_of(sensor):
-    return Axia80Config(address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y")
+    return Axia80Config(
+        address="127.0.0.1", http_port=sensor.http_port, rdt_port=sensor.rdt_port, frame="x,y"
+    )
 
 
 def test_the_force_arrives_over_sockets_too():

@@ -3,7 +3,9 @@ from tests.rig.rigs import emulated
 
 
 def findings(machine, folder):
-    return {finding.what: finding for finding in check_rig(machine.config, folder, 0.3, machine.clock)}
+    return {
+        finding.what: finding for finding in check_rig(machine.config, folder, 0.3, machine.clock)
+    }
 
 
 def test_each_device_is_looked_at_though_another_is_wrong(tmp_path):
@@ -17,7 +19,9 @@ def test_each_device_is_looked_at_though_another_is_wrong(tmp_path):
 
 def test_a_force_that_is_not_zero_is_a_note_and_says_what_to_do(tmp_path):
     with emulated() as (behind, robot):
-        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(0.0, 1.5, 0.0, 0.0, 0.0, 0.0))
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(
+            wrench=(0.0, 1.5, 0.0, 0.0, 0.0, 0.0)
+        )
         found = findings(robot.machine, tmp_path)
     assert found["force at rest"].state == "note"
     assert "+1.500" in found["force at rest"].text

@@ -34,7 +34,12 @@ from tests.rig.emulated_operator import EmulatedOperator
 from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.rigs import over_sockets, simulated, values_of
 
-LIMITS = {"force_peak_n": 2.5, "force_sustained_n": 2.0, "current_peak_a": 2.0, "current_sustained_a": 1.5}
+LIMITS = {
+    "force_peak_n": 2.5,
+    "force_sustained_n": 2.0,
+    "current_peak_a": 2.0,
+    "current_sustained_a": 1.5,
+}
 """Limits that suit the simple fin: 0.5 N and 0.4 A per rad/s."""
 
 RATE_HZ = 200.0
@@ -63,13 +68,17 @@ class Site:
         return RigConfig.build(self.values, "rig.yaml")
 
     def run(self, number):
-        return commission_step(self.file, self.config, number, self.operator, self.behind.clock, HOUR_S)
+        return commission_step(
+            self.file, self.config, number, self.operator, self.behind.clock, HOUR_S
+        )
 
     def pass_until(self, number):
         """Sign the steps before one."""
         item = Item(what="any", value="1", required="1", passed=True)
         steps = [
-            SignedStep(number=each, date="-", signed_by="-", items=(item,), rig=config_values(self.config))
+            SignedStep(
+                number=each, date="-", signed_by="-", items=(item,), rig=config_values(self.config)
+            )
             for each in range(1, number)
         ]
         save_form(self.file, Form(attempts=tuple(steps)))
@@ -174,7 +183,9 @@ def test_a_failure_in_a_step_is_found_there(site, number):
 
 def test_steps_are_run_in_order(site):
     site.pass_until(2)
-    with pytest.raises(ConfigurationError, match=r"step 4: step 2 \(Checks and proof .*\) is not passed"):
+    with pytest.raises(
+        ConfigurationError, match=r"step 4: step 2 \(Checks and proof .*\) is not passed"
+    ):
         site.run(4)
 
 
@@ -216,17 +227,23 @@ class TestCommand:
     def command(self, site, monkeypatch):
         site.file.write_text(yaml.safe_dump(site.values))
         monkeypatch.setattr("softfin.cli.rig.REAL", site.behind.clock)
-        monkeypatch.setattr("softfin.rig.commissioning.operator.TerminalOperator", lambda: site.operator)
+        monkeypatch.setattr(
+            "softfin.rig.commissioning.operator.TerminalOperator", lambda: site.operator
+        )
         monkeypatch.setattr("softfin.cli.common.on_terminal", lambda: True)
         monkeypatch.setattr("sys.stdin", io.StringIO("move\n" * 2))
         return ["rig", "commission", "--rig", str(site.file)]
 
-    def test_it_goes_from_step_to_step_ends_at_one_that_fails_and_resumes_there(self, site, command, capsys):
+    def test_it_goes_from_step_to_step_ends_at_one_that_fails_and_resumes_there(
+        self, site, command, capsys
+    ):
         a_broken_sensor(site)
         with pytest.raises(SystemExit, match="1"):
             main([*command, "--arm"])
         told = capsys.readouterr().err
-        assert told.endswith("step 2: rig check: not as required; correct it, then run this command again\n")
+        assert told.endswith(
+            "step 2: rig check: not as required; correct it, then run this command again\n"
+        )
         assert load_form(site.file).next_step(site.config) == 2
         site.behind.sensor.status = 0
         main([*command, "--arm", "--step", "2"])
@@ -263,7 +280,9 @@ class TestTerminal:
     def test_the_end_of_its_input_is_one_clear_line(self):
         operator = TerminalOperator(iter([]), lambda _: None)
         for _ in range(2):
-            with pytest.raises(RunError, match="input has ended; start it again, it resumes at this step"):
+            with pytest.raises(
+                RunError, match="input has ended; start it again, it resumes at this step"
+            ):
                 operator.confirm("Is it on?")
 
     def test_enter_stops_the_fin_while_it_moves_and_other_lines_do_not(self):

@@ -7,11 +7,17 @@ from softfin.rig.config import load_rig, load_ros2
 VALUES = {
     "fin": "blue",
     "bus": {"interface": "socketcan", "channel": "can0"},
-    "drive": {"node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0,
-              "quick_stop_rad_s2": 80.0, "following_error_rad": 0.5},
+    "drive": {
+        "node": 1,
+        "encoder_lines": 500,
+        "gear_ratio": 111.0,
+        "acceleration_rad_s2": 80.0,
+        "quick_stop_rad_s2": 80.0,
+        "following_error_rad": 0.5,
+    },
     "sensor": {"address": "192.168.1.1", "frame": "x,y"},
     "safety": {"current_peak_a": 6.0, "current_sustained_a": 3.0},
-}  # fmt: skip
+}
 
 
 def written(tmp_path, change=lambda values: None):
@@ -34,8 +40,14 @@ def test_a_whole_file_is_read(tmp_path):
         (lambda v: v["drive"].update(gear_ration=1), "gear_rati"),
         (lambda v: v["sensor"].pop("frame"), "sensor.frame"),
         (lambda v: v["drive"].update(node=200), "drive.node.*200"),
-        (lambda v: v["safety"].clear(), "current_peak_a and current_sustained_a are missing: the motor's data sheet"),
-        (lambda v: v["drive"].update(acceleration_rad_s2=300.0), "300 is above safety.acceleration_rad_s2 = 200"),
+        (
+            lambda v: v["safety"].clear(),
+            "current_peak_a and current_sustained_a are missing: the motor's data sheet",
+        ),
+        (
+            lambda v: v["drive"].update(acceleration_rad_s2=300.0),
+            "300 is above safety.acceleration_rad_s2 = 200",
+        ),
         (lambda v: v["safety"].update(force_peek_n=1), "force_pe.k_n"),
     ],
 )
@@ -48,7 +60,9 @@ def test_a_file_with_a_mistake_is_one_line_that_names_the_key(change, words, tmp
 
 def test_a_file_that_is_not_there_or_no_yaml_says_what_to_do(tmp_path):
     for load in (load_rig, load_ros2):
-        with pytest.raises(RigError, match=r"No such file or directory.; docs/rig.md has one with comments"):
+        with pytest.raises(
+            RigError, match=r"No such file or directory.; docs/rig.md has one with comments"
+        ):
             load(tmp_path / "no.yaml")
     bad = tmp_path / "bad.yaml"
     bad.write_text("fin: [")

@@ -22,7 +22,8 @@ def test_a_machine_that_meets_the_contract_passes_and_is_closed():
 class MovesUnasked(FreeFin):
     def open(self):
         super().open()
-        self.enabled, self._target = True, Target(1.0, 1.0)
+        self.enabled = True
+        self._target = Target(1.0, 1.0)
 
 
 class CreepsWhenEnabled(FreeFin):
@@ -81,7 +82,11 @@ class Slow(FreeFin):
 
 class InAFault(FreeFin):
     def read(self):
-        return super().read()._replace(complaints=("drive fault 0x3220, under-voltage: look at the supply",))
+        return (
+            super()
+            .read()
+            ._replace(complaints=("drive fault 0x3220, under-voltage: look at the supply",))
+        )
 
 
 @pytest.mark.parametrize(

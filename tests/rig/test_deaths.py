@@ -1,6 +1,8 @@
-"""Hosts that die and cables that are cut: each fin stands by itself within heartbeat_s and its braking time.
+"""Hosts that die and cables that are cut: each fin stands by itself within heartbeat_s and its
+braking time.
 
-A few moments of each kind; `python -m benchmarks rig_deaths` has a hundred of each, and real processes.
+A few moments of each kind; `python -m benchmarks rig_deaths` has a hundred of each, and real
+processes.
 """
 
 import math
@@ -28,9 +30,12 @@ HEARTBEAT_S = 0.2
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), [(HOST_DIES, 1), (CABLE_CUT, 1), (HOST_DIES, 4), (CABLE_CUT, 2), (BUS_CUT, 2)]
+    ("kind", "count"),
+    [(HOST_DIES, 1), (CABLE_CUT, 1), (HOST_DIES, 4), (CABLE_CUT, 2), (BUS_CUT, 2)],
 )
-def test_a_fin_stands_in_time_after_a_death_at_a_random_moment_and_the_others_swim_on(kind: str, count: int) -> None:
+def test_a_fin_stands_in_time_after_a_death_at_a_random_moment_and_the_others_swim_on(
+    kind: str, count: int
+) -> None:
     for seed in range(3 if count == 1 else 1):
         trial = Trial(kind, count, seed)
         outcome, limit_s = run_simulated_trial(trial)
@@ -58,7 +63,10 @@ def test_a_fin_that_stops_although_its_host_lives_fails_the_trial() -> None:
 
 def test_a_host_whose_cable_is_cut_says_that_its_stop_is_not_confirmed() -> None:
     clock = SimulatedClock()
-    with Fleet(1, HEARTBEAT_S, clock) as fleet, simulated_hosts(fleet, clock, random.Random(0)) as hosts:
+    with (
+        Fleet(1, HEARTBEAT_S, clock) as fleet,
+        simulated_hosts(fleet, clock, random.Random(0)) as hosts,
+    ):
         fleet.await_swimming(fleet.stations[0])
         clock.sleep(0.2)
         cut(fleet.stations)

@@ -39,9 +39,19 @@ def test_every_part_has_a_line_and_none_names_the_users_home(monkeypatch):
     monkeypatch.setattr(doctor.Path, "home", lambda: Path(sys.prefix).parent)
     found = results()
     assert list(found) == [
-        "softfin", "Python", "system", "processor", "memory", "libraries", *(f"[{extra}]" for extra in EXTRAS), "JAX",
-        "compile cache", "disk", "threads", "CAN",
-    ]  # fmt: skip
+        "softfin",
+        "Python",
+        "system",
+        "processor",
+        "memory",
+        "libraries",
+        *(f"[{extra}]" for extra in EXTRAS),
+        "JAX",
+        "compile cache",
+        "disk",
+        "threads",
+        "CAN",
+    ]
     for result in found.values():
         assert "\n" not in result.text
         assert str(Path(sys.prefix).parent) not in result.text
@@ -63,7 +73,9 @@ def test_can_interfaces_are_listed_with_what_brings_one_up(net):
 def test_the_folder_of_compiled_programs_is_checked(tmp_path, monkeypatch):
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
     monkeypatch.setenv("SOFTFIN_CACHE", str(tmp_path / "programs"))
-    assert results()["compile cache"] == CheckResult("compile cache", "well", str(tmp_path / "programs"))
+    assert results()["compile cache"] == CheckResult(
+        "compile cache", "well", str(tmp_path / "programs")
+    )
     monkeypatch.setenv("SOFTFIN_CACHE", "off")
     assert results()["compile cache"].state == "note"
     (tmp_path / "file").touch()
@@ -97,7 +109,9 @@ def test_a_gpu_that_jax_does_not_use_is_a_note(tmp_path, monkeypatch):
     monkeypatch.setattr(doctor, "NVIDIA", tmp_path / "version")
     assert results()["JAX"].state == "well"
     (tmp_path / "version").touch()
-    monkeypatch.setattr("jax.devices", lambda: [types.SimpleNamespace(platform="cpu", id=0, device_kind="cpu")])
+    monkeypatch.setattr(
+        "jax.devices", lambda: [types.SimpleNamespace(platform="cpu", id=0, device_kind="cpu")]
+    )
     assert results()["JAX"].state == "note"
     assert "the NVIDIA GPU is not used" in results()["JAX"].text
 
@@ -127,5 +141,7 @@ def test_without_jax_it_is_a_note():
         "metadata.version = absent\n"
         "from softfin.cli import main; main(['doctor'])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S, check=False
+    )
     assert "  note  JAX            not installed: this softfin runs controllers" in done.stdout

@@ -12,7 +12,9 @@ def test_it_writes_a_file_that_another_process_can_use_as_it_is(tmp_path):
     with EmulatedRig(fin=SimpleFin(), clock=REAL) as emulated:
         write_rig(tmp_path / "rig.yaml", emulated.values(), "An emulated rig")
         config = load_rig(tmp_path / "rig.yaml")
-        socket.create_connection((config.bus.options["host"], config.bus.options["port"]), timeout=HANG_S).close()
+        socket.create_connection(
+            (config.bus.options["host"], config.bus.options["port"]), timeout=HANG_S
+        ).close()
         assert str(config.bus.options["port"]) in emulated.description()
         assert config.sensor.rdt_port == emulated.sensor.rdt_port
 
@@ -21,7 +23,10 @@ def test_its_limits_are_the_tanks(tmp_path):
     tank = Tank()
     write_simulated(tmp_path / "rig.yaml", tank, {}, seed=0)
     drive = load_rig(tmp_path / "rig.yaml").drive
-    assert (drive.angle_min_rad, drive.fastest_rad_s) == (tank.limits.angle_min, tank.limits.velocity_max)
+    assert (drive.angle_min_rad, drive.fastest_rad_s) == (
+        tank.limits.angle_min,
+        tank.limits.velocity_max,
+    )
 
 
 def test_it_closes_any_number_of_times_and_frees_its_ports():

@@ -34,7 +34,8 @@ class Client:
     """Of its own, not softfin's."""
 
     def __init__(self, sensor):
-        self.clock, self.sensor = sensor.clock, (HOST, sensor.rdt_port)
+        self.clock = sensor.clock
+        self.sensor = (HOST, sensor.rdt_port)
         self.socket = SimulatedSocket(sensor.clock, HOST, timeout=5.0)
 
     def send(self, data):
@@ -68,7 +69,9 @@ def test_so_many_records_come_as_were_asked_for():
         records = asked(client, RdtCommand.START, 5, 5)
         assert [record.rdt_sequence for record in records] == [1, 2, 3, 4, 5]
         # A count of noise.
-        assert records[0].counts == pytest.approx((1_000_000, 2_000_000, 3_000_000, 400_000, 500_000, 600_000), abs=1)
+        assert records[0].counts == pytest.approx(
+            (1_000_000, 2_000_000, 3_000_000, 400_000, 500_000, 600_000), abs=1
+        )
         assert silent(client)
 
 
@@ -148,7 +151,8 @@ def test_a_socket_that_nobody_reads_keeps_the_oldest_and_drops_the_new(monkeypat
             while True:
                 numbers.append(decode_record(client.recv()).rdt_sequence)
     assert numbers == list(range(1, len(numbers) + 1))
-    # Linux doubles what it is asked for and counts 768 bytes for such a datagram: half a second by default.
+    # Linux doubles what it is asked for and counts 768 bytes for such a datagram: half a second by
+    # default.
     assert len(numbers) == 2 * room_bytes // 768 + 1
 
 
@@ -181,7 +185,8 @@ def test_a_client_of_somebody_else_understands_it(force_unit, torque_unit):
         try:
             assert client.wait_for_first_sample(HANG_S)
             wait_until(lambda: client.health().received_count > 100)
-            sample, health = client.latest_sample(), client.health()
+            sample = client.latest_sample()
+            health = client.health()
         finally:
             client.stop()
     assert sample.force_unit.value == force_unit
@@ -189,4 +194,9 @@ def test_a_client_of_somebody_else_understands_it(force_unit, torque_unit):
     assert sample.force[0] == pytest.approx(4.4482216152605 if force_unit == "N" else 1.0, rel=1e-3)
     assert sample.torque[0] == pytest.approx(0.25 if torque_unit == "N-m" else 250, rel=1e-3)
     assert health.sensor_configuration.product_name == "Emulated Axia80-M20"
-    assert (health.lost_count, health.malformed_count, health.duplicate_count, health.device_error_count) == (0,) * 4
+    assert (
+        health.lost_count,
+        health.malformed_count,
+        health.duplicate_count,
+        health.device_error_count,
+    ) == (0,) * 4

@@ -3,7 +3,14 @@ import pytest
 
 from softfin.rig.filter import AntiAlias, design
 
-RATES = [(500.0, 30.0), (1000.0, 30.0), (1000.0, 10.0), (1000.0, 40.0), (976.0, 35.0), (7812.0, 30.0)]
+RATES = [
+    (500.0, 30.0),
+    (1000.0, 30.0),
+    (1000.0, 10.0),
+    (1000.0, 40.0),
+    (976.0, 35.0),
+    (7812.0, 30.0),
+]
 
 
 def gain(taps, rate_hz, frequency_hz):
@@ -24,14 +31,18 @@ def test_what_beats_slowly_passes_within_one_percent(rate_hz, cutoff_hz):
 
 
 @pytest.mark.parametrize(("rate_hz", "cutoff_hz"), RATES)
-def test_above_half_the_rate_of_the_log_less_than_a_hundred_and_fiftieth_is_left(rate_hz, cutoff_hz):
+def test_above_half_the_rate_of_the_log_less_than_a_hundred_and_fiftieth_is_left(
+    rate_hz, cutoff_hz
+):
     band = np.linspace(50, rate_hz / 2, 2000)
     assert gain(design(rate_hz, cutoff_hz), rate_hz, band).max() < 1 / 150
 
 
 @pytest.mark.parametrize(("rate_hz", "cutoff_hz"), RATES)
 def test_the_gain_is_a_half_at_the_cutoff(rate_hz, cutoff_hz):
-    assert gain(design(rate_hz, cutoff_hz), rate_hz, np.array([cutoff_hz]))[0] == pytest.approx(0.5, abs=0.02)
+    assert gain(design(rate_hz, cutoff_hz), rate_hz, np.array([cutoff_hz]))[0] == pytest.approx(
+        0.5, abs=0.02
+    )
 
 
 @pytest.mark.parametrize(("rate_hz", "cutoff_hz"), RATES)
@@ -56,12 +67,15 @@ def test_a_step_settles_within_the_length_of_the_filter_and_hardly_overshoots():
 
 def test_a_wave_of_the_fins_is_kept_and_one_that_would_alias_is_not():
     time = np.arange(1000) / 1000
-    slow, fast = np.sin(2 * np.pi * 3 * time), np.sin(2 * np.pi * 103 * time)
+    slow = np.sin(2 * np.pi * 3 * time)
+    fast = np.sin(2 * np.pi * 103 * time)
     anti_alias = AntiAlias(1000.0, 30.0, 1)
     for place, value in enumerate(slow + fast, 1):
         anti_alias.put(np.array([value]))
         if place in (850, 900, 1000):
-            assert anti_alias.output()[0] == pytest.approx(slow[place - 1 - anti_alias.delay], abs=0.02)
+            assert anti_alias.output()[0] == pytest.approx(
+                slow[place - 1 - anti_alias.delay], abs=0.02
+            )
 
 
 def test_nothing_comes_out_before_the_filter_is_full():

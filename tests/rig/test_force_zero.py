@@ -20,7 +20,9 @@ RATE_HZ = 7812.0
 def bench(tmp_path):
     """An emulated rig under a load of 5 N, its configuration with a file, and its clock."""
     with simulated() as behind:
-        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(5.0, 1.0, 0.0, 0.0, 0.0, 0.0))
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(
+            wrench=(5.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+        )
         config: RigConfig = config_of(behind)
         config._file = tmp_path / "rig.yaml"
         yield behind, config
@@ -55,7 +57,10 @@ def test_a_request_that_is_lost_is_repeated_until_the_force_is_zero(bench, count
 def test_a_zero_that_is_never_set_is_an_error_and_leaves_no_record(bench):
     behind, config = bench
     losing(behind, 3)
-    with pytest.raises(DeviceError, match=r"force is \(\+5\.00, \+1\.00, \+0\.00\) N after its zero was set 3 times"):
+    with pytest.raises(
+        DeviceError,
+        match=r"force is \(\+5\.00, \+1\.00, \+0\.00\) N after its zero was set 3 times",
+    ):
         zero_force(config, 0.2, behind.clock)
     assert not record_file(config.file).exists()
 
@@ -72,7 +77,10 @@ def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, ax
         return state._replace(wrench=tuple(wrench))
 
     behind.fin.now = swinging
-    with pytest.raises(DeviceError, match=r"force varies by \d\.\d\d N \(deviation\): at most .*; let the water rest"):
+    with pytest.raises(
+        DeviceError,
+        match=r"force varies by \d\.\d\d N \(deviation\): at most .*; let the water rest",
+    ):
         zero_force(config, 2.0, behind.clock)
     assert not record_file(config.file).exists()
 
@@ -124,7 +132,9 @@ def test_a_sensor_that_restarted_since_its_zero_was_set_is_refused(bench, before
     zero_force(config, 0.2, behind.clock)
     behind.sensor.reboot(1.0)
     behind.clock._now += 1.0 + after_s
-    with pytest.raises(RigError, match=r"restarted since .* its zero is lost; .* softfin rig zero --force") as refused:
+    with pytest.raises(
+        RigError, match=r"restarted since .* its zero is lost; .* softfin rig zero --force"
+    ) as refused:
         opened(config, behind.clock)
     assert "\n" not in str(refused.value)
     zero_force(config, 0.2, behind.clock)
@@ -135,7 +145,9 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     behind, config = bench
     zero_force(config, 0.2, behind.clock)
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
-    with pytest.raises(RigError, match=r"serial number FT31415, but FT00000 was zeroed; connect that one, or"):
+    with pytest.raises(
+        RigError, match=r"serial number FT31415, but FT00000 was zeroed; connect that one, or"
+    ):
         opened(config, behind.clock)
     zero_force(config, 0.2, behind.clock)
     opened(config, behind.clock)
@@ -146,7 +158,9 @@ def test_the_check_says_whether_the_zero_was_set_and_kept(bench, tmp_path):
 
     def finding():
         results = check_rig(config, tmp_path, 0.2, behind.clock)
-        return next((result.state, result.text) for result in results if result.what == "force zero")
+        return next(
+            (result.state, result.text) for result in results if result.what == "force zero"
+        )
 
     state, text = finding()
     assert (state, text.split(";")[0]) == ("note", "never set by softfin")
@@ -176,7 +190,9 @@ def test_an_old_file_that_asks_for_a_zero_at_the_opening_is_refused_with_the_key
 
 
 def zero_at(count):
-    return ForceZero(date="2026-11-25", sensor_serial=None, ft_sequence=int(count) % 2**32, wall_s=0.0)
+    return ForceZero(
+        date="2026-11-25", sensor_serial=None, ft_sequence=int(count) % 2**32, wall_s=0.0
+    )
 
 
 DAY_S = 24 * 3600.0

@@ -25,7 +25,8 @@ def test_the_frame_of_a_force_is_a_rotation_of_force_and_torque_alike(frame):
     result = rotated(wrench, rotation(frame))
     assert result[:2] == (signs[0] * wrench[x], signs[1] * wrench[y])
     assert result[3:5] == (signs[0] * wrench[3 + x], signs[1] * wrench[3 + y])
-    lever, force = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, 3.0])
+    lever = np.array([0.3, -0.2, 0.5])
+    force = np.array([1.0, 2.0, 3.0])
     applied = rotated((*force.tolist(), *np.cross(lever, force).tolist()), rotation(frame))
     moved = rotation(frame) @ lever
     np.testing.assert_allclose(applied[3:], np.cross(moved, applied[:3]), atol=1e-12)

@@ -46,9 +46,12 @@ def another_program(folder):
     """A process that has locked drive 1 of can0."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT / 'src'}:{ROOT}"}
     process = subprocess.Popen(
-        [sys.executable, "-c", HOLDER, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        [sys.executable, "-c", HOLDER, str(folder)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
         env=environment,
-    )  # fmt: skip
+    )
     try:
         assert process.stdout.readline() == "locked\n"
         yield process
@@ -57,10 +60,15 @@ def another_program(folder):
         process.communicate(timeout=HANG_S)
 
 
-def test_a_device_of_another_program_is_refused_with_its_number_until_that_program_is_killed(folder):
+def test_a_device_of_another_program_is_refused_with_its_number_until_that_program_is_killed(
+    folder,
+):
     lock = DeviceLock("drive 1", "can0", 1)
     with another_program(folder) as other:
-        expected = rf"^drive 1: in use by another program of this computer \(process {other.pid}\); end it first$"
+        expected = (
+            r"^drive 1: in use by another program of this computer \(process "
+            rf"{other.pid}\); end it first$"
+        )
         with pytest.raises(RigError, match=expected):
             lock.acquire(REAL)
         other.kill()
@@ -72,7 +80,8 @@ def test_a_device_of_another_program_is_refused_with_its_number_until_that_progr
 
 
 def test_a_lock_works_within_a_process_and_other_devices_are_free(folder):
-    first, second = DeviceLock("drive 1", "can0", 1), DeviceLock("drive 1", "can0", 1)
+    first = DeviceLock("drive 1", "can0", 1)
+    second = DeviceLock("drive 1", "can0", 1)
     first.acquire(REAL)
     first.acquire(REAL)
     DeviceLock("drive 2", "can0", 2).acquire(REAL)
@@ -133,7 +142,10 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
         first.open()
         second = Rig(config_of(behind))
         with monkeypatch.context() as patches:
-            patches.setattr("softfin.rig.axia80.sensor.read_settings", lambda *_: pytest.fail("asked the sensor"))
+            patches.setattr(
+                "softfin.rig.axia80.sensor.read_settings",
+                lambda *_: pytest.fail("asked the sensor"),
+            )
             with pytest.raises(RigError, match=r"drive 1 on CAN bus virtual .*: in use"):
                 second.open()
             with pytest.raises(RigError, match=r"force sensor 127.0.0.1: in use"):
@@ -145,7 +157,9 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
 
 def test_a_rig_that_fails_to_open_leaves_no_lock(folder):
     with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
-        other_serial = Rig(config_of(behind, sensor=behind.values()["sensor"] | {"serial": "another"}))
+        other_serial = Rig(
+            config_of(behind, sensor=behind.values()["sensor"] | {"serial": "another"})
+        )
         with pytest.raises(RigError, match="serial must be"):
             other_serial.open()
         rig = Rig(config_of(behind))

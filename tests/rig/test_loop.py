@@ -30,7 +30,8 @@ def test_the_controller_sees_the_mean_force_since_its_last_action():
 
 
 def test_the_controller_sees_forces_without_what_the_sensor_read_at_rest():
-    raw, zeroed = Wagging(), Wagging()
+    raw = Wagging()
+    zeroed = Wagging()
     held(raw)
     held(zeroed, zero=(0.3, -0.2))
     for force, plain in zip(zeroed.forces[1:], raw.forces[1:], strict=True):
@@ -45,7 +46,10 @@ def test_references_are_asked_for_at_the_time_of_each_action():
 
 @pytest.mark.parametrize(
     ("error", "words"),
-    [(RunError("a controller acts on finite numbers alone"), "finite numbers"), (ZeroDivisionError("by zero"), "Zero")],
+    [
+        (RunError("a controller acts on finite numbers alone"), "finite numbers"),
+        (ZeroDivisionError("by zero"), "Zero"),
+    ],
 )
 def test_a_controller_that_raises_stops_the_fin(error, words):
     def worse(action):

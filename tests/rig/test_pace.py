@@ -51,10 +51,16 @@ def test_the_histogram_tells_quantiles_to_a_tenth_of_a_millisecond(lates):
     for part in (0.5, 0.99):
         exact = next(value for index, value in enumerate(seen) if index + 1 >= part * len(seen))
         told = pace.to_dict()[f"late_p{part * 100:.0f}_ms"] / 1e3
-        assert (exact - 1e-6 <= told <= exact + 1e-4 + 1e-6) or (exact > 0.0999 and told <= seen[-1])
+        assert (exact - 1e-6 <= told <= exact + 1e-4 + 1e-6) or (
+            exact > 0.0999 and told <= seen[-1]
+        )
 
 
 def test_a_pace_that_nobody_waited_for_has_no_lateness():
     assert Pace().to_dict() == {
-        "ticks": 0, "skipped_ticks": 0, "late_p50_ms": 0.0, "late_p99_ms": 0.0, "late_max_ms": 0.0
-    }  # fmt: skip
+        "ticks": 0,
+        "skipped_ticks": 0,
+        "late_p50_ms": 0.0,
+        "late_p99_ms": 0.0,
+        "late_max_ms": 0.0,
+    }

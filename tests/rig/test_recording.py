@@ -27,8 +27,12 @@ def test_a_session_is_recorded_whole(tmp_path):
     assert events_of(tmp_path / "run.mcap") == ["active: free fin", "inactive"]
     # Ten readings settle that all is well before the motor is enabled.
     assert counts_of(tmp_path / "run.mcap") == {
-        DEFAULT_TOPICS["command"]: 2, DEFAULT_TOPICS["joint"]: 30, DEFAULT_TOPICS["wrench"]: 30, CURRENT: 30, EVENTS: 2
-    }  # fmt: skip
+        DEFAULT_TOPICS["command"]: 2,
+        DEFAULT_TOPICS["joint"]: 30,
+        DEFAULT_TOPICS["wrench"]: 30,
+        CURRENT: 30,
+        EVENTS: 2,
+    }
 
 
 def test_the_reason_of_a_stop_is_in_the_bag_and_the_bag_is_closed(tmp_path):
@@ -37,7 +41,11 @@ def test_the_reason_of_a_stop_is_in_the_bag_and_the_bag_is_closed(tmp_path):
         with pytest.raises(SafetyStop):
             recorded(session, tmp_path, lambda: leave_the_range(made))
         assert session.recorder is None
-    assert [event for event in events_of(tmp_path / "run.mcap") if "stopped: angle: the shaft is at 1.900 rad" in event]
+    assert [
+        event
+        for event in events_of(tmp_path / "run.mcap")
+        if "stopped: angle: the shaft is at 1.900 rad" in event
+    ]
 
 
 def test_what_else_ends_a_session_is_in_the_bag_too_and_stops_the_fin_first(tmp_path):
@@ -62,7 +70,11 @@ def test_recordings_that_are_there_are_kept_under_other_names(tmp_path):
         with made.session as session, session.recording(path):
             session.tick()
     kept = {file.name: file.read_bytes() for file in tmp_path.glob("run.cut-*")}
-    assert kept == {"run.cut-1.mcap": b"first", "run.cut-2.mcap": b"second", "run.cut-3.mcap": b"third"}
+    assert kept == {
+        "run.cut-1.mcap": b"first",
+        "run.cut-2.mcap": b"second",
+        "run.cut-3.mcap": b"third",
+    }
 
 
 def test_a_recording_that_failed_at_the_last_moment_is_an_error(tmp_path):
@@ -75,6 +87,9 @@ def test_a_folder_that_cannot_be_written_is_told_before_anything_moves(tmp_path)
     (tmp_path / "file").write_text("")
     made = Made()
     with made.session as session:
-        with pytest.raises(SoftfinError, match=r"run\.mcap"), session.recording(tmp_path / "file" / "run.mcap"):
+        with (
+            pytest.raises(SoftfinError, match=r"run\.mcap"),
+            session.recording(tmp_path / "file" / "run.mcap"),
+        ):
             raise AssertionError("not reached")
         assert "enable" not in made.machine.calls

@@ -72,7 +72,9 @@ def test_references_from_another_thread_are_whole():
 
 def test_each_row_of_a_file_holds_from_its_time_on():
     told = []
-    references = recorded_reference([0.0, 1.0, 2.5], [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)], admit, told.append)
+    references = recorded_reference(
+        [0.0, 1.0, 2.5], [(0.0, 0.0), (1.0, 3.0), (2.0, 3.0)], admit, told.append
+    )
     assert [references(at)[0] for at in (0.0, 0.99, 1.0, 2.0, 2.5, 99.0)] == [0, 0, 1, 1, 2, 2]
     assert references(1.0)[1] == 2.0
     assert told == ["nearest is held (and 1 more rows)"]

@@ -105,7 +105,9 @@ def test_counters_are_whole_numbers_by_name_after_close_too():
 
 def test_the_force_at_rest_becomes_zero():
     with emulated() as (behind, robot):
-        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(0.4, -1.5, 0.2, 0.0, 0.0, 0.0))
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(
+            wrench=(0.4, -1.5, 0.2, 0.0, 0.0, 0.0)
+        )
         told = zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
     assert told["force_before_n"] == pytest.approx([0.4, -1.5, 0.2], abs=1e-3)
     assert told["force_after_n"] == pytest.approx([0, 0, 0], abs=1e-3)
@@ -114,8 +116,13 @@ def test_the_force_at_rest_becomes_zero():
 def test_a_fin_that_is_moved_is_not_zeroed():
     with emulated() as (behind, robot):
         signs = itertools.cycle((1.0, -1.0))
-        behind.fin.now = lambda now=behind.fin.now: now()._replace(wrench=(next(signs), 0.0, 0.0, 0.0, 0.0, 0.0))
-        with pytest.raises(DeviceError, match=r"force varies by .* N \(deviation\): at most 0.3 N; let the water rest"):
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(
+            wrench=(next(signs), 0.0, 0.0, 0.0, 0.0, 0.0)
+        )
+        with pytest.raises(
+            DeviceError,
+            match=r"force varies by .* N \(deviation\): at most 0.3 N; let the water rest",
+        ):
             zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
 
 
@@ -137,5 +144,7 @@ def test_a_stop_over_a_cut_cable_does_not_claim_that_the_motor_is_off():
             session.stop_request.ask("emergency_stop", "stopped by a key")
             with pytest.raises(SafetyStop) as stopped:
                 session.tick()
-    assert str(stopped.value).startswith("stopped: stopped by a key; BUT drive did not confirm that its motor is off")
+    assert str(stopped.value).startswith(
+        "stopped: stopped by a key; BUT drive did not confirm that its motor is off"
+    )
     assert stopped.value.exit_code == 3

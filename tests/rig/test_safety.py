@@ -138,7 +138,9 @@ def test_a_following_error_trips_when_it_lasts_and_not_when_it_passes():
     assert trip.cause == "following"
     assert "-0.400 rad" in trip.reason
     assert after == pytest.approx(0.11, abs=0.02)
-    passing = first(guard(), 2, lambda now: sample(now, following_error=0.4 if int(now * 20) % 2 else 0.1))
+    passing = first(
+        guard(), 2, lambda now: sample(now, following_error=0.4 if int(now * 20) % 2 else 0.1)
+    )
     assert passing[1] is None
 
 
@@ -146,20 +148,28 @@ def test_a_velocity_that_changes_faster_than_any_drive_trips():
     after, trip = first(guard(), 1, lambda now: sample(now, velocity=0.0 if now < 50.5 else 8.0))
     assert trip.cause == "acceleration"
     assert after == pytest.approx(0.5, abs=0.03)
-    assert first(guard(), 1, lambda now: sample(now, velocity=min(4.0, 100 * (now - 50))))[1] is None
+    assert (
+        first(guard(), 1, lambda now: sample(now, velocity=min(4.0, 100 * (now - 50))))[1] is None
+    )
 
 
 @pytest.mark.parametrize(("velocity", "cause"), [(5.9, None), (6.1, "acceleration")])
 def test_the_first_change_of_velocity_is_judged_over_thirty_milliseconds(velocity, cause):
-    """A jump of 5.9 rad/s is 197 rad/s2 over 30 ms, and 295 over the 20 ms of the first three readings."""
-    trip = first(guard(), 0.05, lambda now: sample(now, velocity=0.0 if now < 50.005 else velocity))[1]
+    """A jump of 5.9 rad/s is 197 rad/s2 over 30 ms, and 295 over the 20 ms of the first three
+    readings."""
+    trip = first(
+        guard(), 0.05, lambda now: sample(now, velocity=0.0 if now < 50.005 else velocity)
+    )[1]
     assert (trip and trip.cause) == cause
 
 
 def test_the_same_reading_twice_is_no_acceleration():
     watched = guard(stale_s=1.0, force_stale_s=1.0)
     for tick in range(10):
-        assert watched.check(sample(50.0, velocity=5.0 if tick < 5 else 5.1), 50.0 + tick / 100) is None
+        assert (
+            watched.check(sample(50.0, velocity=5.0 if tick < 5 else 5.1), 50.0 + tick / 100)
+            is None
+        )
 
 
 def test_far_beyond_the_training_range_trips_after_a_second():
@@ -169,9 +179,15 @@ def test_far_beyond_the_training_range_trips_after_a_second():
     assert trip.cause == "beyond_training"
     assert "force x was 0.75 of its range" in trip.reason
     assert after == pytest.approx(1.0, abs=0.03)
-    assert first(guard(trained), 3, lambda now: sample(now, wrench=(3.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[1] is None
+    assert (
+        first(guard(trained), 3, lambda now: sample(now, wrench=(3.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[1]
+        is None
+    )
     unlooked = guard(trained, training_margin=None)
-    assert first(unlooked, 3, lambda now: sample(now, wrench=(9.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[1] is None
+    assert (
+        first(unlooked, 3, lambda now: sample(now, wrench=(9.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[1]
+        is None
+    )
 
 
 @given(st.floats(), st.floats())
@@ -189,15 +205,24 @@ def test_a_target_passes_only_inside_the_limits(angle, velocity):
 
 @given(
     st.builds(
-        Sample, *[st.floats()] * 3, st.none() | st.floats(), st.none() | st.floats(), st.floats(),
-        st.tuples(*[st.floats()] * 6), st.just(()),
+        Sample,
+        *[st.floats()] * 3,
+        st.none() | st.floats(),
+        st.none() | st.floats(),
+        st.floats(),
+        st.tuples(*[st.floats()] * 6),
+        st.just(()),
     ),
     st.floats(0, 1),
-)  # fmt: skip
+)
 def test_whatever_is_read_is_judged_in_one_line_or_is_well(read, late):
     trip = guard().check(read, 50.0, late)
     if trip is None:
-        assert all(map(math.isfinite, (read.time, read.angle, read.velocity, read.force_time, *read.wrench)))
+        assert all(
+            map(
+                math.isfinite, (read.time, read.angle, read.velocity, read.force_time, *read.wrench)
+            )
+        )
         assert abs(read.velocity) <= 10
         assert max(map(abs, read.wrench[:3])) <= 30
         assert late <= 0.05

@@ -84,7 +84,9 @@ def _raising(error):
 
 
 def _failed_recording(made):
-    made.notes.failure = "run.mcap: the recording fails: no space left on device; make room on its disk"
+    made.notes.failure = (
+        "run.mcap: the recording fails: no space left on device; make room on its disk"
+    )
 
 
 def _late(made):
@@ -94,7 +96,11 @@ def _late(made):
 @pytest.mark.parametrize(
     ("provoke", "cause", "words"),
     [
-        (_altered(complaints=("drive fault 0x8611, following error: look for a blocked fin",)), "device", "0x8611"),
+        (
+            _altered(complaints=("drive fault 0x8611, following error: look for a blocked fin",)),
+            "device",
+            "0x8611",
+        ),
         (_altered(angle=1.9), "angle", "1.900 rad"),
         (_altered(wrench=(31.0, 0.0, 0.0, 0.0, 0.0, 0.0)), "force_peak", "31.00 N"),
         (_altered(wrench=(16.0, 0.0, 0.0, 0.0, 0.0, 0.0)), "force_sustained", " N on average"),
@@ -102,11 +108,19 @@ def _late(made):
         (_altered(following_error=0.5), "following", "0.500 rad"),
         (_altered(wrench=(math.nan,) * 6), "reading", "not a finite number"),
         (_altered(time=100.0), "angle_stale", "no new angle"),
-        (_raising(DeviceError("drive does not answer; look at its supply")), "device", "does not answer"),
+        (
+            _raising(DeviceError("drive does not answer; look at its supply")),
+            "device",
+            "does not answer",
+        ),
         (_raising(ValueError("two\nlines")), "device", "ValueError: two lines"),
         (_failed_recording, "recording", "no space left on device"),
         (_late, "overrun", "ms late"),
-        (lambda made: made.stop.ask("emergency_stop", "stopped by a key"), "emergency_stop", "by a key"),
+        (
+            lambda made: made.stop.ask("emergency_stop", "stopped by a key"),
+            "emergency_stop",
+            "by a key",
+        ),
     ],
 )
 def test_whatever_is_wrong_stops_the_fin_before_anything_else(provoke, cause, words):
@@ -144,7 +158,9 @@ def test_a_drive_that_takes_no_command_stops_the_fin_and_its_fault_is_the_reason
     with made.session as session:
         made.moving()
         made.machine.command = _raise(DeviceError("drive is not enabled; enable it first"))
-        made.machine.altered = lambda sample: sample._replace(complaints=("drive fault 0x3220, under-voltage: look",))
+        made.machine.altered = lambda sample: sample._replace(
+            complaints=("drive fault 0x3220, under-voltage: look",)
+        )
         with pytest.raises(SafetyStop, match="0x3220"):
             session.command(Target(0.0, 1.0))
     made = Made()
@@ -201,7 +217,9 @@ def test_a_suspend_is_the_reason_in_place_of_the_faults_that_follow_from_it():
     with made.session as session:
         made.moving()
         made.hours.suspended_s += 60.0
-        made.machine.altered = lambda sample: sample._replace(complaints=("drive fault 0x8130, heartbeat lost",))
+        made.machine.altered = lambda sample: sample._replace(
+            complaints=("drive fault 0x8130, heartbeat lost",)
+        )
         with pytest.raises(SafetyStop, match="suspended for 60"):
             session.tick()
 
@@ -247,7 +265,8 @@ def test_an_observer_sees_each_reading_with_the_command_that_led_to_it():
 
 def test_nothing_moves_in_any_state_but_active():
     made = Made()
-    session, machine = made.session, made.machine
+    session = made.session
+    machine = made.machine
     with pytest.raises(SafetyStop, match="unconfigured"):
         session.command(Target(0.5, 1.0))
     with pytest.raises(SafetyStop, match="unconfigured"):
@@ -297,7 +316,9 @@ def test_the_drive_is_not_enabled_before_all_is_well():
 def test_what_was_stale_before_activation_may_become_fresh():
     made = Made()
     stale = made.hours.now + 0.3
-    made.machine.altered = lambda sample: sample if made.hours.now > stale else sample._replace(force_time=99.0)
+    made.machine.altered = lambda sample: (
+        sample if made.hours.now > stale else sample._replace(force_time=99.0)
+    )
     with made.session as session:
         session.activate()
         assert session.state == "active"
@@ -367,7 +388,9 @@ def test_a_fin_goes_to_rest_slowly_and_one_that_is_held_does_not_come_to_rest():
         assert 1.4 < made.hours.now - began < 1.7
         assert made.machine.commands[-1].velocity == made.machine.limits.velocity_min
         made.machine.altered = lambda sample: sample._replace(angle=0.2)
-        with pytest.raises(SafetyStop, match=r"did not come to rest at angle 0 within 10 s \(it is at 0.200 rad\)"):
+        with pytest.raises(
+            SafetyStop, match=r"did not come to rest at angle 0 within 10 s \(it is at 0.200 rad\)"
+        ):
             session.rest(0.5)
 
 
@@ -377,8 +400,11 @@ def test_at_rest_the_zero_of_the_force_is_measured():
     readings = count(1)
     with made.session as session:
         session.activate()
-        made.machine.altered = lambda sample: sample._replace(wrench=(0.1 * next(readings), -0.2, 0.0, 0.0, 0.0, 0.0))
-        # The first reading shows that the shaft is at rest; of the 20 that follow, the last ten count.
+        made.machine.altered = lambda sample: sample._replace(
+            wrench=(0.1 * next(readings), -0.2, 0.0, 0.0, 0.0, 0.0)
+        )
+        # The first reading shows that the shaft is at rest; of the 20 that follow, the last ten
+        # count.
         assert session.rest(0.2) == pytest.approx((0.1 * (12 + 21) / 2, -0.2))
 
 
@@ -393,7 +419,9 @@ def test_each_reading_is_recorded_once():
     with made.session as session:
         session.activate()
         newest = made.hours.now + 0.01
-        made.machine.altered = lambda sample: sample._replace(time=min(sample.time, newest), force_time=sample.time)
+        made.machine.altered = lambda sample: sample._replace(
+            time=min(sample.time, newest), force_time=sample.time
+        )
         made.notes.rows.clear()
         session.hold(Target(0.2, 1.0), 4)
         assert made.notes.rows.count("command") == 1
@@ -435,7 +463,8 @@ def test_a_guard_begins_anew_with_each_activation():
         made.machine.altered = lambda sample: sample._replace(following_error=0.5)
         for _ in range(8):
             session.tick()
-        # Behind its profile for 80 ms, then without power for less than any pause that the guard would notice itself.
+        # Behind its profile for 80 ms, then without power for less than any pause that the guard
+        # would notice itself.
         session.deactivate()
         made.hours.now += 0.3
         session.activate()
@@ -476,26 +505,39 @@ def test_threads_end_with_the_session():
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(st.sampled_from(["tick", "activate", "deactivate", "command", "bad", "fault", "ask", "rest"]),
-                max_size=12))  # fmt: skip
+@given(
+    st.lists(
+        st.sampled_from(
+            ["tick", "activate", "deactivate", "command", "bad", "fault", "ask", "rest"]
+        ),
+        max_size=12,
+    )
+)
 def test_whatever_the_order_of_calls_it_moves_only_while_active(calls):
     made = Made()
-    session, machine = made.session, made.machine
+    session = made.session
+    machine = made.machine
 
     def fault():
         machine.altered = lambda sample: sample._replace(complaints=("drive fault",))
 
     actions = {
-        "tick": session.tick, "activate": session.activate, "deactivate": session.deactivate,
-        "command": lambda: session.command(Target(1.0, 2.0)), "bad": lambda: session.command(Target(9.0, 2.0)),
-        "fault": fault, "ask": lambda: made.stop.ask("emergency_stop", "by a key"),
+        "tick": session.tick,
+        "activate": session.activate,
+        "deactivate": session.deactivate,
+        "command": lambda: session.command(Target(1.0, 2.0)),
+        "bad": lambda: session.command(Target(9.0, 2.0)),
+        "fault": fault,
+        "ask": lambda: made.stop.ask("emergency_stop", "by a key"),
         "rest": lambda: session.rest(0.02),
-    }  # fmt: skip
-    # Garbage is collected at each activation, which takes long beside JAX and is not what is looked at here.
+    }
+    # Garbage is collected at each activation, which takes long beside JAX and is not what is looked
+    # at here.
     with pytest.MonkeyPatch.context() as patches, session:
         patches.setattr("softfin.rig.session.gc.collect", lambda: 0)
         for call in calls:
-            where, state = machine.angle, session.state
+            where = machine.angle
+            state = session.state
             commanded = len(machine.commands)
             try:
                 actions[call]()

@@ -1,4 +1,5 @@
-"""What a review found in sessions: stops that take their time, machines in doubt, an input that ends."""
+"""What a review found in sessions: stops that take their time, machines in doubt, an input that
+ends."""
 
 import io
 
@@ -130,8 +131,14 @@ def test_notes_are_told_before_anything_moves(capsys):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"safety": {"force_stale_s": 0.04}}, r"safety.force_stale_s = 0.04: the force's filter alone takes 0.034 s"),
-        ({"safety": {"velocity_rad_s": 2.0}}, r"drive.fastest_rad_s = 3.14159 is above safety.velocity_rad_s = 2"),
+        (
+            {"safety": {"force_stale_s": 0.04}},
+            r"safety.force_stale_s = 0.04: the force's filter alone takes 0.034 s",
+        ),
+        (
+            {"safety": {"velocity_rad_s": 2.0}},
+            r"drive.fastest_rad_s = 3.14159 is above safety.velocity_rad_s = 2",
+        ),
     ],
 )
 def test_limits_that_would_trip_at_once_are_refused(changes, words):
@@ -172,7 +179,9 @@ def test_one_reading_after_a_restart_is_no_average():
     assert later[-1].cause == "force_sustained"
 
 
-@pytest.mark.parametrize("error", [None, KeyboardInterrupt(), DeviceError("the drive does not enable")])
+@pytest.mark.parametrize(
+    "error", [None, KeyboardInterrupt(), DeviceError("the drive does not enable")]
+)
 def test_however_a_session_ends_a_motor_that_may_be_on_is_told(error):
     machine = Unsure(SimulatedClock())
     session = Session(machine, Guard(CALM, machine.limits))

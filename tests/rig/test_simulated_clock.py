@@ -1,4 +1,5 @@
-"""Simulated time: one thread at a time, the same in every run, as fast as it goes; nothing here waits for real time."""
+"""Simulated time: one thread at a time, the same in every run, as fast as it goes; nothing here
+waits for real time."""
 
 import random
 import signal
@@ -48,7 +49,10 @@ def test_a_simulated_suspend_passes_no_time():
 @pytest.mark.parametrize("clock", [REAL, SimulatedClock()], ids=["real", "simulated"])
 def test_both_clocks_make_what_is_waited_for(clock):
     assert isinstance(clock, Clock)
-    event, news, lock, told = clock.event(), clock.condition(), clock.lock(), []
+    event = clock.event()
+    news = clock.condition()
+    lock = clock.lock()
+    told = []
 
     def work():
         event.wait()
@@ -79,7 +83,8 @@ def news_within(clock, seconds):
 
 def test_hours_pass_at_once_and_to_the_moment():
     clock = SimulatedClock()
-    began, wall = time.monotonic(), clock.wall()
+    began = time.monotonic()
+    wall = clock.wall()
     clock.sleep(3600.0)
     assert after(clock) == 3600
     assert clock.wall() - wall == pytest.approx(3600)
@@ -89,8 +94,12 @@ def test_hours_pass_at_once_and_to_the_moment():
 
 def play(seed):
     """Six threads that sleep, wake each other, and wait for a lock, as chance has it."""
-    clock, draw, seen = SimulatedClock(), random.Random(seed), []
-    event, news, lock = clock.event(), clock.condition(), clock.lock()
+    clock = SimulatedClock()
+    draw = random.Random(seed)
+    seen = []
+    event = clock.event()
+    news = clock.condition()
+    lock = clock.lock()
 
     def work(name):
         for _ in range(30):
@@ -126,7 +135,9 @@ def test_the_same_seed_gives_the_same_turns_at_the_same_times(seed):
 
 
 def test_only_one_member_runs_at_a_time_and_computing_takes_no_time():
-    clock, inside, most = SimulatedClock(), [0], [0]
+    clock = SimulatedClock()
+    inside = [0]
+    most = [0]
 
     def work():
         for _ in range(20):
@@ -144,7 +155,8 @@ def test_only_one_member_runs_at_a_time_and_computing_takes_no_time():
 
 
 def test_those_who_wait_for_the_same_moment_go_on_in_the_order_in_which_they_came():
-    clock, order = SimulatedClock(), []
+    clock = SimulatedClock()
+    order = []
 
     def work(name):
         clock.sleep(0.5)
@@ -180,7 +192,8 @@ def test_an_event_wakes_at_once_and_a_timeout_at_its_moment():
 
 def test_a_condition_lets_go_of_its_lock_while_it_waits_and_has_it_again_after():
     clock = SimulatedClock()
-    news, heard = clock.condition(), []
+    news = clock.condition()
+    heard = []
 
     def work():
         with news, news:
@@ -220,7 +233,9 @@ def test_a_lock_is_waited_for_until_its_timeout():
 
 
 def test_a_thread_of_somebody_else_is_woken_but_not_waited_for():
-    clock, held, told = SimulatedClock(), threading.Event(), []
+    clock = SimulatedClock()
+    held = threading.Event()
+    told = []
     event = clock.event()
 
     def elsewhere():
@@ -258,7 +273,8 @@ def test_a_thread_that_fails_ends_and_the_others_go_on(monkeypatch):
 
 
 def test_ctrl_c_gets_through_and_leaves_the_clock_whole():
-    clock, turns = SimulatedClock(), []
+    clock = SimulatedClock()
+    turns = []
 
     def work():
         clock.sleep(1.0)
@@ -285,5 +301,7 @@ def test_a_program_that_ends_does_not_wait_for_its_threads():
         "clock.sleep(1.0)\n"
         "print(round(clock(), 3))\n"
     )
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=HANG_S, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=HANG_S, check=False
+    )
     assert (ran.stdout, ran.stderr, ran.returncode) == ("1001.0\n", "", 0)

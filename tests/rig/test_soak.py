@@ -1,7 +1,8 @@
-"""Whatever goes wrong while the fin moves ends in a safe stop, or is counted and goes on; nothing moves afterwards.
+"""Whatever goes wrong while the fin moves ends in a safe stop, or is counted and goes on; nothing
+moves afterwards.
 
-In simulated time; `SOFTFIN_LONG=1` injects faults in real time, too, for twenty minutes, or for as many as
-`SOFTFIN_SOAK_MINUTES` says.
+In simulated time; `SOFTFIN_LONG=1` injects faults in real time, too, for twenty minutes, or for as
+many as `SOFTFIN_SOAK_MINUTES` says.
 """
 
 import os
@@ -45,8 +46,17 @@ from tests.rig.simple_fin import SimpleFin
 LONG = os.environ.get("SOFTFIN_LONG") == "1"
 LONG_S = 60 * float(os.environ.get("SOFTFIN_SOAK_MINUTES", "20"))
 
-WIDE = {"current_peak_a": 20.0, "current_sustained_a": 10.0, "overrun_s": 0.8, "stale_s": 0.8, "force_stale_s": 0.8,
-        "watchdog_s": 1.8, "acceleration_rad_s2": 1e5, "velocity_rad_s": 100.0, "following_s": 0.2}  # fmt: skip
+WIDE = {
+    "current_peak_a": 20.0,
+    "current_sustained_a": 10.0,
+    "overrun_s": 0.8,
+    "stale_s": 0.8,
+    "force_stale_s": 0.8,
+    "watchdog_s": 1.8,
+    "acceleration_rad_s2": 1e5,
+    "velocity_rad_s": 100.0,
+    "following_s": 0.2,
+}
 """In real time, so that a busy machine alone does not stop the fin: only what is injected does."""
 
 PATIENT = {"heartbeat_s": 1.0, "sync_s": 0.02}
@@ -68,7 +78,10 @@ class Scene:
     """An emulated rig, the session on it and its bag; what is injected finds all of it here."""
 
     def __init__(self, emulated: EmulatedRig, rig: Rig, session: Session, bag: Path) -> None:
-        self.emulated, self.rig, self.session, self.bag = emulated, rig, session, bag
+        self.emulated = emulated
+        self.rig = rig
+        self.session = session
+        self.bag = bag
         self.clock = emulated.clock
         self.patches = pytest.MonkeyPatch()
         self.beside: threading.Thread | None = None
@@ -82,7 +95,9 @@ def scene(bag: Path, real_time: bool = False, **drive: Any) -> Iterator[Scene]:
         values = emulated.values(safety=WIDE if real_time else SAFETY)
         patient = PATIENT if real_time else {}
         values["drive"] |= {**patient, "zero_needed": False, **drive}
-        rig = Rig(config_of(emulated, **{name: values[name] for name in ("drive", "safety")}), clock)
+        rig = Rig(
+            config_of(emulated, **{name: values[name] for name in ("drive", "safety")}), clock
+        )
         made = Scene(emulated, rig, Session(rig, Guard(rig.config.safety, rig.limits)), bag)
         try:
             yield made
@@ -116,7 +131,9 @@ def another_fin_is_cut_off(at: Scene) -> None:
 def swim_and_be_cut_off(at: Scene) -> None:
     bus = BusConfig(interface="virtual", channel=at.emulated.channel)
     patience = PATIENT if at.clock is REAL else {}
-    with closing(Station(bus, bus.model_dump(), {**DRIVE, **patience, "node": 2}, USUAL, at.clock)) as station:
+    with closing(
+        Station(bus, bus.model_dump(), {**DRIVE, **patience, "node": 2}, USUAL, at.clock)
+    ) as station:
         host = at.clock.spawn(lambda: swim_by_values(station.values, 0, at.clock), "its host")
         end = at.clock() + limit_of(at, SESSION_ENDS_S)
         while station.drive.state is not State.OPERATION_ENABLED:
@@ -153,18 +170,36 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "adapter bus-off": (error_frame(0x040), "adapter is bus-off"),
     "adapter error passive": (error_frame(0x004, 0x20), "adapter is error passive"),
     "bus takes no frames": (bus_lost, "takes no frames|angle"),
-    "cable of the drive cut": (lambda at: at.emulated.drive.go_silent(), "no new angle|heartbeat|did not take"),
+    "cable of the drive cut": (
+        lambda at: at.emulated.drive.go_silent(),
+        "no new angle|heartbeat|did not take",
+    ),
     "heartbeat lost": (lambda at: at.emulated.drive.drop_heartbeat(), "heartbeat is missing"),
     "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
-    "limit of the drive holds it back": (lambda at: setattr(at.emulated.drive, "at_limit", True), "its own limits"),
+    "limit of the drive holds it back": (
+        lambda at: setattr(at.emulated.drive, "at_limit", True),
+        "its own limits",
+    ),
     "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
     "blocked fin": (lambda at: block(at.emulated.fin), "following|behind"),
-    "over-range": (lambda at: setattr(at.emulated.sensor, "status", 0xC0000000), "force sensor 127.0.0.1"),
-    "broken gage": (lambda at: setattr(at.emulated.sensor, "status", 0x88000000), "force sensor 127.0.0.1"),
+    "over-range": (
+        lambda at: setattr(at.emulated.sensor, "status", 0xC0000000),
+        "force sensor 127.0.0.1",
+    ),
+    "broken gage": (
+        lambda at: setattr(at.emulated.sensor, "status", 0x88000000),
+        "force sensor 127.0.0.1",
+    ),
     "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
-    "sensor starts anew": (lambda at: at.emulated.sensor.reboot(0.1), "nothing new|no new force|restarted"),
-    "sensor's values stand still": (lambda at: setattr(at.emulated.sensor, "are_values_frozen", True), "stand still"),
+    "sensor starts anew": (
+        lambda at: at.emulated.sensor.reboot(0.1),
+        "nothing new|no new force|restarted",
+    ),
+    "sensor's values stand still": (
+        lambda at: setattr(at.emulated.sensor, "are_values_frozen", True),
+        "stand still",
+    ),
     "all packets lost": (network(drop=1.0), "nothing new|no new force"),
     "disk full": (disk_full, "No space left on device"),
 }
@@ -178,7 +213,10 @@ GOES_ON: dict[str, tuple[Inject, tuple[str, ...]]] = {
     "wall clock jumps": (clock_jump, ()),
     "bus loses arbitrations": (error_frame(0x002), ("drive_lost_arbitrations",)),
     "another fin is cut off": (another_fin_is_cut_off, ()),
-    "targets not taken": (lambda at: ignore_targets(at.emulated.drive, 1), ("drive_targets_repeated",)),
+    "targets not taken": (
+        lambda at: ignore_targets(at.emulated.drive, 1),
+        ("drive_targets_repeated",),
+    ),
 }
 """Each is counted, and the fin goes on."""
 
@@ -227,13 +265,23 @@ def stopped(at: Scene, inject: Inject, words: str, numbers: random.Random) -> No
     still(at)
     at.patches.undo()
     told = events_of(at.bag) if at.session.trip.cause != "recording" else []
-    assert not told or any(event.startswith(f"stopped: {at.session.trip.cause}: ") for event in told[-2:]), told
+    assert not told or any(
+        event.startswith(f"stopped: {at.session.trip.cause}: ") for event in told[-2:]
+    ), told
 
 
 def still(at: Scene) -> None:
-    """The motor is disabled, by the host's word or by the drive's own watch, and the fin does not move."""
+    """The motor is disabled, by the host's word or by the drive's own watch, and the fin does not
+    move."""
     deadline = at.clock() + limit_of(at, DRIVE_STOPS_S)
-    off = {State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.FAULT, State.START, State.NOT_READY}
+    off = {
+        State.SWITCH_ON_DISABLED,
+        State.READY,
+        State.SWITCHED_ON,
+        State.FAULT,
+        State.START,
+        State.NOT_READY,
+    }
     while at.emulated.drive.state not in off and at.clock() < deadline:
         at.clock.sleep(0.01)
     assert at.emulated.drive.state in off, at.emulated.drive.state
@@ -242,7 +290,9 @@ def still(at: Scene) -> None:
     assert at.emulated.fin.now().angle == where
 
 
-def went_on(at: Scene, disturbances: list[tuple[Inject, tuple[str, ...]]], numbers: random.Random) -> None:
+def went_on(
+    at: Scene, disturbances: list[tuple[Inject, tuple[str, ...]]], numbers: random.Random
+) -> None:
     with at.session as session, session.recording(at.bag):
         session.activate()
         for inject, counters in disturbances:
@@ -289,9 +339,18 @@ def pausing(at: Scene, folder: Path, numbers: random.Random) -> None:
     values["drive"] |= {**PATIENT, "zero_needed": False}
     (folder / "rig.yaml").write_text(yaml.safe_dump(values))
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.rig.soak_process", str(folder / "rig.yaml"), str(folder / "run.mcap")],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2],
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "tests.rig.soak_process",
+            str(folder / "rig.yaml"),
+            str(folder / "run.mcap"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == "moves\n", process.communicate(timeout=HANG_S)

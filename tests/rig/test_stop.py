@@ -43,12 +43,16 @@ def handled_by(number, handler):
 def test_a_signal_raises_the_flag_and_no_exception(name):
     request = StopRequest()
     number = getattr(signal, name)
-    with handled_by(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL) as before:
+    with handled_by(
+        number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+    ) as before:
         with stopped_by_signals(request):
             os.kill(os.getpid(), number)
             wait_until(lambda: request.trip is not None)
         assert signal.getsignal(number) is before
-    assert request.trip.reason == ("stopped by Ctrl-C" if name == "SIGINT" else f"stopped by {name}")
+    assert request.trip.reason == (
+        "stopped by Ctrl-C" if name == "SIGINT" else f"stopped by {name}"
+    )
 
 
 @pytest.mark.parametrize("name", STOP_SIGNALS)
@@ -62,7 +66,9 @@ def test_of_ignored_signals_the_hangup_alone_stays_ignored(name):
     assert (request.trip is None) == (name == "SIGHUP")
 
 
-def test_an_impatient_second_ctrl_c_does_not_disturb_the_stop_and_a_later_one_ends_the_program(monkeypatch):
+def test_an_impatient_second_ctrl_c_does_not_disturb_the_stop_and_a_later_one_ends_the_program(
+    monkeypatch,
+):
     request = StopRequest()
     monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", HANG_S)
     with stopped_by_signals(request):
@@ -89,7 +95,8 @@ def test_outside_the_main_thread_signals_stay_as_they_are():
 
 
 def listened(text, on_line=None) -> tuple[StopRequest, list[str]]:
-    request, lines = StopRequest(), []
+    request = StopRequest()
+    lines = []
     stream = io.StringIO(text) if isinstance(text, str) else text
     thread = listen_to_keyboard(request, on_line or lines.append, stream)
     thread.join(HANG_S)
@@ -114,7 +121,9 @@ def test_a_line_that_cannot_be_used_does_not_end_the_listening():
     assert listened("two\n\n", float)[0].trip is not None
 
 
-def silences_seen(clock: SimulatedClock, use: Callable[[Watchdog], None]) -> list[tuple[float, float]]:
+def silences_seen(
+    clock: SimulatedClock, use: Callable[[Watchdog], None]
+) -> list[tuple[float, float]]:
     """When a watchdog with a patience of 0.2 s called, and the silences it gave [s]."""
     calls = []
     began = clock()
@@ -152,7 +161,8 @@ SILENCE_S = 0.15
 
 
 def test_a_hang_that_holds_the_interpreters_lock_is_seen_only_when_it_is_over():
-    bitten, silences = threading.Event(), []
+    bitten = threading.Event()
+    silences = []
 
     def bite(silence: float) -> None:
         silences.append(silence)
@@ -196,6 +206,10 @@ def test_a_signal_interrupts_what_powers_a_motor_and_a_second_one_does_not_distu
             signal.raise_signal(number)
             ends.append(number)
 
-    with handled_by(number, signal.SIG_DFL), interrupted_by_signals(), pytest.raises(KeyboardInterrupt):
+    with (
+        handled_by(number, signal.SIG_DFL),
+        interrupted_by_signals(),
+        pytest.raises(KeyboardInterrupt),
+    ):
         power()
     assert ends == [number]

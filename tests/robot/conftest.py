@@ -15,10 +15,12 @@ def ucat():
 
 @pytest.fixture(scope="session")
 def sister(ucat):
-    """U-CAT with the body of its laboratory's simulator in its first release (eeUVsim_Gazebo v1.0.0), with z up.
+    """U-CAT with the body of its laboratory's simulator in its first release (eeUVsim_Gazebo
+    v1.0.0), with z up.
 
-    It has little drag along the nose, and a centre of gravity far from the origin: roll and sway are coupled. The
-    simulator's inertia about the origin is split so that inertia and added mass are those of a rigid body.
+    It has little drag along the nose, and a centre of gravity far from the origin: roll and sway
+    are coupled. The simulator's inertia about the origin is split so that inertia and added mass
+    are those of a rigid body.
     """
     body = {
         "mass_kg": 20,
@@ -29,7 +31,9 @@ def sister(ucat):
         "centre_of_gravity_m": [0, 0, 0.1],
         "centre_of_buoyancy_m": [0, 0, 0.2],
     }
-    return RobotConfig.build({**ucat.model_dump(mode="json"), "name": "sister", "body": body}, "test")
+    return RobotConfig.build(
+        {**ucat.model_dump(mode="json"), "name": "sister", "body": body}, "test"
+    )
 
 
 @pytest.fixture(scope="session")

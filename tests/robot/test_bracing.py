@@ -13,7 +13,11 @@ REACH_N = 4.0
 def flat_robot(ucat, places):
     """Build a robot with fins in the horizontal plane, shafts upright."""
     fins = {
-        f"fin_{number}": {"position_m": [x, y, 0], "zero_direction": [1, 0, 0], "shaft_axis": [0, 0, 1]}
+        f"fin_{number}": {
+            "position_m": [x, y, 0],
+            "zero_direction": [1, 0, 0],
+            "shaft_axis": [0, 0, 1],
+        }
         for number, (x, y) in enumerate(places)
     }
     values = ucat.model_dump(mode="json")
@@ -25,7 +29,9 @@ def robot(request, ucat):
     angles = np.linspace(0, 2 * np.pi, 5, endpoint=False)
     robots = {
         "three in a plane": flat_robot(ucat, [(0.3, 0.2), (-0.3, 0.2), (-0.3, -0.2)]),
-        "five in a ring": flat_robot(ucat, 0.3 * np.stack([np.cos(angles), np.sin(angles)], axis=1)),
+        "five in a ring": flat_robot(
+            ucat, 0.3 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        ),
         "U-CAT": ucat,
     }
     return robots[request.param]
@@ -57,7 +63,9 @@ def test_fins_may_die_at_any_moment_one_after_the_other(robot):
             for fin in (first, (first + 1) % count):
                 dead.append(fin)
                 allocation.declare_dead(fin)
-                action, brace = share_in_turn(allocation, wrenches[moment : moment + 3], action.forces, brace)
+                action, brace = share_in_turn(
+                    allocation, wrenches[moment : moment + 3], action.forces, brace
+                )
                 assert not action.forces[dead].any()
                 assert not brace[dead].any()
 
@@ -82,8 +90,12 @@ def test_after_a_death_no_bracing_is_kept_that_the_fins_did_not_have(robot):
 
 def test_a_bracing_that_costs_much_to_change_is_kept(robot):
     count = len(robot.fins)
-    stubborn = BracedAllocation(robot.merged({"allocation": {"brace_change": 1e6}}, "test"), [REACH_N] * count)
-    free = BracedAllocation(robot.merged({"allocation": {"brace_change": 0}}, "test"), [REACH_N] * count)
+    stubborn = BracedAllocation(
+        robot.merged({"allocation": {"brace_change": 1e6}}, "test"), [REACH_N] * count
+    )
+    free = BracedAllocation(
+        robot.merged({"allocation": {"brace_change": 0}}, "test"), [REACH_N] * count
+    )
     rest = np.zeros((count, 2))
     _, brace = free.share(drawn_wrenches(robot, 1)[0], rest, rest)
     for wrench in drawn_wrenches(robot, 20):

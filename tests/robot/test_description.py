@@ -22,7 +22,11 @@ def values(ucat):
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        ("fins.front_left.shaft_axis", [0.5, 0.5, 0.0], "shaft_axis = .* has length 0.7071; give a unit vector"),
+        (
+            "fins.front_left.shaft_axis",
+            [0.5, 0.5, 0.0],
+            "shaft_axis = .* has length 0.7071; give a unit vector",
+        ),
         ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "at right angles to its shaft"),
         ("fins.front_left.range_rad", [1.0, -1.0], "least angle comes first"),
         ("body.inertia_kg_m2", [0.1, 0.0, 0.1], "singular"),
@@ -30,7 +34,9 @@ def values(ucat):
         ("body.mas_kg", 3, "unknown key 'body.mas_kg'; did you mean 'mass_kg'"),
     ],
 )
-def test_a_file_that_describes_no_robot_is_refused_in_one_line(values, path, value, words, tmp_path):
+def test_a_file_that_describes_no_robot_is_refused_in_one_line(
+    values, path, value, words, tmp_path
+):
     *parents, name = path.split(".")
     place = values
     for parent in parents:
@@ -70,7 +76,9 @@ def test_a_check_says_how_the_body_swings(ucat, sister, gaits):
     for robot in (ucat, sister):
         # A small roll, let go: it returns after one period.
         hertz = check_robot(robot, gaits)["swing_hz"]
-        undamped = robot.body.model_copy(update={"drag_linear": (0,) * 6, "drag_quadratic": (0,) * 6})
+        undamped = robot.body.model_copy(
+            update={"drag_linear": (0,) * 6, "drag_quadratic": (0,) * 6}
+        )
         dynamics = Dynamics.of(undamped)
         for axis, roll, pitch in (("roll", 0.01, 0.0), ("pitch", 0.0, 0.01)):
             state = BodyState(np.zeros(3), from_euler(roll, pitch, 0.0), np.zeros(6))
@@ -83,7 +91,10 @@ def test_a_check_says_how_the_body_swings(ucat, sister, gaits):
 
 @pytest.mark.parametrize(
     ("buoyancy_z", "words"),
-    [(-0.07, "turn it away from upright with 9.07 N m/rad"), (-0.02, "weight and buoyancy do not right it")],
+    [
+        (-0.07, "turn it away from upright with 9.07 N m/rad"),
+        (-0.02, "weight and buoyancy do not right it"),
+    ],
 )
 def test_a_check_names_a_body_that_does_not_stay_upright(ucat, gaits, buoyancy_z, words):
     robot = ucat.merged({"body": {"centre_of_buoyancy_m": [0, 0, buoyancy_z]}}, "test")

@@ -23,7 +23,8 @@ def double():
 def run(config, state, seconds, wrench=(0.0,) * 6, current=(0.0,) * 3, step_s=0.01):
     """States after each step, the first among them."""
     dynamics = Dynamics.of(config)
-    wrench, current = jnp.asarray(wrench, float), jnp.asarray(current, float)
+    wrench = jnp.asarray(wrench, float)
+    current = jnp.asarray(current, float)
 
     @jax.jit
     def all_of_it(state):
@@ -48,13 +49,27 @@ def test_a_steady_wrench_ends_in_the_speed_at_which_drag_balances_it(axis):
 
 
 def test_a_body_left_alone_ends_with_the_current():
-    config = BodyConfig(**SPHERE, drag_linear=(4.0,) * 6, drag_quadratic=(30.0,) * 6, added_mass=(3, 20, 40, 0, 0, 0))
-    _, states = run(config, moving(np.zeros(6), from_euler(0.4, 0.2, 1.0)), 200, current=(0.1, -0.2, 0.05))
-    np.testing.assert_allclose(matrix(states.attitude[-1]) @ states.twist[-1, :3], (0.1, -0.2, 0.05), atol=1e-6)
+    config = BodyConfig(
+        **SPHERE,
+        drag_linear=(4.0,) * 6,
+        drag_quadratic=(30.0,) * 6,
+        added_mass=(3, 20, 40, 0, 0, 0),
+    )
+    _, states = run(
+        config, moving(np.zeros(6), from_euler(0.4, 0.2, 1.0)), 200, current=(0.1, -0.2, 0.05)
+    )
+    np.testing.assert_allclose(
+        matrix(states.attitude[-1]) @ states.twist[-1, :3], (0.1, -0.2, 0.05), atol=1e-6
+    )
 
 
 def test_in_a_current_a_body_that_turns_moves_as_in_still_water_and_is_carried_along():
-    config = BodyConfig(**SPHERE, drag_linear=(4.0,) * 6, drag_quadratic=(30.0,) * 6, added_mass=(3, 20, 40, 0, 0, 0))
+    config = BodyConfig(
+        **SPHERE,
+        drag_linear=(4.0,) * 6,
+        drag_quadratic=(30.0,) * 6,
+        added_mass=(3, 20, 40, 0, 0, 0),
+    )
     current = np.array([0.2, -0.1, 0.05])
     attitude = from_euler(0.4, 0.2, 1.0)
     twist = np.array([0.3, 0.1, -0.2, 0.4, -0.5, 0.9])
@@ -63,18 +78,25 @@ def test_in_a_current_a_body_that_turns_moves_as_in_still_water_and_is_carried_a
     _, still = run(config, moving(twist, attitude), 2, wrench)
     _, carried = run(config, moving(carried_twist, attitude), 2, wrench, current)
     times = 0.01 * np.arange(len(still.position))
-    np.testing.assert_allclose(carried.position, still.position + times[:, None] * current, atol=1e-6)
+    np.testing.assert_allclose(
+        carried.position, still.position + times[:, None] * current, atol=1e-6
+    )
     np.testing.assert_allclose(carried.attitude, still.attitude, atol=1e-6)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_roll_and_pitch_swing_with_the_period_of_a_pendulum(axis):
-    config = BodyConfig(**SPHERE, added_mass=(0, 0, 0, 0.1, 0.2, 0), centre_of_gravity_m=(0, 0, -0.02),
-                        centre_of_buoyancy_m=(0, 0, 0.03))  # fmt: skip
+    config = BodyConfig(
+        **SPHERE,
+        added_mass=(0, 0, 0, 0.1, 0.2, 0),
+        centre_of_gravity_m=(0, 0, -0.02),
+        centre_of_buoyancy_m=(0, 0, 0.03),
+    )
     angles = 0.01 * np.eye(3)[axis]
     _, states = run(config, moving(np.zeros(6), from_euler(*angles)), 30)
     angle = np.array([to_vector(np.asarray(q))[axis] for q in states.attitude])
-    # The centre of gravity swings along, unless something holds the origin; so it is about the centre of gravity.
+    # The centre of gravity swings along, unless something holds the origin; so it is about the
+    # centre of gravity.
     inertia = (0.3, 0.6)[axis]
     frequency = np.sqrt(config.mass_kg * GRAVITY_M_S2 * 0.05 / inertia)
     crossings = np.flatnonzero(np.diff(np.sign(angle)) < 0)
@@ -83,7 +105,9 @@ def test_roll_and_pitch_swing_with_the_period_of_a_pendulum(axis):
 
 
 def test_in_an_ideal_fluid_momentum_and_energy_are_conserved():
-    config = BodyConfig(**SPHERE, added_mass=(2, 15, 30, 0.1, 0.3, 0.2), centre_of_gravity_m=(0, 0, 0))
+    config = BodyConfig(
+        **SPHERE, added_mass=(2, 15, 30, 0.1, 0.3, 0.2), centre_of_gravity_m=(0, 0, 0)
+    )
     dynamics, states = run(config, moving([0.5, 0.3, -0.2, 0.4, -0.6, 0.8]), 20, step_s=0.002)
     momentum = states.twist @ dynamics.inertia
     axes = jax.vmap(matrix)(states.attitude)
@@ -104,15 +128,24 @@ def test_a_torque_free_body_turns_by_jacobi_s_elliptic_functions():
     # Landau and Lifshitz, Mechanics, sec. 37.
     one, two, three = SPHERE["inertia_kg_m2"]
     start = np.array([0.6, 0.0, 1.0])
-    energy, squared = (np.array([one, two, three]) * start**2).sum(), ((np.array([one, two, three]) * start) ** 2).sum()
+    energy = (np.array([one, two, three]) * start**2).sum()
+    squared = ((np.array([one, two, three]) * start) ** 2).sum()
     _, states = run(BodyConfig(**SPHERE), moving([0, 0, 0, *start]), 20, step_s=0.005)
     times = 0.005 * np.arange(len(states.twist))
     rate = np.sqrt((three - two) * (squared - energy * one) / (one * two * three))
     m = (two - one) * (energy * three - squared) / ((three - two) * (squared - energy * one))
     sn, cn, dn, _ = ellipj(rate * times, m)
     found = np.abs(states.twist[:, 3:])
-    expected = np.abs(np.stack([start[0] * cn, np.sqrt((energy * three - squared) / (two * (three - two))) * sn,
-                                start[2] * dn], axis=1))  # fmt: skip
+    expected = np.abs(
+        np.stack(
+            [
+                start[0] * cn,
+                np.sqrt((energy * three - squared) / (two * (three - two))) * sn,
+                start[2] * dn,
+            ],
+            axis=1,
+        )
+    )
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

@@ -21,7 +21,8 @@ def test_gaits_begin_at_rest_and_grow(gaits):
 @jax.jit
 def simulated(commands, velocity):
     """Forces of a fin that is towed [N]."""
-    tank, mount = Tank(), Mount(velocity, jnp.zeros(2), jnp.zeros(()))
+    tank = Tank()
+    mount = Mount(velocity, jnp.zeros(2), jnp.zeros(()))
 
     def tick(state, command):
         state, _, load = tank.tick(state, command, mount)
@@ -31,7 +32,8 @@ def simulated(commands, velocity):
 
 
 def mean_force(gaits, force, velocity=(0.0, 0.0)):
-    state, commands = REST, []
+    state = REST
+    commands = []
     for action in range(24):
         state, command = stroke(gaits, state, force, 1 if action % 2 == 0 else -1)
         commands.append(command)

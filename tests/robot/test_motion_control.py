@@ -11,7 +11,8 @@ SWAY_REACH_N = 4.0
 
 
 def hold_still(controller, wrench, actions, state=None, surge_noise_n=0.0):
-    """Let the fins make a wrench that keeps the robot where it is, rolled as far as the wrench rolls it."""
+    """Let the fins make a wrench that keeps the robot where it is, rolled as far as the wrench
+    rolls it."""
     target = hold()(0.0)
     roll_rad = wrench[3] / controller.dynamics.righting_nm_rad
     still = np.zeros((66, 3)), np.zeros((66, 6))
@@ -34,7 +35,8 @@ def controller_without_a_fin(robot):
 
 @pytest.mark.parametrize("name", ["ucat", "sister"])
 def test_an_error_dies_away_at_the_bandwidth_without_overshoot(request, name):
-    """As a critically damped oscillator does, e(t) = e(0) (1 + w t) exp(-w t), where forces act at once."""
+    """As a critically damped oscillator does, e(t) = e(0) (1 + w t) exp(-w t), where forces act at
+    once."""
     robot = request.getfixturevalue(name)
     control = robot.control.model_copy(update={"lag_s": 0.0, "damping": 1.0})
     controller = MotionController(robot.model_copy(update={"control": control}))
@@ -42,7 +44,8 @@ def test_an_error_dies_away_at_the_bandwidth_without_overshoot(request, name):
     step_s = 0.001
     disturbance = np.array([0.1, -0.2, 0.3, 0.1, -0.1, 0.2])
     start = np.array([0.2, -0.1, 0.1, 0.1, -0.1, 0.3])
-    error, rate = start, np.zeros(6)
+    error = start
+    rate = np.zeros(6)
     for number in range(1, 3001):
         estimate = np.stack([error, rate, disturbance], axis=1)
         acceleration = controller.corrected(estimate, np.zeros((2, 6))) + disturbance

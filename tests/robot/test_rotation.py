@@ -16,13 +16,18 @@ def peer(quaternion: np.ndarray) -> Rotation:
 
 @given(Vectors, Vectors)
 def test_rotations_are_scipy_s(a: np.ndarray, b: np.ndarray) -> None:
-    one, other = from_vector(a), from_vector(b)
+    one = from_vector(a)
+    other = from_vector(b)
     np.testing.assert_allclose(matrix(one), Rotation.from_rotvec(a).as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(matrix(multiply(one, other)), matrix(one) @ matrix(other), atol=1e-12)
+    np.testing.assert_allclose(
+        matrix(multiply(one, other)), matrix(one) @ matrix(other), atol=1e-12
+    )
     np.testing.assert_allclose(to_vector(one), peer(one).as_rotvec(), atol=1e-9)
     np.testing.assert_allclose(matrix(inverse(one)), matrix(one).T, atol=1e-12)
 
 
 def test_euler_s_angles_are_those_of_rep_103() -> None:
     found = from_euler(0.3, -0.5, 2.0)
-    np.testing.assert_allclose(matrix(found), Rotation.from_euler("ZYX", [2.0, -0.5, 0.3]).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(
+        matrix(found), Rotation.from_euler("ZYX", [2.0, -0.5, 0.3]).as_matrix(), atol=1e-12
+    )

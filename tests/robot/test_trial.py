@@ -14,7 +14,8 @@ from softfin.robot.trial import Disturbances, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
 from softfin.tank import Tank
 
-SHORT, LONG = RobotEvaluateConfig(hold_s=40, settled_s=12, path_s=45), RobotEvaluateConfig(hold_s=120, settled_s=30)
+SHORT = RobotEvaluateConfig(hold_s=40, settled_s=12, path_s=45)
+LONG = RobotEvaluateConfig(hold_s=120, settled_s=30)
 
 
 @pytest.mark.slow
@@ -52,7 +53,9 @@ def test_a_trial_may_last_for_any_time(ucat, simulation, gaits, task, dead, seco
 
 @pytest.mark.parametrize("dead", [False, True])
 def test_a_trial_in_which_no_time_may_count_is_refused(dead):
-    with pytest.raises(ValueError, match=r"hold_s = 3.3: must be at least 3.3[45] s with settled_s = 1, or no"):
+    with pytest.raises(
+        ValueError, match=r"hold_s = 3.3: must be at least 3.3[45] s with settled_s = 1, or no"
+    ):
         RobotEvaluateConfig(hold_s=3.3, settled_s=1, dead=dead)
 
 
@@ -101,8 +104,12 @@ def test_without_noise_and_disturbance_it_stays_where_it_is(ucat, simulation, ga
 def test_velocity_and_acceleration_are_the_path_s_derivatives(path):
     for time in (0.0, 4.0, 30.0):
         before, now, after = (path(time + k * 0.02) for k in (-1, 0, 1))
-        np.testing.assert_allclose((after.position - before.position) / 0.04, now.velocity, atol=2e-4)
-        np.testing.assert_allclose((after.velocity - before.velocity) / 0.04, now.acceleration, atol=2e-3)
+        np.testing.assert_allclose(
+            (after.position - before.position) / 0.04, now.velocity, atol=2e-4
+        )
+        np.testing.assert_allclose(
+            (after.velocity - before.velocity) / 0.04, now.acceleration, atol=2e-3
+        )
 
 
 def test_paths_begin_slowly_and_reach_their_speed():

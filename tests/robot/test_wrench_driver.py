@@ -19,8 +19,11 @@ def acted(driver, wrench, actions):
 
 @pytest.mark.slow
 def test_fins_in_the_tank_make_the_wrenches_and_their_ripple_cancels(ucat, simulation, gaits):
-    wrenches, drivers = draw_wrenches(ucat, gaits, RobotEvaluateConfig(wrenches=16)), drivers_of(ucat, gaits)
-    found, free = (wrench_errors(simulation, drivers[name], wrenches) for name in ("whole", "without phases"))
+    wrenches = draw_wrenches(ucat, gaits, RobotEvaluateConfig(wrenches=16))
+    drivers = drivers_of(ucat, gaits)
+    found, free = (
+        wrench_errors(simulation, drivers[name], wrenches) for name in ("whole", "without phases")
+    )
     assert found["force_error_n"] <= 0.15
     assert found["moment_error_nm"] <= 0.04
     assert found["ripple"]["roll"] <= 0.7 * free["ripple"]["roll"]
@@ -35,11 +38,13 @@ def test_a_robot_that_is_asked_for_nothing_braces_its_fins(ucat, gaits):
 def test_bracing_does_not_depend_on_how_the_library_of_linear_algebra_turns_what_makes_no_wrench(
     ucat, gaits, monkeypatch
 ):
-    svd, (_, as_it_is) = np.linalg.svd, acted(WrenchDriver(ucat, gaits), np.zeros(6), 12)
+    svd = np.linalg.svd
+    (_, as_it_is) = acted(WrenchDriver(ucat, gaits), np.zeros(6), 12)
 
     def turned(matrix):
         left, values, rows = svd(matrix)
-        cos, sin = np.cos(0.7), np.sin(0.7)
+        cos = np.cos(0.7)
+        sin = np.sin(0.7)
         return left, values, np.vstack([rows[:-2], [[cos, sin], [sin, -cos]] @ rows[-2:]])
 
     monkeypatch.setattr(np.linalg, "svd", turned)
@@ -97,13 +102,19 @@ def test_while_fins_stroke_a_little_ripple_more_is_kept():
 
 def test_phases_are_sixths_of_a_period():
     assert [(delay_of(phase), side_of(phase, 0)) for phase in range(6)] == [
-        (0, 1), (11, 1), (22, 1), (0, -1), (11, -1), (22, -1),
-    ]  # fmt: skip
+        (0, 1),
+        (11, 1),
+        (22, 1),
+        (0, -1),
+        (11, -1),
+        (22, -1),
+    ]
     assert side_of(0, 1) == -1
 
 
 def test_a_fin_that_dies_makes_nothing_from_then_on(ucat, gaits):
-    driver, wrench = WrenchDriver(ucat, gaits), np.array([6.0, 0, 0, 0, 0, 0])
+    driver = WrenchDriver(ucat, gaits)
+    wrench = np.array([6.0, 0, 0, 0, 0, 0])
     state = driver.init()
     for _ in range(4):
         state, _ = driver.act(state, wrench)

@@ -34,8 +34,9 @@ def example(tmp_path_factory) -> Path:
 def test_the_copy_holds_every_file_as_the_description_lists_it(example):
     written = {
         file.relative_to(example).as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
-        for file in example.rglob("*") if file.is_file()
-    }  # fmt: skip
+        for file in example.rglob("*")
+        if file.is_file()
+    }
     assert written.keys() - DESCRIPTION["files"].keys() == {"example.json", "README.md"}
     assert written.items() >= DESCRIPTION["files"].items()
     assert sum(file.stat().st_size for file in example.rglob("*")) <= LARGEST_BYTES
@@ -50,7 +51,10 @@ def test_it_is_written_once_and_replaced_only_on_request(example, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["example", str(example)])
     assert stop.value.code == 2
-    assert "exists already; give another folder, or --overwrite to replace it" in capsys.readouterr().err
+    assert (
+        "exists already; give another folder, or --overwrite to replace it"
+        in capsys.readouterr().err
+    )
     (example / "mine").touch()
     main(["example", str(example), "--overwrite", "--json"])
     assert not (example / "mine").exists()
@@ -92,5 +96,7 @@ def test_the_wheel_holds_it():
     assert build["targets"]["wheel"]["packages"] == ["src/softfin"]
     assert "exclude" not in build["targets"]["wheel"]
     assert EXAMPLE.parent == ROOT / "src/softfin"
-    ignored = subprocess.run(["git", "check-ignore", *EXAMPLE.rglob("*")], cwd=ROOT, check=False, capture_output=True)
+    ignored = subprocess.run(
+        ["git", "check-ignore", *EXAMPLE.rglob("*")], cwd=ROOT, check=False, capture_output=True
+    )
     assert not ignored.stdout

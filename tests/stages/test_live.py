@@ -56,20 +56,30 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
         assert not out.exists()
         bags = bags_of(out)
         assert sorted(path.name for path in bags.iterdir()) == [
-            "collect.json", "test-000.mcap", "train-0000.mcap", "train-0000.parquet", "train-0000.sensor.json"
-        ]  # fmt: skip
+            "collect.json",
+            "test-000.mcap",
+            "train-0000.mcap",
+            "train-0000.parquet",
+            "train-0000.sensor.json",
+        ]
         assert events_of(bags / "test-000.mcap")[-1] == "stopped: emergency_stop: stopped by a key"
         first = (bags / "train-0000.parquet").read_bytes()
 
         with pytest.raises(ArtifactError, match="--resume"):
             collect_live(robot, out, CONFIG, yes)
         other = CONFIG.model_copy(update={"seed": 4})
-        with pytest.raises(ArtifactError, match=r"another run \(configuration.seed was 3 and is 4\)"):
+        with pytest.raises(
+            ArtifactError, match=r"another run \(configuration.seed was 3 and is 4\)"
+        ):
             collect_live(robot, out, other, yes, resume=True)
 
         told = []
-        data = collect_live(robot, out, CONFIG, yes, resume=True, progress=lambda *words: told.append(words))
-        again = collect_live(robot, out, CONFIG, yes, resume=True, progress=lambda *words: told.append("moved"))
+        data = collect_live(
+            robot, out, CONFIG, yes, resume=True, progress=lambda *words: told.append(words)
+        )
+        again = collect_live(
+            robot, out, CONFIG, yes, resume=True, progress=lambda *words: told.append("moved")
+        )
     assert again.data_hash == data.data_hash
     assert "moved" not in told
     assert (bags / "train-0000.parquet").read_bytes() == first
@@ -108,7 +118,8 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
     active, rest, inactive = events_of(bag)
     assert (active, inactive) == ("active: free fin", "inactive")
     assert rest == "force at rest: (0.0000, 0.1000) N"
-    # The bag's force is raw; what is imported from it is what the controller and the evaluation got.
+    # The bag's force is raw; what is imported from it is what the controller and the evaluation
+    # got.
     (imported,) = open_logs(bag).logs
     np.testing.assert_allclose(imported.log.reading.force[:, 1], 0.0, atol=1e-6)
 
@@ -195,7 +206,8 @@ def stopped_in_the_second_log(robot, out):
 
 
 @pytest.mark.parametrize(
-    ("setting", "was", "value"), [("frame", "y,-x", "x,y"), ("cutoff_hz", 30.0, 20.0), ("serial", None, "FT1")]
+    ("setting", "was", "value"),
+    [("frame", "y,-x", "x,y"), ("cutoff_hz", 30.0, 20.0), ("serial", None, "FT1")],
 )
 def test_a_collection_goes_on_only_with_the_same_sensor_setup(setting, was, value, tmp_path):
     with emulated() as (_, robot):
@@ -210,7 +222,11 @@ def test_a_collection_goes_on_only_with_the_same_sensor_setup(setting, was, valu
 def test_a_collection_goes_on_with_the_sensor_at_another_address(tmp_path):
     with emulated() as (_, robot):
         stopped_in_the_second_log(robot, tmp_path / "data")
-        sensor = robot.configuration["sensor"] | {"address": "10.0.0.7", "http_port": 8080, "rdt_port": 50000}
+        sensor = robot.configuration["sensor"] | {
+            "address": "10.0.0.7",
+            "http_port": 8080,
+            "rdt_port": 50000,
+        }
         moved = dataclasses.replace(robot, configuration=robot.configuration | {"sensor": sensor})
         assert len(two_logs(moved, tmp_path / "data", resume=True).train) == 2
 
@@ -224,7 +240,9 @@ def test_a_collection_of_an_older_version_is_finished_only_if_all_its_logs_are_t
         del claim["rig"]["sensor"]
         with_sensor = state.read_text()
         state.write_text(json.dumps(claim))
-        with pytest.raises(ArtifactError, match=r"begun by an older softfin.*finish it with that version"):
+        with pytest.raises(
+            ArtifactError, match=r"begun by an older softfin.*finish it with that version"
+        ):
             two_logs(robot, out, resume=True)
         state.write_text(with_sensor)
         data = two_logs(robot, out, resume=True)
@@ -233,7 +251,8 @@ def test_a_collection_of_an_older_version_is_finished_only_if_all_its_logs_are_t
 
 
 def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_interruption(tmp_path):
-    out, file = tmp_path / "data", tmp_path / "rig.yaml"
+    out = tmp_path / "data"
+    file = tmp_path / "rig.yaml"
     warnings = []
     with emulated() as (behind, robot):
         robot.machine.config._file = file
@@ -245,7 +264,8 @@ def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_inter
         two_logs(robot, out, resume=True, warn=warnings.append)
         serial = robot.machine.sensor.settings.calsn
     described = json.loads((out / "dataset.json").read_text())
-    first, second = described["sensor_by_log"]["train-0000"], described["sensor_by_log"]["train-0001"]
+    first = described["sensor_by_log"]["train-0000"]
+    second = described["sensor_by_log"]["train-0001"]
     for state in (first, second):
         assert state["sensor_serial"] == serial is not None
         assert state["force_zero"] == zero.model_dump(mode="json")

@@ -21,9 +21,19 @@ def force(time):
 def samples(jitter=None, delay=0.02, count=ROWS + 20):
     jitter = np.zeros(count) if jitter is None else jitter
     times = 50 + 0.01 * np.arange(count) + jitter
-    return [Sample(float(t), float(angle(t)), 0.0, None, None, float(t - delay),
-                   (float(force(t - delay)), -float(force(t - delay)), 0.0, 0.0, 0.0, 0.0), ())
-            for t in times]  # fmt: skip
+    return [
+        Sample(
+            float(t),
+            float(angle(t)),
+            0.0,
+            None,
+            None,
+            float(t - delay),
+            (float(force(t - delay)), -float(force(t - delay)), 0.0, 0.0, 0.0, 0.0),
+            (),
+        )
+        for t in times
+    ]
 
 
 def issued(*commands):
@@ -54,13 +64,18 @@ def test_each_row_has_the_command_in_force():
 def test_a_reading_that_comes_twice_counts_once():
     twice = [one for sample in samples() for one in (sample, sample)]
     once = log_from_samples(samples(), issued((49.9, 0.3)), ROWS)
-    np.testing.assert_array_equal(log_from_samples(twice, issued((49.9, 0.3)), ROWS).reading.force, once.reading.force)
+    np.testing.assert_array_equal(
+        log_from_samples(twice, issued((49.9, 0.3)), ROWS).reading.force, once.reading.force
+    )
 
 
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (lambda all_: all_[:40] + all_[48:], r"no angle for 90 ms at 0\.39 s of the log: at most 50 ms; .* --resume"),
+        (
+            lambda all_: all_[:40] + all_[48:],
+            r"no angle for 90 ms at 0\.39 s of the log: at most 50 ms; .* --resume",
+        ),
         (lambda all_: all_[: ROWS - 5], "no angle"),
         (lambda all_: all_[:ROWS], "no force"),
         (lambda all_: [s._replace(force_time=min(s.force_time, 50.3)) for s in all_], "no force"),
@@ -74,4 +89,6 @@ def test_a_gap_is_an_error_and_not_bridged(fault, words):
 
 def test_a_wider_gap_may_be_allowed():
     with_gap = samples()[:40] + samples()[48:]
-    assert log_from_samples(with_gap, issued((49.9, 0.3)), ROWS, gap_s=0.2).reading.angle.shape == (ROWS,)
+    assert log_from_samples(with_gap, issued((49.9, 0.3)), ROWS, gap_s=0.2).reading.angle.shape == (
+        ROWS,
+    )

@@ -26,7 +26,9 @@ RECORDING = ExperimentRecording(
 
 def evaluated(distance, fraction, *warnings):
     scores = Scores(*(np.full((1, 2, 2), fraction) for _ in Scores._fields))
-    uncertainty = SurrogateUncertainty(np.array([fraction]), np.array([distance]), np.array([[fraction, 3 * fraction]]))
+    uncertainty = SurrogateUncertainty(
+        np.array([fraction]), np.array([distance]), np.array([[fraction, 3 * fraction]])
+    )
     return Evaluation(EvaluateConfig(), scores, 2, RECORDING, uncertainty, warnings)
 
 
@@ -46,19 +48,24 @@ def test_what_several_controllers_warn_of_is_said_once():
 @pytest.mark.parametrize("asked", [{"error_map": 3}, {"random": 9}])
 def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
     (name,) = asked
-    with pytest.raises(ConfigurationError, match=rf"evaluate\.{name} is set; .* leave it out; .* softfin evaluate"):
+    with pytest.raises(
+        ConfigurationError, match=rf"evaluate\.{name} is set; .* leave it out; .* softfin evaluate"
+    ):
         ReproduceConfig.build({"evaluate": asked})
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
 def test_a_preset_maps_all_that_its_policies_are_trained_for(name):
-    """`softfin.learning.configuration.check` would refuse the map otherwise, after the surrogate was fitted."""
+    """`softfin.learning.configuration.check` would refuse the map otherwise, after the surrogate
+    was fitted."""
     config = PRESETS[name]
     assert (config.map is None) == (config.gaits is None)
     for policy in config.policies.values():
         assert config.map is not None or not policy.begins_as_gaits
         if config.map is not None:
-            assert all(config.map.box.distance(corner) == 0 for corner in policy.training_range.lattice(2))
+            assert all(
+                config.map.box.distance(corner) == 0 for corner in policy.training_range.lattice(2)
+            )
 
 
 def test_gaits_alone_are_mapped_over_the_papers_range_unless_they_have_a_box():
@@ -76,14 +83,19 @@ def test_a_run_without_a_controller_is_refused():
 def test_a_reference_beyond_the_map_is_refused_before_anything_is_collected():
     box = {"low": [0.5, -0.5], "high": [3.5, 0.5]}
     with pytest.raises(ConfigurationError, match=r"has \(1, -1\) N, which no cell of gaits covers"):
-        ReproduceConfig.build({"single": GRADIENT_SINGLE.model_dump(), "grid": None, "gaits": {"box": box}})
+        ReproduceConfig.build(
+            {"single": GRADIENT_SINGLE.model_dump(), "grid": None, "gaits": {"box": box}}
+        )
 
 
 def test_a_complete_run_is_kept_until_the_one_that_replaces_it_is_complete(tmp_path):
-    out, kept = tmp_path / "run", tmp_path / ".run.replaced"
+    out = tmp_path / "run"
+    kept = tmp_path / ".run.replaced"
 
     def claim(overwrite):
-        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), 0, silent).claim(False, overwrite)
+        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), 0, silent).claim(
+            False, overwrite
+        )
 
     claim(False)
     assert not kept.exists()
@@ -100,24 +112,36 @@ def test_with_resume_and_overwrite_another_run_is_replaced_and_the_same_one_goes
     out = tmp_path / "run"
 
     def claim(seed, overwrite):
-        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), seed, silent).claim(True, overwrite)
+        _Reproduction("tests.plants:AnalyticFin", out, ReproduceConfig(), seed, silent).claim(
+            True, overwrite
+        )
 
     claim(0, overwrite=False)
     (out / "dataset").mkdir()
     claim(0, overwrite=True)
     assert (out / "dataset").exists()
-    with pytest.raises(ArtifactError, match=r"is of another run \(seed was 0 and is 1\).*or --overwrite"):
+    with pytest.raises(
+        ArtifactError, match=r"is of another run \(seed was 0 and is 1\).*or --overwrite"
+    ):
         claim(1, overwrite=False)
     claim(1, overwrite=True)
     assert not (out / "dataset").exists()
 
 
-def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_plants_can_move_in_one(tmp_path):
+def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_plants_can_move_in_one(
+    tmp_path,
+):
     config = PRESETS["tiny"].model_copy(update={"grid": None})
-    for kind, place in (("gaits", "gaits"), ("single", "single/seed-3"), ("single", "single/seed-4")):
+    for kind, place in (
+        ("gaits", "gaits"),
+        ("single", "single/seed-3"),
+        ("single", "single/seed-4"),
+    ):
         (tmp_path / place).parent.mkdir(exist_ok=True)
         folder_of(kind, tmp_path / "made").rename(tmp_path / place)
-    save_surrogate(tmp_path / "surrogate", small.surrogate(), None, {"data_hash": "dataset"}, configuration={})
+    save_surrogate(
+        tmp_path / "surrogate", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
+    )
     run = _Reproduction("tank", tmp_path, config, 3, silent)
     run.make_page()
     page = (tmp_path / "explore.html").read_text()

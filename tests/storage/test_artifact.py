@@ -30,7 +30,9 @@ def test_a_folder_comes_back_as_it_was_saved(tmp_path):
     assert loaded["count"].shape == ()
 
 
-@pytest.mark.parametrize("failure", [KeyboardInterrupt, OSError(errno.ENOSPC, "No space left on device")])
+@pytest.mark.parametrize(
+    "failure", [KeyboardInterrupt, OSError(errno.ENOSPC, "No space left on device")]
+)
 def test_a_failed_write_leaves_what_was_there(tmp_path, failure):
     artifacts.save(tmp_path / "thing", "surrogate", {"version": 1}, {})
 
@@ -48,7 +50,9 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, failure):
 
 def test_a_folder_is_replaced_whole(tmp_path):
     for version in (1, 2):
-        artifacts.save(tmp_path / "thing", "surrogate", {"version": version}, {}, overwrite=version == 2)
+        artifacts.save(
+            tmp_path / "thing", "surrogate", {"version": version}, {}, overwrite=version == 2
+        )
     assert artifacts.load_description(tmp_path / "thing", "surrogate") == HEAD | {"version": 2}
     assert files_in(tmp_path) == ["thing"]
 
@@ -71,7 +75,10 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
         (tmp_path / "thing").mkdir()
         (tmp_path / "thing" / "surrogate.json").write_text("{}")
 
-    with pytest.raises(RunError, match=r"thing: is in use by now; the finished result is in .*thing.finished-1: move"):
+    with pytest.raises(
+        RunError,
+        match=r"thing: is in use by now; the finished result is in .*thing.finished-1: move",
+    ):
         artifacts.write_folder(tmp_path / "thing", write)
     assert (tmp_path / "thing.finished-1" / "result").read_text() == "hours of work"
     assert files_in(tmp_path) == ["thing", "thing.finished-1"]
@@ -85,10 +92,16 @@ def test_a_finished_result_is_kept_where_it_cannot_be_renamed(tmp_path, monkeypa
     rename = Path.rename
 
     def fail(one, other):
-        return busy(one, other) if one.suffix == ".partial" and other.name == "thing" else rename(one, other)
+        return (
+            busy(one, other)
+            if one.suffix == ".partial" and other.name == "thing"
+            else rename(one, other)
+        )
 
     monkeypatch.setattr(Path, "rename", fail)
-    with pytest.raises(RunError, match=r"cannot be written \(Device or resource busy\); the finished result is in"):
+    with pytest.raises(
+        RunError, match=r"cannot be written \(Device or resource busy\); the finished result is in"
+    ):
         artifacts.save(tmp_path / "thing", "surrogate", {"version": 2}, {}, overwrite=True)
     assert artifacts.load(tmp_path / "thing", "surrogate")[0] == HEAD | {"version": 1}
     assert artifacts.load(tmp_path / "thing.finished-1", "surrogate")[0] == HEAD | {"version": 2}
@@ -100,7 +113,8 @@ def test_a_folder_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch
         synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "thing").exists()))
         fsync(descriptor)
 
-    synced, fsync = [], os.fsync
+    synced = []
+    fsync = os.fsync
     monkeypatch.setattr(os, "fsync", note)
     artifacts.write_folder(tmp_path / "thing", lambda folder: (folder / "file").write_text("x"))
     beside = f".thing.{os.getpid()}.partial"
@@ -113,7 +127,8 @@ def test_a_file_is_on_the_disk_before_it_is_in_its_place(tmp_path, monkeypatch):
         synced.append((place.relative_to(tmp_path).as_posix(), (tmp_path / "file").exists()))
         fsync(descriptor)
 
-    synced, fsync = [], os.fsync
+    synced = []
+    fsync = os.fsync
     monkeypatch.setattr(os, "fsync", note)
     artifacts.write_file(tmp_path / "file", "x")
     assert synced == [(f".file.{os.getpid()}.partial", False), (".", True)]
@@ -143,8 +158,13 @@ def test_a_folder_is_replaced_only_where_that_was_asked(tmp_path, there):
 
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
     (tmp_path / "file").write_text("")
-    for out, why in ((tmp_path / "file" / "a" / "out", "Not a directory"), (tmp_path / ("x" * 300), "name too long")):
-        with pytest.raises(ArtifactError, match=rf"(out|x): cannot be written .*{why}.*give another --out"):
+    for out, why in (
+        (tmp_path / "file" / "a" / "out", "Not a directory"),
+        (tmp_path / ("x" * 300), "name too long"),
+    ):
+        with pytest.raises(
+            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*give another --out"
+        ):
             artifacts.check_vacant(out)
     assert files_in(tmp_path) == ["file"]
 
@@ -155,7 +175,9 @@ def test_nothing_of_the_user_is_replaced(tmp_path):
         artifacts.check_vacant(tmp_path, overwrite=True)
     for text in ("{}", "[]", "{", '{"kind": "example"}'):
         (tmp_path / "robot.json").write_text(text)
-        with pytest.raises(ArtifactError, match="was not written by softfin, so it is not replaced"):
+        with pytest.raises(
+            ArtifactError, match="was not written by softfin, so it is not replaced"
+        ):
             artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
     with pytest.raises(ArtifactError, match="give another --out, or --overwrite"):
@@ -175,7 +197,9 @@ def test_a_damaged_description_is_refused_by_name(tmp_path, text):
 def test_weights_that_are_no_real_numbers_of_numpys_are_refused_in_one_line(tmp_path, kind, size):
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
     header = json.dumps({"a": {"dtype": kind, "shape": [2], "data_offsets": [0, size]}}).encode()
-    (tmp_path / "s" / artifacts.WEIGHTS).write_bytes(len(header).to_bytes(8, "little") + header + bytes(size))
+    (tmp_path / "s" / artifacts.WEIGHTS).write_bytes(
+        len(header).to_bytes(8, "little") + header + bytes(size)
+    )
     with pytest.raises(ArtifactError, match=r"weights\.safetensors: truncated or damaged"):
         artifacts.load(tmp_path / "s", "surrogate")
 
@@ -196,13 +220,25 @@ def test_provenance_names_seed_versions_and_time():
 
 def test_numbers_that_are_not_finite_are_null_wherever_they_stand():
     value = {
-        "number": math.inf, "numpy": np.float32("nan"), "whole": np.int64(3), "array": np.array([1.5, -np.inf]),
-        "jax": jnp.array([[jnp.nan, 2.0]]), "deep": [{"pair": (1, math.nan)}], "text": "inf", "path": Path("a"),
-    }  # fmt: skip
+        "number": math.inf,
+        "numpy": np.float32("nan"),
+        "whole": np.int64(3),
+        "array": np.array([1.5, -np.inf]),
+        "jax": jnp.array([[jnp.nan, 2.0]]),
+        "deep": [{"pair": (1, math.nan)}],
+        "text": "inf",
+        "path": Path("a"),
+    }
     assert json.loads(artifacts.dump_json(value)) == {
-        "number": None, "numpy": None, "whole": 3, "array": [1.5, None], "jax": [[None, 2.0]],
-        "deep": [{"pair": [1, None]}], "text": "inf", "path": "a",
-    }  # fmt: skip
+        "number": None,
+        "numpy": None,
+        "whole": 3,
+        "array": [1.5, None],
+        "jax": [[None, 2.0]],
+        "deep": [{"pair": [1, None]}],
+        "text": "inf",
+        "path": "a",
+    }
 
 
 def test_a_training_log_is_standard_json(tmp_path):

@@ -15,12 +15,16 @@ from softfin.storage.dataset import Dataset, write_dataset
 def make_log(seed: int, rows: int = 40) -> Log:
     random = np.random.default_rng(seed).normal(size=(6, rows)).astype(np.float32)
     time = np.arange(1, rows + 1) / 100
-    return Log(Command(random[0], random[1]), Reading(time, random[2], random[3], random[4:].T.copy()))
+    return Log(
+        Command(random[0], random[1]), Reading(time, random[2], random[3], random[4:].T.copy())
+    )
 
 
 @pytest.fixture
 def dataset(tmp_path) -> Dataset:
-    return write_dataset(tmp_path / "data", map(make_log, range(3)), map(make_log, [7]), {"plant": "none"})
+    return write_dataset(
+        tmp_path / "data", map(make_log, range(3)), map(make_log, [7]), {"plant": "none"}
+    )
 
 
 def test_a_dataset_names_its_logs_in_order(dataset):
@@ -30,7 +34,9 @@ def test_a_dataset_names_its_logs_in_order(dataset):
         "train/0002.parquet",
     ]
     assert [path.name for path in dataset.test] == ["000.parquet"]
-    for path, log in zip((*dataset.train, *dataset.test), dataset.load([*dataset.train, *dataset.test]), strict=True):
+    for path, log in zip(
+        (*dataset.train, *dataset.test), dataset.load([*dataset.train, *dataset.test]), strict=True
+    ):
         seed = {"train": 0, "test": 7}[path.parent.name] + int(path.stem)
         np.testing.assert_array_equal(log.reading.force, make_log(seed).reading.force)
 
@@ -45,7 +51,9 @@ def test_its_description_says_what_it_holds(dataset):
 
 
 def test_the_same_logs_have_the_same_hash_wherever_they_lie(dataset, tmp_path):
-    again = write_dataset(tmp_path / "again", map(make_log, range(3)), map(make_log, [7]), {"plant": "another name"})
+    again = write_dataset(
+        tmp_path / "again", map(make_log, range(3)), map(make_log, [7]), {"plant": "another name"}
+    )
     assert again.data_hash == dataset.data_hash
 
 
@@ -78,25 +86,34 @@ def test_a_folder_that_is_not_there_is_named(tmp_path):
 
 def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
-    with pytest.raises(ArtifactError, match=f"holds no training logs; put Parquet logs into {tmp_path / 'train'}"):
+    with pytest.raises(
+        ArtifactError, match=f"holds no training logs; put Parquet logs into {tmp_path / 'train'}"
+    ):
         Dataset.open(tmp_path)
 
 
 def test_a_log_that_is_gone_is_missed(dataset):
     dataset.train[1].unlink()
-    with pytest.raises(ArtifactError, match=r"train/0001\.parquet: missing since dataset\.json was written"):
+    with pytest.raises(
+        ArtifactError, match=r"train/0001\.parquet: missing since dataset\.json was written"
+    ):
         Dataset.open(dataset.path)
 
 
 def test_a_log_that_came_later_is_noticed(dataset):
     shutil.copy(dataset.train[0], dataset.path / "train" / "0003.parquet")
-    with pytest.raises(ArtifactError, match=r"train/0003\.parquet: new since dataset\.json was written"):
+    with pytest.raises(
+        ArtifactError, match=r"train/0003\.parquet: new since dataset\.json was written"
+    ):
         Dataset.open(dataset.path)
 
 
 def test_a_log_that_was_cut_is_noticed(dataset):
     dataset.test[0].write_bytes(dataset.test[0].read_bytes()[:-9])
-    with pytest.raises(ArtifactError, match=r"test/000\.parquet: truncated or changed since dataset\.json was written"):
+    with pytest.raises(
+        ArtifactError,
+        match=r"test/000\.parquet: truncated or changed since dataset\.json was written",
+    ):
         Dataset.open(dataset.path)
 
 

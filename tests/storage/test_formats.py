@@ -1,4 +1,5 @@
-"""Format numbers: one table, in code and in the documents; what a newer softfin wrote is refused in one line."""
+"""Format numbers: one table, in code and in the documents; what a newer softfin wrote is refused in
+one line."""
 
 import json
 import re
@@ -26,11 +27,15 @@ def test_a_number_beyond_those_that_are_read_is_refused_with_the_way_out(kind):
     newest, oldest, remedy = FORMATS[kind]
     check_format(kind, newest, "it")
     check_format(kind, oldest, "it")
-    with pytest.raises(ArtifactError, match=rf"^it: format is {newest + 1}, of a newer softfin; .*{newest}; update"):
+    with pytest.raises(
+        ArtifactError, match=rf"^it: format is {newest + 1}, of a newer softfin; .*{newest}; update"
+    ):
         check_format(kind, newest + 1, "it")
     if oldest > 1:
         assert remedy
-        with pytest.raises(ArtifactError, match=f"^it: format is {oldest - 1}, of an older softfin; .*; {remedy}$"):
+        with pytest.raises(
+            ArtifactError, match=f"^it: format is {oldest - 1}, of an older softfin; .*; {remedy}$"
+        ):
             check_format(kind, oldest - 1, "it")
 
 
@@ -44,7 +49,11 @@ def test_anything_but_a_whole_number_is_refused(number):
 def test_each_folder_states_its_kind_and_number_first_and_is_checked_when_read(kind, tmp_path):
     artifacts.write_description(tmp_path, kind, {"more": 1})
     description = artifacts.load_description(tmp_path, kind)
-    assert list(description.items()) == [("kind", kind), ("format", FOLDERS[kind].number), ("more", 1)]
+    assert list(description.items()) == [
+        ("kind", kind),
+        ("format", FOLDERS[kind].number),
+        ("more", 1),
+    ]
     artifacts.check_vacant(tmp_path, overwrite=True)
     (tmp_path / f"{kind}.json").write_text(json.dumps(description | {"format": 99}))
     with pytest.raises(ArtifactError, match=rf"{kind}\.json: format is 99, of a newer softfin"):
@@ -79,7 +88,9 @@ def test_a_recording_of_a_newer_softfin_is_refused_by_all_who_read_it(tmp_path, 
     newer = formats.FILES["recording"]._replace(number=2)
     monkeypatch.setattr(messages, "FILES", {"recording": newer})
     record(file, rows=200)
-    with pytest.raises(LogError, match=r"run\.mcap: format is 2, of a newer softfin; this softfin reads 1; update"):
+    with pytest.raises(
+        LogError, match=r"run\.mcap: format is 2, of a newer softfin; this softfin reads 1; update"
+    ):
         check_bag(file)
     follower = Follower(file)
     follower.poll()

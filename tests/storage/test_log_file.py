@@ -16,7 +16,9 @@ from softfin.storage.log_file import SCHEMA, read_log, write_log
 def make_log(rows: int = 300, seed: int = 0) -> Log:
     random = np.random.default_rng(seed).normal(size=(6, rows)).astype(np.float32)
     time = np.arange(1, rows + 1) / 100
-    return Log(Command(random[0], random[1]), Reading(time, random[2], random[3], random[4:].T.copy()))
+    return Log(
+        Command(random[0], random[1]), Reading(time, random[2], random[3], random[4:].T.copy())
+    )
 
 
 @pytest.fixture
@@ -50,7 +52,9 @@ def test_what_is_written_is_read_again_bit_by_bit(values, tmp_path_factory):
     path = tmp_path_factory.mktemp("log") / "log.parquet"
     write_log(path, log)
     again = read_log(path)
-    for one, other in zip((*log.command, *log.reading), (*again.command, *again.reading), strict=True):
+    for one, other in zip(
+        (*log.command, *log.reading), (*again.command, *again.reading), strict=True
+    ):
         np.testing.assert_array_equal(one, other)
         assert one.dtype == other.dtype
 
@@ -78,7 +82,9 @@ def test_forces_keep_their_axes(tmp_path):
 
 def test_columns_may_stand_in_any_order(tmp_path, table):
     pq.write_table(table.select(SCHEMA.names[::-1]), tmp_path / "turned.parquet")
-    np.testing.assert_array_equal(read_log(tmp_path / "turned.parquet").reading.force, make_log().reading.force)
+    np.testing.assert_array_equal(
+        read_log(tmp_path / "turned.parquet").reading.force, make_log().reading.force
+    )
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -86,7 +92,10 @@ def test_a_log_with_nan_is_refused_with_its_row(tmp_path, table, value):
     force = table["force_y_n"].to_numpy().copy()
     force[[123, 200]] = value
     message = refusal(tmp_path, with_column(table, "force_y_n", force))
-    assert f"row 123, column force_y_n: {value} (the first of 2 in this column); cut these rows off" in message
+    assert (
+        f"row 123, column force_y_n: {value} (the first of 2 in this column); cut these rows off"
+        in message
+    )
 
 
 def test_an_empty_cell_is_refused_with_its_row(tmp_path, table):
@@ -100,7 +109,10 @@ def test_a_gap_is_refused_with_its_row_and_length(tmp_path, table):
     time = table["time_s"].to_numpy().copy()
     time[50:] += 0.37
     message = refusal(tmp_path, with_column(table, "time_s", time))
-    assert "row 50, column time_s: 380.0 ms after row 49, must be 10 ms (the only one in this log)" in message
+    assert (
+        "row 50, column time_s: 380.0 ms after row 49, must be 10 ms (the only one in this log)"
+        in message
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +145,10 @@ def test_a_clock_that_starts_anywhere_and_jitters_is_taken(tmp_path, table):
 
 
 def test_a_missing_column_is_named_with_those_that_are_there(tmp_path, table):
-    message = refusal(tmp_path, table.rename_columns([name.replace("force_x_n", "force_x") for name in SCHEMA.names]))
+    message = refusal(
+        tmp_path,
+        table.rename_columns([name.replace("force_x_n", "force_x") for name in SCHEMA.names]),
+    )
     assert "column 'force_x_n' is missing; it has ['time_s', " in message
     assert "'force_x', " in message
     assert message.endswith("a log has " + ", ".join(SCHEMA.names))
@@ -147,8 +162,12 @@ def test_a_column_too_many_is_refused(tmp_path, table, name):
 
 def test_a_column_whose_name_is_not_text_is_one_line(tmp_path, table):
     pq.write_table(table, tmp_path / "a.parquet", store_schema=False)
-    (tmp_path / "a.parquet").write_bytes((tmp_path / "a.parquet").read_bytes().replace(b"force_x_n", b"force_\xff_n"))
-    with pytest.raises(LogError, match=r"a\.parquet: truncated, or not a Parquet file \(.*utf-8") as error:
+    (tmp_path / "a.parquet").write_bytes(
+        (tmp_path / "a.parquet").read_bytes().replace(b"force_x_n", b"force_\xff_n")
+    )
+    with pytest.raises(
+        LogError, match=r"a\.parquet: truncated, or not a Parquet file \(.*utf-8"
+    ) as error:
         read_log(tmp_path / "a.parquet")
     assert "\n" not in str(error.value)
 
@@ -186,7 +205,9 @@ def test_a_damaged_file_is_refused(tmp_path, table):
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(LogError, match=re.escape(f"{tmp_path / 'none.parquet'}: cannot be read (No such file")):
+    with pytest.raises(
+        LogError, match=re.escape(f"{tmp_path / 'none.parquet'}: cannot be read (No such file")
+    ):
         read_log(tmp_path / "none.parquet")
 
 

@@ -18,7 +18,9 @@ def test_the_tank_a_surrogate_and_ones_own_simulator_are_found(tmp_path, monkeyp
     save_surrogate(tmp_path / "s", small.surrogate(), None, {})
     assert isinstance(find_plant(str(tmp_path / "s")), Surrogate)
     assert isinstance(find_plant("tank"), Tank)
-    (tmp_path / "my_simulator.py").write_text("from tests.plants import PlainFin\nplant = PlainFin()\n")
+    (tmp_path / "my_simulator.py").write_text(
+        "from tests.plants import PlainFin\nplant = PlainFin()\n"
+    )
     monkeypatch.chdir(tmp_path)
     assert isinstance(find_plant("my_simulator:plant"), PlainFin)
     assert isinstance(find_plant("my_simulator:PlainFin"), PlainFin)
@@ -29,14 +31,20 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
     (tmp_path / "mine.yaml").write_text("fin: {plates: 3}\n")
     assert find_plant(str(tmp_path / "mine.yaml")).fin.stiffness.shape == (3,)
     (tmp_path / "bad.yaml").write_text("fin: {root_thickness_m: -0.01}\n")
-    with pytest.raises(ConfigurationError, match=r"bad.yaml: fin.root_thickness_m = -0.01: .* greater than 0"):
+    with pytest.raises(
+        ConfigurationError, match=r"bad.yaml: fin.root_thickness_m = -0.01: .* greater than 0"
+    ):
         find_plant(str(tmp_path / "bad.yaml"))
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("pool", r"plant pool: unknown \(does not exist\); give tank, the YAML file of a tank, the folder of"),
+        (
+            "pool",
+            r"plant pool: unknown \(does not exist\); give tank, the YAML file of a tank, the "
+            r"folder of",
+        ),
         ("no_such_module:plant", "No module named 'no_such_module'"),
         ("json:plant", "module .json. has no attribute .plant."),
         ("math:pi", "a float is not a plant, which has limits, init and advance"),
@@ -56,7 +64,9 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
     if name == "tank":
         assert isinstance(find_plant(name), Tank)
     else:
-        with pytest.raises(PlantError, match=f"moves in real time .* the folder of this name is ./{name}$"):
+        with pytest.raises(
+            PlantError, match=f"moves in real time .* the folder of this name is ./{name}$"
+        ):
             find_plant(name)
     assert isinstance(find_plant(f"./{name}"), Surrogate)
     assert is_surrogate(f"./{name}")
@@ -67,13 +77,17 @@ def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):
         find_plant(str(tmp_path))
 
 
-def test_a_simulator_with_limits_that_no_fin_has_is_refused_before_anything_is_trained_in_it(tmp_path, monkeypatch):
+def test_a_simulator_with_limits_that_no_fin_has_is_refused_before_anything_is_trained_in_it(
+    tmp_path, monkeypatch
+):
     (tmp_path / "my_fast_simulator.py").write_text(
         "from tests.plants import PlainFin\n"
         "class Plant(PlainFin):\n    limits = PlainFin().limits._replace(velocity_max=9000.0)\n"
     )
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(PlantError, match=r"plant my_fast_simulator:Plant: limits: velocity_max_rad_s is 9000"):
+    with pytest.raises(
+        PlantError, match=r"plant my_fast_simulator:Plant: limits: velocity_max_rad_s is 9000"
+    ):
         find_plant("my_fast_simulator:Plant")
     sys.modules.pop("my_fast_simulator")
 
@@ -190,20 +204,41 @@ def test_a_plant_may_know_its_true_force():
     [
         (object(), "has no limits, init, advance"),
         (Backwards(), "angle_min < angle_max"),
-        (StrictFin(Limits(0.2, 2.8, 1.0, 2.0)), "angle 0, at which a fin rests, must be within them; count all angles"),
-        (Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))), r"reading.force has shape \(33,\) for 33 ticks"),
-        (Broken(lambda s, r: (s, r._replace(angle=r.angle.astype(jnp.float16)))), "reading.angle is float16"),
+        (
+            StrictFin(Limits(0.2, 2.8, 1.0, 2.0)),
+            "angle 0, at which a fin rests, must be within them; count all angles",
+        ),
+        (
+            Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))),
+            r"reading.force has shape \(33,\) for 33 ticks",
+        ),
+        (
+            Broken(lambda s, r: (s, r._replace(angle=r.angle.astype(jnp.float16)))),
+            "reading.angle is float16",
+        ),
         (Broken(lambda s, r: (s, r._replace(force=r.force / 0))), "reading.force is not finite"),
         (Broken(lambda s, r: (s, r._replace(time=2 * r.time))), "each tick is 0.01 s"),
-        (Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)), "init and advance return the same structure"),
+        (
+            Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)),
+            "init and advance return the same structure",
+        ),
         (Broken(lambda s, r: (s, tuple(r))), "advance does not return a Reading"),
         (Forgetful(), "the same state and command give other readings"),
         (Branching(), "no Python branches on values"),
-        (Telling(lambda state: state["force"][:1]), r"true_force has shape \(1,\); it must be \(2,\)"),
+        (
+            Telling(lambda state: state["force"][:1]),
+            r"true_force has shape \(1,\); it must be \(2,\)",
+        ),
         (Telling(lambda state: (0.0, 0.0)), "true_force returns a tuple; it must return an array"),
-        (Telling(lambda state: state["force"].astype(int)), "true_force is int32; forces are float32"),
+        (
+            Telling(lambda state: state["force"].astype(int)),
+            "true_force is int32; forces are float32",
+        ),
         (Telling(lambda state: state["force"] / 0), "true_force is not finite under Command"),
-        (Telling(true_force_of_a_branch), "jit or vmap does not go through true_force .*no Python branches on values"),
+        (
+            Telling(true_force_of_a_branch),
+            "jit or vmap does not go through true_force .*no Python branches on values",
+        ),
         (Telling(true_force_that_counts), "true_force changes the state; it only reads the state"),
     ],
 )

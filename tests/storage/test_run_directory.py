@@ -23,7 +23,9 @@ class Other(NamedTuple):
     weights: dict
 
 
-STATE = State({"kernel": jnp.arange(6.0).reshape(2, 3), "bias": jnp.zeros(3)}, (jnp.int32(4), jnp.ones(3)))
+STATE = State(
+    {"kernel": jnp.arange(6.0).reshape(2, 3), "bias": jnp.zeros(3)}, (jnp.int32(4), jnp.ones(3))
+)
 
 
 @pytest.fixture
@@ -40,17 +42,25 @@ def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
     assert int(state.pair[0]) == 4
     assert metadata == {"updates": 7}
     names = set(safetensors.numpy.load_file(saved.folder / CHECKPOINT))
-    assert names == {"tree.weights['kernel']", "tree.weights['bias']", "tree.pair[0]", "tree.pair[1]"}
+    assert names == {
+        "tree.weights['kernel']",
+        "tree.weights['bias']",
+        "tree.pair[0]",
+        "tree.pair[1]",
+    }
 
 
-@pytest.mark.parametrize("rest", [b'{"step": 2, "lo', b"\0" * 9, b'\0\0\0"loss": 1.0}\n', b"\xff\n"])
+@pytest.mark.parametrize(
+    "rest", [b'{"step": 2, "lo', b"\0" * 9, b'\0\0\0"loss": 1.0}\n', b"\xff\n"]
+)
 def test_a_log_is_read_up_to_what_a_cut_of_power_left(tmp_path, rest):
     (tmp_path / "log.jsonl").write_bytes(b'{"step": 0}\n{"step": 1}\n' + rest)
     assert checkpoint.read_log(tmp_path / "log.jsonl") == [{"step": 0}, {"step": 1}]
 
 
 def test_the_order_of_the_leaves_does_not_matter(saved):
-    """Bias and second of the pair have the same shape: by number they would be taken for one another."""
+    """Bias and second of the pair have the same shape: by number they would be taken for one
+    another."""
     state, _ = saved.load(Other((jnp.int32(0), jnp.zeros(3)), STATE.weights))
     np.testing.assert_array_equal(state.pair[1], jnp.ones(3))
     np.testing.assert_array_equal(state.weights["bias"], jnp.zeros(3))
@@ -59,25 +69,44 @@ def test_the_order_of_the_leaves_does_not_matter(saved):
 @pytest.mark.parametrize(
     ("like", "words"),
     [
-        (STATE._replace(pair=(jnp.int32(0),)), r"tree.pair\[1\] is float32 \(3,\) there and missing here"),
-        (STATE._replace(pair=(*STATE.pair, jnp.ones(1))), r"tree.pair\[2\] is missing there and float32 \(1,\) here"),
-        (STATE._replace(pair=(jnp.int32(0), jnp.ones(2))), r"is float32 \(3,\) there and float32 \(2,\) here"),
-        (STATE._replace(pair=(jnp.float32(0), jnp.ones(3))), r"is int32 \(\) there and float32 \(\) here"),
+        (
+            STATE._replace(pair=(jnp.int32(0),)),
+            r"tree.pair\[1\] is float32 \(3,\) there and missing here",
+        ),
+        (
+            STATE._replace(pair=(*STATE.pair, jnp.ones(1))),
+            r"tree.pair\[2\] is missing there and float32 \(1,\) here",
+        ),
+        (
+            STATE._replace(pair=(jnp.int32(0), jnp.ones(2))),
+            r"is float32 \(3,\) there and float32 \(2,\) here",
+        ),
+        (
+            STATE._replace(pair=(jnp.float32(0), jnp.ones(3))),
+            r"is int32 \(\) there and float32 \(\) here",
+        ),
     ],
 )
 def test_a_leaf_that_does_not_fit_is_named(saved, like, words):
-    with pytest.raises(ArtifactError, match=rf"does not fit this training state \(.*{words}\); start anew with --over"):
+    with pytest.raises(
+        ArtifactError,
+        match=rf"does not fit this training state \(.*{words}\); start anew with --over",
+    ):
         saved.load(like)
 
 
 def test_with_resume_and_overwrite_the_run_goes_on_if_it_can(tmp_path, saved):
-    state, metadata = RunDirectory(tmp_path / "out", {"seed": 0}, resume=True, overwrite=True).load(STATE)
+    state, metadata = RunDirectory(tmp_path / "out", {"seed": 0}, resume=True, overwrite=True).load(
+        STATE
+    )
     np.testing.assert_array_equal(state.weights["kernel"], STATE.weights["kernel"])
     assert metadata == {"updates": 7}
 
 
 @pytest.mark.parametrize("name", ["seed 1", "damaged", "other version", "damaged part"])
-def test_with_resume_and_overwrite_a_checkpoint_that_cannot_be_resumed_is_dropped(tmp_path, saved, monkeypatch, name):
+def test_with_resume_and_overwrite_a_checkpoint_that_cannot_be_resumed_is_dropped(
+    tmp_path, saved, monkeypatch, name
+):
     saved.part("map").save(STATE, {})
     fingerprint = {"seed": 1} if name == "seed 1" else {"seed": 0}
     if name.startswith("damaged"):
@@ -97,11 +126,19 @@ def test_with_resume_and_overwrite_a_checkpoint_that_does_not_fit_is_dropped(tmp
     assert both.load(STATE._replace(pair=(jnp.int32(0),))) is None
 
 
-def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(tmp_path, saved, monkeypatch):
+def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
+    tmp_path, saved, monkeypatch
+):
     now = checkpoint._software()
     monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
-    words = rf"was written by {re.escape(now)}, and this is softfin 99.1, jax 99.2; resume with that, or --overwrite"
-    for attempt in (lambda: RunDirectory(tmp_path / "out", {"seed": 0}, resume=True), lambda: saved.load(STATE)):
+    words = (
+        rf"was written by {re.escape(now)}, and this is softfin 99.1, jax 99.2; resume with "
+        r"that, or --overwrite"
+    )
+    for attempt in (
+        lambda: RunDirectory(tmp_path / "out", {"seed": 0}, resume=True),
+        lambda: saved.load(STATE),
+    ):
         with pytest.raises(ArtifactError, match=words):
             attempt()
 

@@ -6,7 +6,16 @@ import numpy as np
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate import Surrogate
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, ChannelScaling, Scaling
-from softfin.surrogate.paper.network import LSTM, Conv1D, Dense, Dropout, Flatten, MeanPool, Network, NetworkConfig
+from softfin.surrogate.paper.network import (
+    LSTM,
+    Conv1D,
+    Dense,
+    Dropout,
+    Flatten,
+    MeanPool,
+    Network,
+    NetworkConfig,
+)
 
 WINDOW = 12
 
@@ -14,7 +23,12 @@ POSNET = NetworkConfig(
     channels=COMMAND_COLUMNS,
     outputs=(ANGLE,),
     window=WINDOW,
-    layers=(Conv1D(filters=8, kernel=5), Conv1D(filters=4, kernel=3), Flatten(), Dense(units=1, activation="linear")),
+    layers=(
+        Conv1D(filters=8, kernel=5),
+        Conv1D(filters=4, kernel=3),
+        Flatten(),
+        Dense(units=1, activation="linear"),
+    ),
 )
 FORCENET = NetworkConfig(
     channels=(ANGLE, *COMMAND_COLUMNS),
@@ -40,7 +54,9 @@ def scaling() -> Scaling:
     }
     return Scaling(
         channels={
-            name: ChannelScaling(scale=1 / (high - low), offset=-low / (high - low), data_min=low, data_max=high)
+            name: ChannelScaling(
+                scale=1 / (high - low), offset=-low / (high - low), data_min=low, data_max=high
+            )
             for name, (low, high) in ranges.items()
         }
     )
@@ -58,6 +74,11 @@ def log(rows: int, seed: int = 0) -> Log:
     speed = np.repeat(random.uniform(1.0, 3.0, rows // 20 + 1), 20)[:rows]
     angle = np.convolve(target, np.ones(10) / 10)[:rows]
     motion = np.gradient(angle)
-    force = np.stack([50 * motion**2, 5 * motion + angle], axis=1) + random.normal(0, 0.01, (rows, 2))
-    series = [x.astype(np.float32) for x in (target, speed, np.arange(rows) / 100, angle, motion * 100, force)]
+    force = np.stack([50 * motion**2, 5 * motion + angle], axis=1) + random.normal(
+        0, 0.01, (rows, 2)
+    )
+    series = [
+        x.astype(np.float32)
+        for x in (target, speed, np.arange(rows) / 100, angle, motion * 100, force)
+    ]
     return Log(Command(*series[:2]), Reading(*series[2:]))

@@ -43,10 +43,15 @@ def run(file: Path, commands: Command) -> dict[str, np.ndarray]:
     session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
     metadata = session.get_modelmeta().custom_metadata_map
     (name, after) = next(iter(json.loads(metadata["state"]).items()))
-    state, rows = np.array(json.loads(metadata[f"initial_{name}"]), np.float32), []
+    state = np.array(json.loads(metadata[f"initial_{name}"]), np.float32)
+    rows = []
     names = [each.name for each in session.get_outputs()]
     for angle, velocity in zip(*commands, strict=True):
-        given = {"command_angle": np.asarray(angle), "command_velocity": np.asarray(velocity), name: state}
+        given = {
+            "command_angle": np.asarray(angle),
+            "command_velocity": np.asarray(velocity),
+            name: state,
+        }
         rows.append(dict(zip(names, session.run(None, given), strict=True)))
         state = rows[-1][after]
     return {name: np.stack([row[name] for row in rows]) for name in names}
@@ -58,10 +63,18 @@ def test_a_free_run_from_the_metadata_alone_is_the_surrogates(name, exported):
     low, high, slow, fast = surrogate.limits
     k = np.arange(TICKS)
     angle = (low + high) / 2 + 0.4 * (high - low) * np.sign(np.sin(0.1 * k))
-    commands = Command(*(np.asarray(x, np.float32) for x in (angle, slow + (fast - slow) * (k % 40) / 40)))
+    commands = Command(
+        *(np.asarray(x, np.float32) for x in (angle, slow + (fast - slow) * (k % 40) / 40))
+    )
     found = run(exported / f"{name}.onnx", commands)
-    end, reading = jax.jit(lambda start: roll(surrogate, start, commands))(surrogate.init(jax.random.key(0)))
-    for channel, expected in (("angle", reading.angle), ("velocity", reading.velocity), ("force", reading.force)):
+    end, reading = jax.jit(lambda start: roll(surrogate, start, commands))(
+        surrogate.init(jax.random.key(0))
+    )
+    for channel, expected in (
+        ("angle", reading.angle),
+        ("velocity", reading.velocity),
+        ("force", reading.force),
+    ):
         np.testing.assert_allclose(found[channel], expected, atol=2e-4, err_msg=channel)
     np.testing.assert_allclose(found["next_state"][-1], ravel_pytree(end[1:])[0], atol=2e-4)
     if name == "streaming":
@@ -77,14 +90,20 @@ def test_the_file_says_what_it_is(name, exported):
     metadata = {each.key: each.value for each in model.metadata_props}
     assert (metadata["model"], metadata["rate_hz"]) == (name, "100")
     assert json.loads(metadata["limits"]) == load_surrogate(exported / name).limits.to_dict()
-    described = json.loads(metadata["inputs"]) | json.loads(metadata["outputs"]) | json.loads(metadata["state"])
+    described = (
+        json.loads(metadata["inputs"])
+        | json.loads(metadata["outputs"])
+        | json.loads(metadata["state"])
+    )
     names = {each.name for each in (*model.graph.input, *model.graph.output)}
     assert names == described.keys() | {"next_state"}
     assert "thrust" in metadata["force_frame"]
 
 
 def test_what_the_documents_show_runs(exported, tmp_path, monkeypatch, capsys):
-    (block,) = [block for block in blocks() if block.kind == "python" and "onnxruntime" in block.text]
+    (block,) = [
+        block for block in blocks() if block.kind == "python" and "onnxruntime" in block.text
+    ]
     (tmp_path / "surrogate.onnx").symlink_to(exported / "streaming.onnx")
     monkeypatch.chdir(tmp_path)
     names: dict[str, np.ndarray] = {}
@@ -120,10 +139,14 @@ def test_the_command_line_takes_a_controller_or_a_surrogate(exported, tmp_path, 
         with pytest.raises(SystemExit) as stop:
             main(["export", *words, *out])
         assert stop.value.code == 2
-        assert "give the folder of a controller, or --surrogate DIR, one of them" in capsys.readouterr().err
+        assert (
+            "give the folder of a controller, or --surrogate DIR, one of them"
+            in capsys.readouterr().err
+        )
 
 
-X, Y = np.linspace(-2, 2, 12, dtype=np.float32).reshape(3, 4), np.linspace(1, 3, 24, dtype=np.float32).reshape(3, 4, 2)
+X = np.linspace(-2, 2, 12, dtype=np.float32).reshape(3, 4)
+Y = np.linspace(1, 3, 24, dtype=np.float32).reshape(3, 4, 2)
 
 
 @pytest.mark.parametrize(
@@ -141,12 +164,16 @@ X, Y = np.linspace(-2, 2, 12, dtype=np.float32).reshape(3, 4), np.linspace(1, 3,
         lambda x, y: jnp.tile(jnp.square(x).T, (2, 1)) - y[0, 0, 0],
         lambda x, y: jax.lax.scan(lambda a, b: (a + b.sum(), a * b), x[0, 0], y)[1],
         lambda x, y: jax.lax.scan(lambda a, b: (a + b.sum(), a), x[0, 0], y, reverse=True)[1],
-        lambda x, y: jax.nn.relu(jnp.log(y) * jnp.exp(x[..., None]) / jnp.sqrt(y) + jnp.sign(x)[..., None]),
+        lambda x, y: jax.nn.relu(
+            jnp.log(y) * jnp.exp(x[..., None]) / jnp.sqrt(y) + jnp.sign(x)[..., None]
+        ),
     ],
-)  # fmt: skip
+)
 def test_each_primitive_is_translated_as_jax_computes_it(function):
     model = build_graph(lambda x, y: {"out": function(x, y)}, {"x": X.shape, "y": Y.shape})
-    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
     np.testing.assert_allclose(
         session.run(None, {"x": X, "y": Y})[0], function(X, jnp.asarray(Y)), rtol=1e-5, atol=1e-6
     )

@@ -24,7 +24,10 @@ RANGE = {name: [-1.0, 2.0] for name in READINGS}
 
 def log(scale):
     rows = np.linspace(-1, 2, 30, dtype=np.float32) * scale
-    return Log(Command(9 * rows, 9 * rows), Reading(9 * rows, rows, 2 * rows, np.stack([3 * rows, 4 * rows], axis=1)))
+    return Log(
+        Command(9 * rows, 9 * rows),
+        Reading(9 * rows, rows, 2 * rows, np.stack([3 * rows, 4 * rows], axis=1)),
+    )
 
 
 def test_the_range_is_the_least_and_greatest_of_each_channel_over_all_logs():
@@ -46,7 +49,9 @@ def test_an_older_one_has_the_range_of_its_scaling_or_none(tmp_path):
     save_surrogate(tmp_path / "paper", paper.surrogate(), None, {})
     found = learnt_from(tmp_path / "paper")
     scaling = json.loads((tmp_path / "paper" / "surrogate.json").read_text())["scaling"]
-    assert found["training_range"]["angle_rad"] == [scaling["angle_rad"][name] for name in ("data_min", "data_max")]
+    assert found["training_range"]["angle_rad"] == [
+        scaling["angle_rad"][name] for name in ("data_min", "data_max")
+    ]
     assert found["training_range"]["velocity_rad_s"] is None
     assert found["fin"] is None
     save_surrogate(tmp_path / "streaming", small.surrogate(), None, {})
@@ -80,8 +85,14 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))
     find_gaits(surrogate, tmp_path / "gaits")
     expected = ranges(logs[:3])
-    for file in ("surrogate/surrogate.json", "policy/seed-5/controller.json", "gaits/controller.json"):
+    for file in (
+        "surrogate/surrogate.json",
+        "policy/seed-5/controller.json",
+        "gaits/controller.json",
+    ):
         described = json.loads((tmp_path / file).read_text())
         assert described["training_range"] == expected, file
         assert described["fin"] == "blue, 2 mm"
-    assert load_controller(tmp_path / "gaits").artifact.training_range[0] == tuple(expected["angle_rad"] or ())
+    assert load_controller(tmp_path / "gaits").artifact.training_range[0] == tuple(
+        expected["angle_rad"] or ()
+    )

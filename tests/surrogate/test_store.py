@@ -35,7 +35,8 @@ def readings(plant):
 
 
 def test_a_stored_streaming_surrogate_says_the_same(stored):
-    plant, loaded = small.surrogate(), load_surrogate(stored)
+    plant = small.surrogate()
+    loaded = load_surrogate(stored)
     assert isinstance(loaded, StreamingSurrogate)
     for one, other in zip(readings(plant), readings(loaded), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -45,14 +46,18 @@ def test_a_stored_streaming_surrogate_says_the_same(stored):
 
 def test_the_identity_is_that_of_what_was_loaded_whatever_xla_makes_of_it(stored):
     plant = load_surrogate(stored)
-    other = eqx.tree_at(lambda own: own.rest, plant, jax.tree.map(lambda x: x * (1 + 2**-23), plant.rest))
+    other = eqx.tree_at(
+        lambda own: own.rest, plant, jax.tree.map(lambda x: x * (1 + 2**-23), plant.rest)
+    )
     assert identity(other) == identity(plant)
     # What an earlier version wrote here is known here.
     as_before = [identity(each, computed=True) for each in (plant, other)]
     assert is_of(as_before[0], plant)
     assert not is_of(as_before[1], plant)
     assert len({identity(plant), *as_before}) == 3
-    heavier = eqx.tree_at(lambda own: own.members.force.offset, plant, plant.members.force.offset + 1)
+    heavier = eqx.tree_at(
+        lambda own: own.members.force.offset, plant, plant.members.force.offset + 1
+    )
     assert not is_of(identity(heavier), plant)
 
 
@@ -78,8 +83,14 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
     ("change", "words"),
     [
         (lambda d: d.update(rate_hz=50), "made for 50 Hz; softfin runs at 100 Hz"),
-        (lambda d: d.update(format=2), "format is 2, of a newer softfin; this softfin reads 1; update softfin"),
-        (lambda d: d.update(model="oracle"), "model 'oracle'; this softfin has paper, streaming; update it"),
+        (
+            lambda d: d.update(format=2),
+            "format is 2, of a newer softfin; this softfin reads 1; update softfin",
+        ),
+        (
+            lambda d: d.update(model="oracle"),
+            "model 'oracle'; this softfin has paper, streaming; update it",
+        ),
         (
             lambda d: d["channels"]["out"].pop(),
             r"channels .*'force_x_n'\]\}; streaming surrogates have .*'force_y_n'",
@@ -107,7 +118,9 @@ def test_a_description_that_does_not_fit_is_one_clear_line(stored, change, words
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["members.force.core.odd_in", "familiarity.mean", "members.drive.profile.delay"])
+@pytest.mark.parametrize(
+    "name", ["members.force.core.odd_in", "familiarity.mean", "members.drive.profile.delay"]
+)
 def test_arrays_that_are_missing_or_short_are_named(stored, name):
     _, weights = artifacts.load(stored, "surrogate")
     cut = weights[name][..., :-1]
@@ -115,5 +128,7 @@ def test_arrays_that_are_missing_or_short_are_named(stored, name):
         changed = {key: value for key, value in weights.items() if key != name}
         changed |= {} if array is None else {name: array}
         (stored / artifacts.WEIGHTS).write_bytes(artifacts.encode(changed))
-        with pytest.raises(ArtifactError, match=rf"{name} {held}.* must have .*copy the whole folder again"):
+        with pytest.raises(
+            ArtifactError, match=rf"{name} {held}.* must have .*copy the whole folder again"
+        ):
             load_surrogate(stored)

@@ -8,12 +8,15 @@ from softfin.tank.chain import Moments, Motion, Wrench
 
 PLATES = 5
 LENGTH = 0.04
-MASS, ADDED = np.array([1.0, 0.9, 0.8, 0.7, 0.6]), np.array([5.0, 6.0, 7.0, 6.5, 4.0])
+MASS = np.array([1.0, 0.9, 0.8, 0.7, 0.6])
+ADDED = np.array([5.0, 6.0, 7.0, 6.5, 4.0])
 """Per length [kg/m]: of the plates, and of the water along their normals."""
 
 
 def directions(angles):
-    return jnp.stack([-jnp.cos(angles), jnp.sin(angles)], -1), jnp.stack([jnp.sin(angles), jnp.cos(angles)], -1)
+    return jnp.stack([-jnp.cos(angles), jnp.sin(angles)], -1), jnp.stack(
+        [jnp.sin(angles), jnp.cos(angles)], -1
+    )
 
 
 def velocities(angles, rates, points=200):
@@ -29,14 +32,22 @@ def kinetic(angles, rates):
     velocity = velocities(angles, rates)
     _, normals = directions(angles)
     across = jnp.einsum("ipk,ik->ip", velocity, normals)
-    return 0.5 * LENGTH * ((MASS[:, None] * (velocity**2).sum(-1)).mean(1) + (ADDED[:, None] * across**2).mean(1)).sum()
+    return (
+        0.5
+        * LENGTH
+        * (
+            (MASS[:, None] * (velocity**2).sum(-1)).mean(1) + (ADDED[:, None] * across**2).mean(1)
+        ).sum()
+    )
 
 
 def momentum(angles, rates):
     velocity = velocities(angles, rates)
     _, normals = directions(angles)
     across = jnp.einsum("ipk,ik->ip", velocity, normals)
-    density = MASS[:, None, None] * velocity + ADDED[:, None, None] * across[..., None] * normals[:, None]
+    density = (
+        MASS[:, None, None] * velocity + ADDED[:, None, None] * across[..., None] * normals[:, None]
+    )
     return LENGTH * density.mean(1).sum(0)
 
 
@@ -49,7 +60,9 @@ def double():
 @pytest.fixture
 def moments():
     both = (MASS + ADDED) * LENGTH
-    return Moments(*map(jnp.asarray, (both, both * LENGTH / 2, both * LENGTH**2 / 3, MASS * LENGTH)))
+    return Moments(
+        *map(jnp.asarray, (both, both * LENGTH / 2, both * LENGTH**2 / 3, MASS * LENGTH))
+    )
 
 
 @pytest.fixture
@@ -68,7 +81,10 @@ def test_momentum_is_that_of_every_point(moments, moving):
     angles, rates = moving
     motion = chain.motion(chain.pose(angles, jnp.asarray(LENGTH)), rates)
     np.testing.assert_allclose(
-        chain.resultant(angles, moments.times(motion)), momentum(angles, rates), rtol=1e-4, atol=1e-6
+        chain.resultant(angles, moments.times(motion)),
+        momentum(angles, rates),
+        rtol=1e-4,
+        atol=1e-6,
     )
 
 
@@ -98,7 +114,11 @@ def test_centripetal_forces_are_the_loss_of_momentum_at_constant_rates(moments, 
 
 def test_a_load_on_the_tip_turns_each_plate_by_its_lever():
     angles = jnp.zeros(PLATES)
-    load = Wrench(jnp.zeros(PLATES).at[-1].set(2.0), jnp.zeros(PLATES), jnp.zeros(PLATES).at[-1].set(2.0 * LENGTH))
+    load = Wrench(
+        jnp.zeros(PLATES).at[-1].set(2.0),
+        jnp.zeros(PLATES),
+        jnp.zeros(PLATES).at[-1].set(2.0 * LENGTH),
+    )
     turning = chain.project(chain.pose(angles, jnp.asarray(LENGTH)), load)
     np.testing.assert_allclose(turning, 2.0 * LENGTH * np.ones(PLATES))
 
@@ -116,7 +136,8 @@ def test_a_plate_at_angle_theta_points_along_minus_cosine_and_sine():
 def test_the_unrolled_solve_is_numpys_with_what_holds_the_root(size):
     rng = np.random.default_rng(size)
     half = rng.normal(size=(size, size))
-    matrix, right = half @ half.T + 0.1 * np.eye(size), rng.normal(size=size)
+    matrix = half @ half.T + 0.1 * np.eye(size)
+    right = rng.normal(size=size)
     # The root is held by a damper of 0.5, pushed by 0.3.
     inertia, impulse, expand = chain.condense(*map(jnp.asarray, (matrix, right)))
     found = expand((impulse + 0.3) / (inertia + 0.5))

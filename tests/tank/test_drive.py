@@ -27,13 +27,17 @@ def run(drive, commands, load=0.0):
 
 def commands(*pieces):
     """Of (angle, velocity, seconds)."""
-    columns = [np.concatenate([np.full(round(p[2] / STEP), p[i], np.float32) for p in pieces]) for i in (0, 1)]
+    columns = [
+        np.concatenate([np.full(round(p[2] / STEP), p[i], np.float32) for p in pieces])
+        for i in (0, 1)
+    ]
     return Command(*map(jnp.asarray, columns))
 
 
 def test_one_radian_at_two_radians_a_second_is_exactly_that():
     states = run(Drive(DIRECT), commands((1.0, 2.0, 2.0)))
-    angle, velocity = np.asarray(states.profile_angle), np.asarray(states.profile_velocity)
+    angle = np.asarray(states.profile_angle)
+    velocity = np.asarray(states.profile_velocity)
     assert velocity.max() == pytest.approx(2.0, abs=1e-6)
     arrival = (np.argmax(angle > 1 - 1e-4) + 1) * STEP
     assert arrival == pytest.approx(1.0 / 2.0 + 2.0 / 60.0, abs=2 * STEP)
@@ -48,13 +52,16 @@ def test_half_way_the_profile_is_on_the_trapezoid():
 
 def test_a_short_move_never_reaches_the_commanded_velocity():
     states = run(Drive(DIRECT), commands((0.05, 3.0, 1.0)))
-    assert np.asarray(states.profile_velocity).max() == pytest.approx(np.sqrt(0.05 * 60.0), rel=0.15)
+    assert np.asarray(states.profile_velocity).max() == pytest.approx(
+        np.sqrt(0.05 * 60.0), rel=0.15
+    )
     assert states.profile_angle[-1] == pytest.approx(0.05, abs=1e-6)
 
 
 def test_a_command_in_midstroke_is_planned_from_the_present_motion():
     states = run(Drive(DIRECT), commands((1.0, 2.0, 0.3), (-1.0, 3.0, 2.0)))
-    angle, velocity = np.asarray(states.profile_angle), np.asarray(states.profile_velocity)
+    angle = np.asarray(states.profile_angle)
+    velocity = np.asarray(states.profile_velocity)
     assert np.abs(np.diff(velocity)).max() <= 60.0 * STEP * 1.0001
     assert np.abs(np.diff(angle)).max() <= 3.0 * STEP * 1.0001
     assert velocity.min() == pytest.approx(-3.0, abs=1e-5)
@@ -68,7 +75,9 @@ def test_a_command_in_midstroke_is_planned_from_the_present_motion():
 )
 def test_velocity_and_acceleration_stay_within_limits_whatever_is_commanded(moves, held):
     left = 1000 - held * len(moves)
-    series = commands(*((angle, velocity, held * STEP) for angle, velocity in moves), (0.5, 1.0, left * STEP))
+    series = commands(
+        *((angle, velocity, held * STEP) for angle, velocity in moves), (0.5, 1.0, left * STEP)
+    )
     states = run(Drive(DIRECT), series)
     velocity = np.concatenate([[0.0], states.profile_velocity])
     assert np.abs(velocity).max() <= max(v for _, v in moves) + 1e-5
@@ -104,10 +113,13 @@ def test_the_torque_ends_at_its_limit_and_then_the_rotor_alone_sets_the_accelera
     assert stalled.angle[-1] < 0.0
 
 
-@pytest.mark.parametrize(("dead", "ticks"), [(0.0, 0.0), (0.03, 3.0), (0.025, 2.5), (DEAD_TICKS * TICK_S, DEAD_TICKS)])
+@pytest.mark.parametrize(
+    ("dead", "ticks"), [(0.0, 0.0), (0.03, 3.0), (0.025, 2.5), (DEAD_TICKS * TICK_S, DEAD_TICKS)]
+)
 def test_a_command_is_obeyed_after_the_dead_time(dead, ticks):
     drive = Drive(DriveConfig(dead_time_s=dead))
-    state, obeyed = drive.rest(), []
+    state = drive.rest()
+    obeyed = []
     for _ in range(DEAD_TICKS + 2):
         state, command = drive.receive(state, Command(jnp.float32(1.0), jnp.float32(2.0)))
         obeyed.append([float(command.angle), float(command.velocity)])

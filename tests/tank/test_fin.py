@@ -12,9 +12,15 @@ from softfin.tank.chain import Moments, Wrench
 from softfin.tank.fin import BRACKET_BENDING_N_M, Fin, FinConfig, FinState, Shaft, Surroundings
 
 PLAIN = FinConfig(
-    length_m=0.2, root_length_m=0.0, span_m=0.081, root_thickness_m=0.019, tip_thickness_ratio=0.4,
-    youngs_modulus_pa=7e6, density_kg_m3=1150.0, damping_s=0.02,
-)  # fmt: skip
+    length_m=0.2,
+    root_length_m=0.0,
+    span_m=0.081,
+    root_thickness_m=0.019,
+    tip_thickness_ratio=0.4,
+    youngs_modulus_pa=7e6,
+    density_kg_m3=1150.0,
+    damping_s=0.02,
+)
 UNIFORM = {"tip_thickness_ratio": 1.0, "damping_s": 0.0}
 
 
@@ -48,14 +54,16 @@ def energy_of(fin, state):
 
 @functools.partial(jax.jit, static_argnames=("steps", "seconds"))
 def swing(fin, state, steps, seconds, tip_load=0.0):
-    """In vacuum with the shaft held at angle 0: the states after each step, and the energies from the start on.
+    """In vacuum with the shaft held at angle 0: the states after each step, and the energies from
+    the start on.
 
     On the tip there is a dead load along y in the axes of the tank [N].
     """
     last = jnp.eye(fin.stiffness.size)[-1]
 
     def step(state, _):
-        across, along = tip_load * jnp.cos(state.angles) * last, tip_load * jnp.sin(state.angles) * last
+        across = tip_load * jnp.cos(state.angles) * last
+        along = tip_load * jnp.sin(state.angles) * last
         push = Wrench(across, along, across * fin.plate_length)
         after, _, _ = fin.step(state, held(), vacuum(fin, push), seconds)
         return after, (after, energy_of(fin, state))
@@ -82,7 +90,9 @@ def test_structural_damping_takes_energy_out():
     assert energy[-1] < 1e-3 * energy[0]
 
 
-@pytest.mark.parametrize(("damping", "rates", "growth"), [(0.0273, (5.0, 40.0), 1e-6), (0.0, (1.0, 10.0), 0.15)])
+@pytest.mark.parametrize(
+    ("damping", "rates", "growth"), [(0.0273, (5.0, 40.0), 1e-6), (0.0, (1.0, 10.0), 0.15)]
+)
 def test_at_the_default_step_energy_in_vacuum_grows_no_more_than_documented(damping, rates, growth):
     fin = Fin(FinConfig(damping_s=damping))
     for rate in rates:
@@ -129,10 +139,12 @@ def test_a_small_load_on_the_tip_deflects_a_taper_as_the_beams_integral_says():
 
 
 @pytest.mark.parametrize(
-    ("load", "across", "along"), [(1.0, 0.30172, 0.05643), (2.0, 0.49346, 0.16064), (5.0, 0.71379, 0.38763)]
+    ("load", "across", "along"),
+    [(1.0, 0.30172, 0.05643), (2.0, 0.49346, 0.16064), (5.0, 0.71379, 0.38763)],
 )
 def test_a_large_load_on_the_tip_makes_an_elastica(load, across, along):
-    # Bisshopp and Drucker (1945): deflection and shortening over length, at load times length squared over EI.
+    # Bisshopp and Drucker (1945): deflection and shortening over length, at load times length
+    # squared over EI.
     config = config_of(tip_thickness_ratio=1.0, damping_s=0.5, plates=12)
     fin = Fin(config)
     bending = config.youngs_modulus_pa * config.span_m * config.root_thickness_m**3 / 12
@@ -145,7 +157,8 @@ def test_a_large_load_on_the_tip_makes_an_elastica(load, across, along):
 def test_the_bracket_makes_the_root_as_stiff_as_aluminium():
     plain = config_of(plates=4)
     config = plain.model_copy(update={"root_length_m": 0.06})
-    with_bracket, without = Fin(config), Fin(plain)
+    with_bracket = Fin(config)
+    without = Fin(plain)
     ratio = np.asarray(with_bracket.stiffness / without.stiffness)
     assert ratio[0] == pytest.approx(1 + BRACKET_BENDING_N_M / (7e6 * 0.0185**3 / 12), rel=0.1)
     assert 1.2 < ratio[1] < 5.0
@@ -154,7 +167,9 @@ def test_the_bracket_makes_the_root_as_stiff_as_aluminium():
 
 @pytest.mark.parametrize("play", [0.0, 0.05])
 def test_fin_and_free_rotor_keep_their_angular_momentum(play):
-    fin, rotor, seconds = Fin(config_of(damping_s=0.0, plates=3)), 0.01, 5e-4
+    fin = Fin(config_of(damping_s=0.0, plates=3))
+    rotor = 0.01
+    seconds = 5e-4
 
     def step(moving, _):
         state, angle, before = moving
@@ -162,9 +177,13 @@ def test_fin_and_free_rotor_keep_their_angular_momentum(play):
         def turn(load, drag):
             return (rotor * before + load * seconds / 2) / (rotor + drag * seconds / 2)
 
-        state, rate, _ = fin.step(state, Shaft(angle, jnp.asarray(play), turn), vacuum(fin), seconds)
+        state, rate, _ = fin.step(
+            state, Shaft(angle, jnp.asarray(play), turn), vacuum(fin), seconds
+        )
         after = 2 * rate - before
-        momentum = (chain.matrix(chain.pose(state.angles, fin.plate_length), fin.inertia) @ state.rates).sum()
+        momentum = (
+            chain.matrix(chain.pose(state.angles, fin.plate_length), fin.inertia) @ state.rates
+        ).sum()
         return (state, angle + seconds * rate, after), (momentum + rotor * after, after)
 
     start = (bent(fin, 5.0), jnp.asarray(0.0), jnp.asarray(0.0))
@@ -182,14 +201,18 @@ def test_within_its_play_the_root_bears_nothing_and_at_its_edge_it_holds():
     @jax.jit
     def pushed(state, steps, moment):
         around = vacuum(fin, Wrench(0 * moment, 0 * moment, moment))
-        return jax.lax.fori_loop(0, steps, lambda _, state: fin.step(state, shaft, around, 5e-3)[0], state).angles
+        return jax.lax.fori_loop(
+            0, steps, lambda _, state: fin.step(state, shaft, around, 5e-3)[0], state
+        ).angles
 
     assert pushed(fin.rest(), 4, moment)[0] == pytest.approx(pushed(fin.rest(), 4, -moment)[0] * -1)
     drifting = pushed(fin.rest()._replace(rates=jnp.full(2, 0.5)), 10, 0 * moment)
     np.testing.assert_allclose(drifting, 0.5 * 10 * 5e-3, rtol=1e-3)
     for sign in (1, -1):
         strained = float(moment[0] / fin.stiffness[0])
-        assert sign * pushed(fin.rest(), 4000, sign * moment)[0] == pytest.approx(play / 2 + strained, rel=1e-3)
+        assert sign * pushed(fin.rest(), 4000, sign * moment)[0] == pytest.approx(
+            play / 2 + strained, rel=1e-3
+        )
 
 
 def test_a_fin_held_at_an_angle_ends_up_straight_along_it():
@@ -202,7 +225,9 @@ def test_a_fin_held_at_an_angle_ends_up_straight_along_it():
 
 
 def test_a_fin_of_negative_thickness_is_refused_by_name():
-    with pytest.raises(ConfigurationError, match=r"fin: root_thickness_m = -0.01: Input should be greater than 0"):
+    with pytest.raises(
+        ConfigurationError, match=r"fin: root_thickness_m = -0.01: Input should be greater than 0"
+    ):
         FinConfig.build({"root_thickness_m": -0.01}, "fin")
 
 

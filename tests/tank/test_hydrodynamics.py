@@ -12,7 +12,9 @@ from softfin.tank.fin import Fin, FinConfig, Shaft
 from softfin.tank.hydrodynamics import REFERENCE_STROKE, Water, WaterConfig
 
 RIGID = FinConfig(plates=4, length_m=0.2, span_m=0.08, youngs_modulus_pa=1e11)
-CONFIG = WaterConfig(temperature_c=20.0, drag_coefficient=2.0, added_mass_coefficient=1.0, tip_coefficient=1.0)
+CONFIG = WaterConfig(
+    temperature_c=20.0, drag_coefficient=2.0, added_mass_coefficient=1.0, tip_coefficient=1.0
+)
 DENSITY = 998.2067
 ADDED = DENSITY * np.pi / 4 * 0.08**2
 
@@ -33,7 +35,8 @@ def still(water):
 
 
 def prescribed(fin, water, rates, seconds, angle=0.0, rate=0.0):
-    """A fin whose shaft turns at mean `rates` [rad/s] in steps: end state, forces and moments on the shaft."""
+    """A fin whose shaft turns at mean `rates` [rad/s] in steps: end state, forces and moments on
+    the shaft."""
     around = still(water)
 
     def step(carry, turning):
@@ -85,12 +88,16 @@ def test_a_plate_that_slides_along_itself_meets_blasius_friction_alone(water):
 def test_the_drag_moment_of_a_fin_turned_at_constant_speed_is_its_integral(water):
     rate = 3.0
     _, _, _, moments = prescribed(Fin(RIGID), water, np.full(400, rate), 1e-3, rate=rate)
-    assert moments[-1] == pytest.approx(-0.5 * DENSITY * 2.0 * 0.08 * rate**2 * 0.2**4 / 4, rel=0.01)
+    assert moments[-1] == pytest.approx(
+        -0.5 * DENSITY * 2.0 * 0.08 * rate**2 * 0.2**4 / 4, rel=0.01
+    )
 
 
 def test_a_fin_started_from_rest_feels_the_moment_of_its_own_and_the_added_mass():
     fin = Fin(RIGID)
-    acceleration, seconds, steps = 20.0, 1e-4, 100
+    acceleration = 20.0
+    seconds = 1e-4
+    steps = 100
     frictionless = Water(CONFIG.model_copy(update={"drag_coefficient": 0.0}), RIGID)
     rates = acceleration * seconds * (np.arange(steps) + 0.5)
     _, _, _, moments = prescribed(fin, frictionless, rates, seconds)
@@ -102,13 +109,16 @@ def test_a_fin_started_from_rest_feels_the_moment_of_its_own_and_the_added_mass(
 
 def test_the_mean_thrust_of_a_rigid_beating_fin_is_lighthills(water):
     fin = Fin(RIGID)
-    amplitude, circular, steps = 0.5, 2 * np.pi, 2000
+    amplitude = 0.5
+    circular = 2 * np.pi
+    steps = 2000
     seconds = 1 / steps
     rates = np.diff(amplitude * np.sin(circular * np.arange(steps + 1) * seconds)) / seconds
     start, end, forces, _ = prescribed(fin, water, rates, seconds, rate=amplitude * circular)
     before, after = (sum(fin.momenta(state, still(water))) for state in (start, end))
     mean = forces.mean(0) - (after - before)
-    # Mean of m_tip w^2/2 along the fin, with J_1(0.5) from the Jacobi-Anger expansion of its direction.
+    # Mean of m_tip w^2/2 along the fin, with J_1(0.5) from the Jacobi-Anger expansion of its
+    # direction.
     bessel = 0.2422684577
     thrust = 0.5 * ADDED * 0.2**2 * circular**2 * amplitude * bessel
     assert mean[0] == pytest.approx(thrust, rel=0.02)
@@ -167,7 +177,9 @@ def test_what_the_fin_takes_the_stream_gives_and_then_it_dies_down():
     np.testing.assert_allclose(10.0 * flow.stream, -5 * TICK_S * np.array([2.0, -1.0]), rtol=0.01)
     for _ in range(400):
         flow = water.stirred(flow, still_fin, jnp.zeros(2))
-    np.testing.assert_allclose(10.0 * flow.stream, -5 * TICK_S * np.array([2.0, -1.0]) * np.exp(-1), rtol=0.01)
+    np.testing.assert_allclose(
+        10.0 * flow.stream, -5 * TICK_S * np.array([2.0, -1.0]) * np.exp(-1), rtol=0.01
+    )
 
 
 @pytest.mark.parametrize("amplitude", [0.03, 0.1])
@@ -177,7 +189,9 @@ def test_drag_falls_with_the_stroke_as_grahams_power(amplitude):
 
     def tick(flow, time):
         normal = jnp.full(4, amplitude * circular * jnp.cos(circular * time))
-        return water.stirred(flow, Motion(normal, jnp.zeros(4), jnp.zeros(4)), jnp.zeros(2)), flow.square
+        return water.stirred(
+            flow, Motion(normal, jnp.zeros(4), jnp.zeros(4)), jnp.zeros(2)
+        ), flow.square
 
     flow, _ = jax.lax.scan(tick, water.rest(), np.arange(1200) * TICK_S)
     motion = Motion(jnp.ones(4), jnp.zeros(4), jnp.zeros(4))
@@ -198,9 +212,14 @@ def test_the_loads_never_feed_energy_into_the_fin(numbers):
         assert power <= 1e-12
 
 
-@pytest.mark.parametrize(("temperature", "density", "viscosity"), [(10, 999.70, 1.3065e-6), (20, 998.21, 1.0034e-6)])
+@pytest.mark.parametrize(
+    ("temperature", "density", "viscosity"), [(10, 999.70, 1.3065e-6), (20, 998.21, 1.0034e-6)]
+)
 def test_density_and_viscosity_are_those_of_fresh_water(temperature, density, viscosity):
-    water = Water(WaterConfig(temperature_c=temperature, drag_coefficient=2.0, friction_coefficient=1.0), RIGID)
+    water = Water(
+        WaterConfig(temperature_c=temperature, drag_coefficient=2.0, friction_coefficient=1.0),
+        RIGID,
+    )
     assert water.drag[0] / 0.08 == pytest.approx(density, rel=1e-5)
     assert (water.friction[0] / (water.drag[0])) ** 2 * 0.2 == pytest.approx(viscosity, rel=6e-3)
 

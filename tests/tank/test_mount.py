@@ -16,21 +16,32 @@ from softfin.tank.hydrodynamics import WaterConfig
 
 RIGID = FinConfig(youngs_modulus_pa=2e10, damping_s=1e-3)
 STILL = WaterConfig(stream_decay_s=0)
-SPAN, LENGTH = RIGID.span_m, RIGID.length_m
+SPAN = RIGID.span_m
+LENGTH = RIGID.length_m
 DENSITY = 998.2
 ADDED = DENSITY * np.pi / 4 * SPAN**2
 """Added mass per length [kg/m]."""
 
 
-def mount(velocity: tuple[float, float] = (0, 0), acceleration: tuple[float, float] = (0, 0), turn: float = 0) -> Mount:
-    return Mount(jnp.asarray(velocity, jnp.float32), jnp.asarray(acceleration, jnp.float32), jnp.float32(turn))
+def mount(
+    velocity: tuple[float, float] = (0, 0),
+    acceleration: tuple[float, float] = (0, 0),
+    turn: float = 0,
+) -> Mount:
+    return Mount(
+        jnp.asarray(velocity, jnp.float32),
+        jnp.asarray(acceleration, jnp.float32),
+        jnp.float32(turn),
+    )
 
 
 def tank(**water: float) -> Tank:
     return Tank(TankConfig(fin=RIGID, water=STILL.model_copy(update=water)))
 
 
-def loads(tank: Tank, motion: Mount, ticks: int, command: Command | None = None) -> Float[np.ndarray, "ticks 3"]:
+def loads(
+    tank: Tank, motion: Mount, ticks: int, command: Command | None = None
+) -> Float[np.ndarray, "ticks 3"]:
     """Force (x, y) [N] and torque [N m] of each tick, from rest at angle 0."""
     command = command or Command(jnp.float32(0), jnp.float32(1))
 
@@ -48,7 +59,8 @@ def test_a_towed_rigid_plate_has_the_drag_of_its_coefficient(speed: float) -> No
     found = loads(tank(), mount((0, speed)), 100)[-1]
     drag = -0.5 * DENSITY * STILL.drag_coefficient * SPAN * LENGTH * speed * abs(speed)
     assert found[1] == pytest.approx(drag, rel=1e-3)
-    # At angle 0 the fin points along -x: drag in y turns it towards smaller angles where it is dragged towards -y.
+    # At angle 0 the fin points along -x: drag in y turns it towards smaller angles where it is
+    # dragged towards -y.
     assert found[2] == pytest.approx(drag * LENGTH / 2, rel=2e-3)
 
 
@@ -62,18 +74,30 @@ def test_a_mount_that_speeds_up_carries_fin_and_added_mass() -> None:
 
 @pytest.mark.parametrize("slip", [0.0, 0.5, 1.0, 1.3])
 def test_the_thrust_of_a_pitching_plate_in_a_stream_is_lighthill_s(slip: float) -> None:
-    # Lighthill 1960: mean thrust m/2 (h_t^2 - U^2 h_x^2) at the trailing edge, 0 where U is L times the frequency.
-    frequency, amplitude, rate = 2 * np.pi, 0.05, LENGTH * 2 * np.pi
-    drive = DriveConfig(dead_time_s=0, acceleration_rad_s2=4000, stiffness_nm_rad=3000, torque_limit_nm=1e4,
-                        fastest_rad_s=50)  # fmt: skip
+    # Lighthill 1960: mean thrust m/2 (h_t^2 - U^2 h_x^2) at the trailing edge, 0 where U is L times
+    # the frequency.
+    frequency = 2 * np.pi
+    amplitude = 0.05
+    rate = LENGTH * 2 * np.pi
+    drive = DriveConfig(
+        dead_time_s=0,
+        acceleration_rad_s2=4000,
+        stiffness_nm_rad=3000,
+        torque_limit_nm=1e4,
+        fastest_rad_s=50,
+    )
     water = STILL.model_copy(update={"drag_coefficient": 0.0, "friction_coefficient": 0.0})
     swung = Tank(TankConfig(fin=RIGID, drive=drive, water=water, steps_per_tick=8))
     moved = mount((slip * rate, 0))
     targets = amplitude * np.sin(frequency * TICK_S * np.arange(401))
     # At this velocity the profile arrives at the end of the tick, and does not stop within it.
-    commands = Command(*(jnp.asarray(x, jnp.float32) for x in (targets[1:], np.abs(np.diff(targets)) / TICK_S)))
+    commands = Command(
+        *(jnp.asarray(x, jnp.float32) for x in (targets[1:], np.abs(np.diff(targets)) / TICK_S))
+    )
 
-    def tick(state: object, command: Command) -> tuple[object, tuple[Float[Array, "2"], Float[Array, ""]]]:
+    def tick(
+        state: object, command: Command
+    ) -> tuple[object, tuple[Float[Array, "2"], Float[Array, ""]]]:
         state, reading, load = swung.tick(state, command, moved)
         return state, (load.force, reading.angle)
 
@@ -86,21 +110,30 @@ def test_the_thrust_of_a_pitching_plate_in_a_stream_is_lighthill_s(slip: float) 
 
 @pytest.mark.parametrize("kind", [RIGID, FinConfig()])
 def test_turning_the_mount_is_turning_the_shaft(kind: FinConfig) -> None:
-    speed, ticks = 1.5, 150
-    drive = DriveConfig(dead_time_s=0, acceleration_rad_s2=1e4, stiffness_nm_rad=3000, fastest_rad_s=10)
+    speed = 1.5
+    ticks = 150
+    drive = DriveConfig(
+        dead_time_s=0, acceleration_rad_s2=1e4, stiffness_nm_rad=3000, fastest_rad_s=10
+    )
     turned = Tank(TankConfig(fin=kind, drive=drive, water=STILL))
     on_shaft = loads(turned, mount(), ticks, Command(jnp.float32(20), jnp.float32(speed)))
     on_mount = loads(turned, mount(turn=speed), ticks)
-    # A positive angle turns from -x to +y; forces of the second case are in axes that have turned so.
+    # A positive angle turns from -x to +y; forces of the second case are in axes that have turned
+    # so.
     angle = -speed * TICK_S * (np.arange(ticks) + 0.5)
-    cos, sin = np.cos(angle), np.sin(angle)
-    x, y = on_mount[:, 0], on_mount[:, 1]
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    x = on_mount[:, 0]
+    y = on_mount[:, 1]
     there = np.stack([cos * x - sin * y, sin * x + cos * y, on_mount[:, 2]], axis=1)
     late = slice(100, None)
-    np.testing.assert_allclose(there[late], on_shaft[late], atol=0.02 * np.abs(on_shaft[late]).max())
+    np.testing.assert_allclose(
+        there[late], on_shaft[late], atol=0.02 * np.abs(on_shaft[late]).max()
+    )
 
 
 def test_a_mount_that_stands_still_changes_nothing() -> None:
-    plain, command = Tank(), Command(jnp.float32(0.8), jnp.float32(2))
+    plain = Tank()
+    command = Command(jnp.float32(0.8), jnp.float32(2))
     step = partial(plain.tick, plain.init(jax.random.key(0)), command)
     np.testing.assert_allclose(step(mount())[1].force, step()[1].force, atol=1e-6)

@@ -51,13 +51,17 @@ def test_all_that_differs_shrinks_with_the_part_and_is_as_usual_from_0_15_on():
 
 @pytest.mark.parametrize("part", [-0.1, 1.0, 1e9, float("nan"), float("inf")])
 def test_a_part_out_of_range_is_one_clear_error(part):
-    with pytest.raises(ConfigurationError, match=r"^--randomize \S+: give a part from 0, .* to less than 1$"):
+    with pytest.raises(
+        ConfigurationError, match=r"^--randomize \S+: give a part from 0, .* to less than 1$"
+    ):
         DomainRandomization.of(part)
 
 
 def test_draws_stay_within_the_spread_and_fill_it():
     spread = DomainRandomization(temperature_c=8.0, stiffness=0.3, lag=0.0)
-    drawn = jax.vmap(lambda key: sample_tank(TANK, key, spread))(jax.random.split(jax.random.key(0), 500))
+    drawn = jax.vmap(lambda key: sample_tank(TANK, key, spread))(
+        jax.random.split(jax.random.key(0), 500)
+    )
     warmer = np.asarray(drawn.water.temperature - TANK.water.temperature)
     stiffer = np.asarray(drawn.fin.stiffness / TANK.fin.stiffness)[:, 0] - 1
     assert 7.5 < np.abs(warmer).max() <= 8.0

@@ -35,7 +35,9 @@ def test_an_ideal_sensor_reports_the_force():
 
 def test_the_filter_answers_a_step_with_its_time_constant():
     reading = record(with_only(filter_s=0.05), np.ones((50, 2)))
-    np.testing.assert_allclose(reading[:, 0], 1 - np.exp(-np.arange(1, 51) * 0.01 / 0.05), rtol=1e-5)
+    np.testing.assert_allclose(
+        reading[:, 0], 1 - np.exp(-np.arange(1, 51) * 0.01 / 0.05), rtol=1e-5
+    )
 
 
 def test_noise_is_white_and_of_its_standard_deviation():
@@ -46,20 +48,27 @@ def test_noise_is_white_and_of_its_standard_deviation():
 
 
 def test_zeroing_is_what_a_mean_at_rest_would_be():
-    """Against a sensor that is never zeroed and read at rest for 2 s, whose mean is then subtracted by hand."""
+    """Against a sensor that is never zeroed and read at rest for 2 s, whose mean is then subtracted
+    by hand."""
     with_drift = {"noise_n": 0.05, "drift_n": 0.05, "drift_s": 30.0}
     fins = 2000
     keys = jax.random.split(jax.random.key(3), fins)
-    raw = jax.vmap(lambda key: read(Sensor(with_only(**with_drift, zero_s=0.0)), jnp.zeros((200, 2)), key))(keys)
+    raw = jax.vmap(
+        lambda key: read(Sensor(with_only(**with_drift, zero_s=0.0)), jnp.zeros((200, 2)), key)
+    )(keys)
     by_hand = np.asarray(raw[:, -1] - raw.mean(axis=1))
-    zeroed = jax.vmap(lambda key: read(Sensor(with_only(**with_drift)), jnp.zeros((1, 2)), key)[0])(keys)
+    zeroed = jax.vmap(lambda key: read(Sensor(with_only(**with_drift)), jnp.zeros((1, 2)), key)[0])(
+        keys
+    )
     assert np.asarray(raw[:, -1]).std() == pytest.approx(np.hypot(0.05, 0.05), rel=0.05)
     # The noise of one reading hides the error of the zero, so both are also compared without it.
     assert np.asarray(zeroed).std() == pytest.approx(by_hand.std(), rel=0.05)
     sensor = Sensor(with_only(**with_drift))
     states = jax.vmap(sensor.rest)(keys)
     quiet = jax.vmap(
-        lambda key: read(Sensor(with_only(drift_n=0.05, drift_s=30.0, zero_s=0.0)), jnp.zeros((200, 2)), key)
+        lambda key: read(
+            Sensor(with_only(drift_n=0.05, drift_s=30.0, zero_s=0.0)), jnp.zeros((200, 2)), key
+        )
     )
     moved = np.asarray(quiet(keys)[:, -1] - quiet(keys).mean(axis=1)).var()
     expected = np.sqrt(moved + 0.05**2 / 200)
@@ -70,7 +79,8 @@ def test_zeroing_is_what_a_mean_at_rest_would_be():
 def test_the_zero_goes_with_the_drift_as_in_a_simulation_whatever_the_two_durations_are(drift_s):
     """An explicit walk over the 2 s at rest, whose end is the drift and whose mean is the zero."""
     rng = np.random.default_rng(0)
-    fins, share = 20_000, np.exp(-0.01 / drift_s)
+    fins = 20_000
+    share = np.exp(-0.01 / drift_s)
     walk = np.empty((200, fins))
     walk[0] = rng.normal(size=fins)
     for tick in range(1, 200):
@@ -115,7 +125,9 @@ def test_resolution_rounds_and_lets_gradients_through():
     np.testing.assert_allclose(record(config, np.array([[0.7, -0.7]])), [[0.5, -0.5]])
     sensor = Sensor(config)
     key = jax.random.key(0)
-    jacobian = jax.jacobian(lambda force: sensor.read(sensor.rest(key), force, key)[1])(jnp.array([0.7, -0.7]))
+    jacobian = jax.jacobian(lambda force: sensor.read(sensor.rest(key), force, key)[1])(
+        jnp.array([0.7, -0.7])
+    )
     np.testing.assert_allclose(jacobian, np.eye(2), atol=1e-6)
 
 

@@ -35,7 +35,9 @@ def rolled_with(tank, commands, key):
 
 def issue(*pieces):
     """One command a tick, of (angle, velocity, ticks); the last one is held to the end."""
-    columns = [np.concatenate([np.full(p[2], p[i], np.float32) for p in pieces])[:TICKS] for i in (0, 1)]
+    columns = [
+        np.concatenate([np.full(p[2], p[i], np.float32) for p in pieces])[:TICKS] for i in (0, 1)
+    ]
     return Command(*(jnp.asarray(np.pad(x, (0, TICKS - x.size), mode="edge")) for x in columns))
 
 
@@ -54,7 +56,9 @@ def excitation(logs, ticks, seed=0):
 
 def beating(centre, amplitude=0.5, velocity=6.0):
     """On the 3 Hz clock."""
-    return issue(*((centre + amplitude * (-1.0) ** i, velocity, ACTION_TICKS[i % 3]) for i in range(30)))
+    return issue(
+        *((centre + amplitude * (-1.0) ** i, velocity, ACTION_TICKS[i % 3]) for i in range(30))
+    )
 
 
 def test_a_tank_is_a_plant():
@@ -70,7 +74,9 @@ def test_holding_a_command_is_issuing_it_every_tick():
         tank.init(KEY), jnp.float32(1.0), jnp.float32(2.0)
     )
     readings = jax.tree.map(lambda x: x[:40], rolled(tank, issue((1.0, 2.0, TICKS)))[1])
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=0.025), reading, readings)
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-4, atol=0.025), reading, readings
+    )
     assert int(state.ticks) == 40
     np.testing.assert_allclose(reading.time, np.arange(1, 41) * TICK_S, rtol=1e-6)
 
@@ -108,14 +114,22 @@ def test_a_rigid_fin_at_constant_speed_feels_drag_across_and_its_own_centrifugal
     rate = 2.0
     reading = rolled(Tank(config), issue((-1.5, 3.0, 200), (1.5, rate, 110)))[1]
     tick = 290
-    angle, force = float(reading.angle[tick]) - rate * TICK_S / 2, np.asarray(reading.force[tick])
+    angle = float(reading.angle[tick]) - rate * TICK_S / 2
+    force = np.asarray(reading.force[tick])
     across = force @ [np.sin(angle), np.cos(angle)]
     along = force @ [-np.cos(angle), np.sin(angle)]
-    fin, length = config.fin, config.fin.length_m
+    fin = config.fin
+    length = config.fin.length_m
     middles = (np.arange(10_000) + 0.5) / 10_000 * length
     speed = rate * middles
-    drag = 0.5 * 998.2 * config.water.drag_coefficient * (fin.span(middles) * speed**2).mean() * length
-    centrifugal = fin.density_kg_m3 * (fin.span(middles) * fin.thickness(middles) * rate * speed).mean() * length
+    drag = (
+        0.5 * 998.2 * config.water.drag_coefficient * (fin.span(middles) * speed**2).mean() * length
+    )
+    centrifugal = (
+        fin.density_kg_m3
+        * (fin.span(middles) * fin.thickness(middles) * rate * speed).mean()
+        * length
+    )
     assert across == pytest.approx(-drag, rel=0.01)
     assert along == pytest.approx(centrifugal, rel=0.02)
 
@@ -127,7 +141,11 @@ def test_in_vacuum_the_force_summed_twice_is_the_way_of_the_centre_of_mass():
     force = np.asarray(rolled(tank, issue((1.0, 2.0, 1000)))[1].force, float)
     np.testing.assert_allclose(force.sum(0) * TICK_S, 0.0, atol=2e-4)
     inertia = tank.fin.inertia
-    static = float((inertia.first + inertia.zeroth * tank.fin.plate_length * np.arange(config.fin.plates)).sum())
+    static = float(
+        (
+            inertia.first + inertia.zeroth * tank.fin.plate_length * np.arange(config.fin.plates)
+        ).sum()
+    )
     way = static * (np.array([-np.cos(1.0), np.sin(1.0)]) - np.array([-1.0, 0.0]))
     impulses = np.cumsum(force, axis=0) * TICK_S
     summed = (impulses.sum(0) - impulses[-1] / 2) * TICK_S
@@ -136,14 +154,18 @@ def test_in_vacuum_the_force_summed_twice_is_the_way_of_the_centre_of_mass():
 
 def of_points(tank, fin, stream):
     """Momentum of the fin and its water, and the ends of the plates, by summing points [N s]."""
-    angles, rates = fin.angles, fin.rates
-    length, points = float(tank.fin.plate_length), 4
+    angles = fin.angles
+    rates = fin.rates
+    length = float(tank.fin.plate_length)
+    points = 4
     nodes, weights = np.polynomial.legendre.leggauss(points)
     normals = np.stack([np.sin(angles), np.cos(angles)], -1)
     ends = np.concatenate([np.zeros((1, 2)), np.cumsum(length * normals * rates[:, None], axis=0)])
     total = np.zeros(2)
     own_moments = (np.asarray(moment) for moment in tank.fin.inertia[:2])
-    for plate, (zeroth, first, added) in enumerate(zip(*own_moments, tank.water.inertia.zeroth, strict=True)):
+    for plate, (zeroth, first, added) in enumerate(
+        zip(*own_moments, tank.water.inertia.zeroth, strict=True)
+    ):
         # A linear density with the plate's zeroth and first moments.
         slope = 12 * (first - zeroth * length / 2) / length**3
         for node, weight in zip(nodes, weights, strict=True):
@@ -160,24 +182,35 @@ def test_at_every_step_the_sensor_feels_the_loads_less_the_change_of_momentum():
         tank = Tank(TankConfig(drive=DriveConfig(dead_time_s=0.0), sensor=IDEAL, steps_per_tick=1))
 
         def tick(state, command):
-            """What moves before and after it, what is read, and the loads, which no reading shows."""
+            """What moves before and after it, what is read, and the loads, which no reading
+            shows."""
             planned = tank.drive.plan(state.drive, command, TICK_S)
             shaft = tank.drive.shaft(state.drive, planned, TICK_S)
             _, _, loads = tank.fin.step(state.fin, shaft, tank.water.around(state.flow), TICK_S)
             after, reading = tank.advance(state, command, 1)
-            return after, ((state.fin, state.flow.stream), (after.fin, state.flow.stream), reading.force[0], loads)
+            return after, (
+                (state.fin, state.flow.stream),
+                (after.fin, state.flow.stream),
+                reading.force[0],
+                loads,
+            )
 
         commands = Command(jnp.repeat(jnp.asarray([1.0, -1.0]), 30), jnp.full(60, 5.0))
         ticks = jax.jit(lambda commands: jax.lax.scan(tick, tank.init(KEY), commands)[1])(commands)
         before, after, force, loads = jax.tree.map(np.asarray, ticks)
         for index in range(60):
-            momenta = [of_points(tank, *jax.tree.map(lambda x, i=index: x[i], moving)) for moving in (before, after)]
+            momenta = [
+                of_points(tank, *jax.tree.map(lambda x, i=index: x[i], moving))
+                for moving in (before, after)
+            ]
             rate = (momenta[1] - momenta[0]) / TICK_S
             np.testing.assert_allclose(force[index], loads[index] - rate, atol=1e-9)
         assert np.abs(force).max() > 0.1
 
 
-@pytest.mark.parametrize(("centre", "x", "y"), [(0.0, (1.5, 4.0), (-0.5, 0.5)), (0.75, (0.5, 4.0), (-4.0, -1.0))])
+@pytest.mark.parametrize(
+    ("centre", "x", "y"), [(0.0, (1.5, 4.0), (-0.5, 0.5)), (0.75, (0.5, 4.0), (-4.0, -1.0))]
+)
 def test_beating_makes_thrust_away_from_the_fin(centre, x, y):
     mean = rolled(Tank(QUIET), beating(centre))[1].force[200:].mean(0)
     assert x[0] < mean[0] < x[1]
@@ -186,7 +219,9 @@ def test_beating_makes_thrust_away_from_the_fin(centre, x, y):
 
 def test_a_stroke_is_a_pulse_of_five_to_fifteen_newtons_for_a_fraction_of_a_second():
     for amplitude, velocity in ((1.5, 6.5), (2.0, 6.5)):
-        reading = rolled(Tank(QUIET), issue((-amplitude / 2, velocity, 200), (amplitude / 2, velocity, 150)))[1]
+        reading = rolled(
+            Tank(QUIET), issue((-amplitude / 2, velocity, 200), (amplitude / 2, velocity, 150))
+        )[1]
         size = np.linalg.norm(np.asarray(reading.force[200:]), axis=-1)
         assert 5.0 < size.max() < 15.0
         assert 0.2 < TICK_S * (size > size.max() / 2).sum() < 0.45
@@ -197,7 +232,9 @@ def test_some_gait_of_six_actions_holds_each_reference_force():
     tank = Tank(QUIET)
     rng = np.random.default_rng(0)
     gaits = 500
-    centre, amplitude, velocity = (rng.uniform(low, high, (gaits, 1)) for low, high in ((-1, 1), (0.1, 1), (3, 7.1)))
+    centre, amplitude, velocity = (
+        rng.uniform(low, high, (gaits, 1)) for low, high in ((-1, 1), (0.1, 1), (3, 7.1))
+    )
     angle = np.clip(centre + amplitude * (-1.0) ** np.arange(6), -1.57, 1.57)
     actions = Command(*(jnp.asarray(x, jnp.float32) for x in (angle, np.tile(velocity, 6))))
 
@@ -212,9 +249,13 @@ def test_some_gait_of_six_actions_holds_each_reference_force():
 
 def test_commands_beyond_the_limits_are_refused_before_anything_moves():
     tank = COARSE
-    with pytest.raises(CommandError, match=r"command angle = 2 rad: the plant takes -1.5708 to 1.5708 rad"):
+    with pytest.raises(
+        CommandError, match=r"command angle = 2 rad: the plant takes -1.5708 to 1.5708 rad"
+    ):
         roll(tank, tank.init(KEY), Command(jnp.array([0.0, 2.0]), jnp.array([1.0, 1.0])))
-    with pytest.raises(CommandError, match=r"command velocity = 0.5 rad/s: the plant takes 1 to 7.1 rad/s"):
+    with pytest.raises(
+        CommandError, match=r"command velocity = 0.5 rad/s: the plant takes 1 to 7.1 rad/s"
+    ):
         tank.advance(tank.init(KEY), Command(jnp.float32(0.0), jnp.float32(0.5)), 3)
     with pytest.raises(CommandError, match=r"command angle = nan"):
         hold(tank, tank.init(KEY), Command(jnp.array([np.nan]), jnp.array([2.0])))
@@ -224,7 +265,10 @@ def test_commands_beyond_the_limits_are_refused_before_anything_moves():
     ("values", "words"),
     [
         ({"fin": {"youngs_modulus_pa": float("inf")}}, "fin.youngs_modulus_pa = inf: .* finite"),
-        ({"water": {"stream_mass_kg": 0.05}}, "stream_mass_kg = 0.05: .* greater than or equal to 0.2"),
+        (
+            {"water": {"stream_mass_kg": 0.05}},
+            "stream_mass_kg = 0.05: .* greater than or equal to 0.2",
+        ),
     ],
 )
 def test_numbers_that_make_no_tank_are_refused_by_name(values, words):
@@ -261,10 +305,16 @@ def test_the_force_converges_as_the_square_of_the_step_and_the_default_step_is_f
         commands = jax.tree.map(lambda x: jnp.asarray(x[0], float), excitation(1, TICKS))
 
         def force(steps):
-            return np.asarray(rolled(Tank(TankConfig(fin=fin, sensor=IDEAL, steps_per_tick=steps)), commands)[1].force)
+            return np.asarray(
+                rolled(Tank(TankConfig(fin=fin, sensor=IDEAL, steps_per_tick=steps)), commands)[
+                    1
+                ].force
+            )
 
         best = force(40)
-        errors = {steps: np.sqrt(np.mean((force(steps) - best) ** 2)) / best.std() for steps in (2, 4)}
+        errors = {
+            steps: np.sqrt(np.mean((force(steps) - best) ** 2)) / best.std() for steps in (2, 4)
+        }
     assert errors[QUIET.steps_per_tick] < 0.005
     assert np.log2(errors[2] / errors[4]) == pytest.approx(2.0, abs=0.3)
 
@@ -297,17 +347,23 @@ def test_the_gradient_through_a_second_agrees_with_finite_differences():
             force = roll(tank, tank.init(KEY), commands)[1].force
             return (force * jnp.array([1.0, 0.5])).mean() + 0.01 * (force**2).mean()
 
-        angles, step = jnp.array([0.6, -0.4, 0.5]), 1e-5
+        angles = jnp.array([0.6, -0.4, 0.5])
+        step = 1e-5
         value = jax.jit(jax.value_and_grad(effort, argnums=(0, 1)))
         by_tank, by_angles = value(tank, angles)[1]
         aside = [
-            (value(tank, angles + step * e)[0] - value(tank, angles - step * e)[0]) / (2 * step) for e in np.eye(3)
+            (value(tank, angles + step * e)[0] - value(tank, angles - step * e)[0]) / (2 * step)
+            for e in np.eye(3)
         ]
         np.testing.assert_allclose(by_angles, aside, rtol=1e-3, atol=1e-5)
         assert np.abs(by_angles).max() > 1e-3
         scaled = {c: value(with_parameters(tank, stiffness=c), angles)[0] for c in (0.9999, 1.0001)}
-        along = (by_tank.fin.stiffness * tank.fin.stiffness + by_tank.fin.damping * tank.fin.damping).sum()
-        assert float(along) == pytest.approx(float(scaled[1.0001] - scaled[0.9999]) / 2e-4, rel=1e-3)
+        along = (
+            by_tank.fin.stiffness * tank.fin.stiffness + by_tank.fin.damping * tank.fin.damping
+        ).sum()
+        assert float(along) == pytest.approx(
+            float(scaled[1.0001] - scaled[0.9999]) / 2e-4, rel=1e-3
+        )
         # At rest every root and every absolute value stands at zero.
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(value(tank, jnp.zeros(3))))
 
@@ -315,5 +371,7 @@ def test_the_gradient_through_a_second_agrees_with_finite_differences():
 def test_an_unknown_parameter_is_refused_with_the_nearest_name():
     with pytest.raises(ConfigurationError, match=r"did you mean 'span_m'"):
         TankConfig.build({"fin": {"spam_m": 0.1}})
-    with pytest.raises(ConfigurationError, match=r"water.drag_coefficient = -1.0: Input should be greater"):
+    with pytest.raises(
+        ConfigurationError, match=r"water.drag_coefficient = -1.0: Input should be greater"
+    ):
         TankConfig().changed(["water.drag_coefficient=-1.0"])

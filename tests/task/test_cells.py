@@ -45,7 +45,9 @@ def test_a_lattice_fills_its_range_without_gap_or_overlap(
     within = Cell(low=(x, y), high=(x + width, y + height))
     cells = cells_of(f"{columns}x{rows}", within)
     assert len(cells) == columns * rows
-    np.testing.assert_allclose([bounding_box(cells).low, bounding_box(cells).high], [within.low, within.high])
+    np.testing.assert_allclose(
+        [bounding_box(cells).low, bounding_box(cells).high], [within.low, within.high]
+    )
     check_cells(cells, False, "lattice")
 
 
@@ -67,7 +69,9 @@ def test_the_papers_cells_touch_and_leave_a_third_of_their_bounding_box() -> Non
 @pytest.mark.parametrize("missing", [4, 7], ids=["left", "right"])
 def test_a_missing_cell_is_refused_with_its_size(missing: int) -> None:
     cells = lattice(4, 3, PAPER_RANGE)
-    with pytest.raises(ConfigurationError, match=r"grid: the cells leave 0.75 N\^2 of their bounding box"):
+    with pytest.raises(
+        ConfigurationError, match=r"grid: the cells leave 0.75 N\^2 of their bounding box"
+    ):
         check_cells([cell for cell in cells if cell != cells[missing]], False, "grid")
 
 
@@ -82,7 +86,8 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
     assert len(cells_of(file_of(tmp_path, text + "allow_gaps: true\n"), PAPER_RANGE)) == 2
     with pytest.raises(
         ConfigurationError,
-        match=r"cells.yaml: the cells leave 1 N\^2 of their bounding box \(x 0 .. 3, y 0 .. 1 N\) uncovered; add "
+        match=r"cells.yaml: the cells leave 1 N\^2 of their bounding box \(x 0 .. 3, y 0 .. 1 N\) "
+        r"uncovered; add "
         r"cells there, or write allow_gaps: true",
     ):
         cells_of(file_of(tmp_path, text), PAPER_RANGE)
@@ -92,11 +97,16 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
     ("text", "message"),
     [
         (
-            "cells: [{low: [0, 0], high: [2, 1]}, {low: [2, 0], high: [3, 1]}, {low: [1.5, 0], high: [2, 3]}]",
-            r"cells 1 \(x 0 .. 2, y 0 .. 1 N\) and 3 \(x 1.5 .. 2, y 0 .. 3 N\) overlap in x 1.5 .. 2, y 0 .. 1 N; ",
+            "cells: [{low: [0, 0], high: [2, 1]}, {low: [2, 0], high: [3, 1]}, {low: [1.5, 0], "
+            "high: [2, 3]}]",
+            r"cells 1 \(x 0 .. 2, y 0 .. 1 N\) and 3 \(x 1.5 .. 2, y 0 .. 3 N\) overlap in x 1.5 "
+            r".. 2, y 0 .. 1 N; ",
         ),
         ("cells: []", r"no cells; give at least one \{low: \[x, y\], high: \[x, y\]\}"),
-        ("cells: [{low: [0, 0], high: [0, 1]}]", r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; let it reach"),
+        (
+            "cells: [{low: [0, 0], high: [0, 1]}]",
+            r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; let it reach",
+        ),
         ("cells: [{low: [0, 0], high: [-1, 1]}]", "low .* is above high"),
         ("cells: [{low: [.nan, 0], high: [1, 1]}]", r"cells.0.low.0.* = nan: .* finite"),
         ("cells: [{low: [0, 0], high: [1, .inf]}]", r"cells.0.high.1.* = inf: .* finite"),
@@ -107,7 +117,9 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
         ("- {low: [0, 0], high: [1, 1]}", "holds a list; it must be a mapping"),
     ],
 )
-def test_a_file_that_is_no_grid_is_refused_in_one_line(text: str, message: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_grid_is_refused_in_one_line(
+    text: str, message: str, tmp_path: Path
+) -> None:
     with pytest.raises(ConfigurationError, match=message) as caught:
         cells_of(file_of(tmp_path, text), PAPER_RANGE)
     assert "cells.yaml" in str(caught.value)
@@ -131,7 +143,10 @@ def test_what_is_neither_lattice_nor_file_is_refused(text: str, message: str) ->
 
 
 def test_a_lattice_over_a_line_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"--cells 2x2: the range \(x 0 .. 1, y 1 .. 1 N\) has no width in y"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"--cells 2x2: the range \(x 0 .. 1, y 1 .. 1 N\) has no width in y",
+    ):
         cells_of("2x2", Cell(low=(0, 1), high=(1, 1)))
 
 
@@ -155,5 +170,7 @@ def test_what_is_no_range_is_refused(text: str, message: str) -> None:
 
 def test_touching_cells_do_not_overlap() -> None:
     check_apart(QUARTERS, "quarters")
-    with pytest.raises(ConfigurationError, match=re.escape(f"overlap in {QUARTERS[0]}; move an edge")):
+    with pytest.raises(
+        ConfigurationError, match=re.escape(f"overlap in {QUARTERS[0]}; move an edge")
+    ):
         check_apart([QUARTERS[0], PAPER_RANGE], "both")

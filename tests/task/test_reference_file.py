@@ -29,7 +29,9 @@ def test_rows_are_held_between_their_times(tmp_path):
 
 def test_other_columns_their_order_and_empty_lines_do_not_matter(tmp_path):
     text = "\ufeffforce_y_n, note ,force_x_n,time_s\r\n-1,begin,1,0\r\n\r\n0,,2,3\r\n"
-    assert read_reference_file(written(tmp_path, text)) == Recorded(time_s=(0, 3), force_n=((1, -1), (2, 0)))
+    assert read_reference_file(written(tmp_path, text)) == Recorded(
+        time_s=(0, 3), force_n=((1, -1), (2, 0))
+    )
 
 
 @given(
@@ -41,7 +43,11 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
     times = np.concatenate([[0.0], np.cumsum(steps)]).tolist()
     forces = [(force[0] + k, force[1] - k) for k in range(len(times))]
     rows = "".join(f"{t!r},{x!r},{y!r}\n" for t, (x, y) in zip(times, forces, strict=True))
-    columns = {"time_s": times, "force_x_n": [x for x, _ in forces], "force_y_n": [y for _, y in forces]}
+    columns = {
+        "time_s": times,
+        "force_x_n": [x for x, _ in forces],
+        "force_y_n": [y for _, y in forces],
+    }
     pq.write_table(pa.table({**columns, "angle_rad": times}), folder / "reference.parquet")
     wanted = Recorded(time_s=tuple(times), force_n=tuple(forces))
     assert read_reference_file(written(folder, HEAD + rows)) == wanted
@@ -64,10 +70,22 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
         (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "time 2 s after 2 s; times must grow"),
         (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "time 1 s after 2 s; times must grow"),
         (HEAD + "3,1,1\n4,1,1\n", "the first time is 3 s; begin at 0"),
-        ("time_s,force_x_kn,force_y_n\n0,1,1\n", "no column force_x_n, .* force_x_kn, .* one in newton: convert it"),
-        ("time_ms,force_x_n,force_y_n\n0,1,1\n", "no column time_s, .* among time_ms, .* one in seconds"),
-        ("time_s,force_x_n,torque\n0,1,1\n", "no column force_y_n, or several, among time_s, force_x_n, torque; it"),
-        ("time_s,time_s,force_x_n,force_y_n\n0,0,1,1\n", "no column time_s, or several, among time_s, time_s"),
+        (
+            "time_s,force_x_kn,force_y_n\n0,1,1\n",
+            "no column force_x_n, .* force_x_kn, .* one in newton: convert it",
+        ),
+        (
+            "time_ms,force_x_n,force_y_n\n0,1,1\n",
+            "no column time_s, .* among time_ms, .* one in seconds",
+        ),
+        (
+            "time_s,force_x_n,torque\n0,1,1\n",
+            "no column force_y_n, or several, among time_s, force_x_n, torque; it",
+        ),
+        (
+            "time_s,time_s,force_x_n,force_y_n\n0,0,1,1\n",
+            "no column time_s, or several, among time_s, time_s",
+        ),
     ],
 )
 def test_what_cannot_be_asked_for_is_refused_in_one_line(tmp_path, text, words):
@@ -80,8 +98,12 @@ def test_what_cannot_be_asked_for_is_refused_in_one_line(tmp_path, text, words):
 
 def test_a_parquet_file_is_held_to_the_same(tmp_path):
     path = tmp_path / "reference.parquet"
-    pq.write_table(pa.table({"time_s": [0.0, 1.0], "force_x_n": [1.0, None], "force_y_n": [0.0, 0.0]}), path)
-    with pytest.raises(ConfigurationError, match="row 2, column force_x_n: nan is not a finite number"):
+    pq.write_table(
+        pa.table({"time_s": [0.0, 1.0], "force_x_n": [1.0, None], "force_y_n": [0.0, 0.0]}), path
+    )
+    with pytest.raises(
+        ConfigurationError, match="row 2, column force_x_n: nan is not a finite number"
+    ):
         read_reference_file(path)
     path.write_bytes(b"PAR1 no")
     with pytest.raises(ConfigurationError, match="not a table of numbers"):
@@ -101,7 +123,9 @@ def test_a_log_of_softfin_begins_a_tick_late_and_is_read(tmp_path):
 
 
 def test_milliseconds_are_not_taken_for_seconds(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"time_s up to 2000 makes 4000 s; .* are these milliseconds\?"):
+    with pytest.raises(
+        ConfigurationError, match=r"time_s up to 2000 makes 4000 s; .* are these milliseconds\?"
+    ):
         read_reference_file(written(tmp_path, HEAD + "0,1,0\n2000,2,0\n"))
 
 

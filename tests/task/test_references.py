@@ -27,7 +27,9 @@ def test_what_the_fin_cannot_make_is_drawn_at_its_edge() -> None:
     reachable = Reachable(np.array([2, 0], np.float32), np.full(64, 1, np.float32))
     references = References.of(PAPER_RANGE)._replace(reachable=reachable)
     keys = jax.random.split(jax.random.key(0), 200)
-    free, drawn = (np.asarray(jax.vmap(r.draw)(keys)) for r in (References.of(PAPER_RANGE), references))
+    free, drawn = (
+        np.asarray(jax.vmap(r.draw)(keys)) for r in (References.of(PAPER_RANGE), references)
+    )
     inside = np.hypot(*(free - reachable.centre).T) < 0.99
     np.testing.assert_allclose(drawn[inside], free[inside], atol=1e-6)
     np.testing.assert_allclose(np.hypot(*(drawn[~inside] - reachable.centre).T), 1, atol=0.011)
@@ -35,16 +37,17 @@ def test_what_the_fin_cannot_make_is_drawn_at_its_edge() -> None:
 
 
 def test_the_bounding_box_is_round_all_cells() -> None:
-    assert bounding_box([Cell.around((2, 0)), Cell.around((0, 3), 2.0), Cell.around((1, 1))]) == Cell(
-        low=(-1, -0.5), high=(2.5, 4)
-    )
+    assert bounding_box(
+        [Cell.around((2, 0)), Cell.around((0, 3), 2.0), Cell.around((1, 1))]
+    ) == Cell(low=(-1, -0.5), high=(2.5, 4))
     assert bounding_box(PAPER_CELLS) == PAPER_RANGE
 
 
 def test_stacked_boxes_are_drawn_from_one_by_one() -> None:
     cells = [Cell.around((2, 0)), Cell.around((0, 3))]
     reachable = Reachable(np.array([1, 1], np.float32), np.full(8, 0.5, np.float32))
-    stacked, key = stack_references(cells, reachable), jax.random.key(1)
+    stacked = stack_references(cells, reachable)
+    key = jax.random.key(1)
     drawn = jax.vmap(lambda references: references.draw(key))(stacked)
     for i, cell in enumerate(cells):
         alone = References.of(cell)._replace(reachable=reachable).draw(key)
@@ -59,9 +62,13 @@ def test_the_distance_is_that_to_the_nearest_edge_or_corner() -> None:
 
 
 def test_a_lattice_lies_evenly_within_the_cell() -> None:
-    assert PAPER_RANGE.lattice(3) == tuple((x, y) for x in (1.0, 2.0, 3.0) for y in (-1.0, 0.0, 1.0))
+    assert PAPER_RANGE.lattice(3) == tuple(
+        (x, y) for x in (1.0, 2.0, 3.0) for y in (-1.0, 0.0, 1.0)
+    )
 
 
 def test_a_cell_upside_down_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"low .* is above high .*; give the lower corner first"):
+    with pytest.raises(
+        ConfigurationError, match=r"low .* is above high .*; give the lower corner first"
+    ):
         Cell.build({"low": (1, 0), "high": (0, 1)})

@@ -24,27 +24,36 @@ def test_only_the_samples_since_the_reset_count(count: int) -> None:
 
     np.testing.assert_allclose(error, made.mean(axis=0) - reference, atol=1e-5)
     np.testing.assert_allclose(
-        sobolev(jnp.asarray(FORCES), jnp.int32(count), "sum"), np.linalg.norm(steps, axis=0), rtol=1e-5
+        sobolev(jnp.asarray(FORCES), jnp.int32(count), "sum"),
+        np.linalg.norm(steps, axis=0),
+        rtol=1e-5,
     )
     np.testing.assert_allclose(
-        sobolev(jnp.asarray(FORCES), jnp.int32(count), "mean"), np.sqrt((steps**2).mean(axis=0)), rtol=1e-5
+        sobolev(jnp.asarray(FORCES), jnp.int32(count), "mean"),
+        np.sqrt((steps**2).mean(axis=0)),
+        rtol=1e-5,
     )
 
 
 def test_a_single_sample_has_a_mean_and_no_roughness() -> None:
-    forces, one = jnp.asarray(FORCES), jnp.int32(1)
+    forces = jnp.asarray(FORCES)
+    one = jnp.int32(1)
     np.testing.assert_allclose(window_error(forces, one, jnp.zeros(2)), FORCES[-1])
     np.testing.assert_array_equal(sobolev(forces, one, "sum"), [0, 0])
     np.testing.assert_array_equal(sobolev(forces, one, "mean"), [0, 0])
 
 
 def test_the_two_forms_differ_by_the_root_of_the_number_of_steps() -> None:
-    forces, full = jnp.asarray(FORCES), jnp.int32(200)
-    np.testing.assert_allclose(sobolev(forces, full, "sum"), np.sqrt(199) * sobolev(forces, full, "mean"), rtol=1e-5)
+    forces = jnp.asarray(FORCES)
+    full = jnp.int32(200)
+    np.testing.assert_allclose(
+        sobolev(forces, full, "sum"), np.sqrt(199) * sobolev(forces, full, "mean"), rtol=1e-5
+    )
 
 
 def test_the_reward_is_the_negative_weighted_sum_over_the_axes() -> None:
-    error, smoothness = jnp.array([0.5, 2.0]), jnp.array([3.0, 4.0])
+    error = jnp.array([0.5, 2.0])
+    smoothness = jnp.array([3.0, 4.0])
     terms = RewardTerms(error, smoothness)
     value = RewardConfig(weight=(1.0, 10.0), smoothness=(0.1, 0.2)).value(terms)
     assert float(value) == pytest.approx(-(1 * (0.5 + 0.1 * 3) + 10 * (2 + 0.2 * 4)))

@@ -13,7 +13,15 @@ from softfin.core.plant import roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading, command_of
 from softfin.gaits.reachable import Cell
 from softfin.task.references import References
-from softfin.task.task import ForceTracking, Outcome, RewardConfig, SensingConfig, TaskConfig, TaskState, action_of
+from softfin.task.task import (
+    ForceTracking,
+    Outcome,
+    RewardConfig,
+    SensingConfig,
+    TaskConfig,
+    TaskState,
+    action_of,
+)
 from tests.plants import AnalyticFin, PlainFin
 
 BOX = References.of(Cell(low=(1, -1), high=(3, 1)))
@@ -65,7 +73,11 @@ def test_the_observation_is_angle_reference_and_the_last_four_actions_newest_fir
 def test_k_past_actions_make_5_plus_2_k_observations() -> None:
     for k in (0, 3, 5):
         task = ForceTracking(Echo(), TaskConfig(past_actions=k))
-        assert task.observe(task.reset(jax.random.key(0), BOX)).shape == (5 + 2 * k,) == (task.config.observations,)
+        assert (
+            task.observe(task.reset(jax.random.key(0), BOX)).shape
+            == (5 + 2 * k,)
+            == (task.config.observations,)
+        )
 
 
 def test_before_the_first_action_the_memory_is_that_of_a_fin_told_to_stay() -> None:
@@ -94,20 +106,25 @@ def test_the_target_is_the_reference_now_or_its_mean_over_the_window(target: str
     task = ForceTracking(AnalyticFin(), config)
     step = jax.jit(task.step)
     state = task.reset(jax.random.key(0), BOX)
-    forces, references = np.zeros((0, 2)), np.zeros((0, 2))
+    forces = np.zeros((0, 2))
+    references = np.zeros((0, 2))
     for number, action in enumerate(swings(8)):
         ticks = ACTION_TICKS[number % 3]
         references = np.concatenate([references, np.tile(state.reference, (ticks, 1))])
         state, outcome = step(state, jnp.array(action), ticks)
         forces = np.concatenate([forces, outcome.forces[:ticks]])
         wanted = references[-1] if target == "now" else references[-200:].mean(axis=0)
-        np.testing.assert_allclose(outcome.force_error, forces[-200:].mean(axis=0) - wanted, atol=1e-4)
+        np.testing.assert_allclose(
+            outcome.force_error, forces[-200:].mean(axis=0) - wanted, atol=1e-4
+        )
     assert np.ptp(references, axis=0).min() > 0.5
 
 
 def test_the_paper_sum_form_is_the_default_and_the_mean_form_has_a_name() -> None:
     by_name = {
-        name: played(ForceTracking(AnalyticFin(), TaskConfig(reward=RewardConfig(sobolev=name))), swings(6))[1][-1]
+        name: played(
+            ForceTracking(AnalyticFin(), TaskConfig(reward=RewardConfig(sobolev=name))), swings(6)
+        )[1][-1]
         for name in ("sum", "mean")
     }
     default = played(ForceTracking(AnalyticFin(), TaskConfig()), swings(6))[1][-1]
@@ -123,13 +140,17 @@ def test_whether_a_reference_is_jumped_to_says_nothing_of_where_it_lies() -> Non
     start, _ = played(task, [])
     keys = jax.random.split(jax.random.key(3), 2000)
     after, _ = jax.vmap(lambda key: task.step(start._replace(key=key), STROKE, 33))(keys)
-    reference, drift = after.reference, after.drift
+    reference = after.reference
+    drift = after.drift
     ramps = np.any(np.asarray(drift) != 0, axis=1)
     assert ramps.mean() == pytest.approx(0.5, abs=0.05)
-    low, high = np.asarray(start.references.low), np.asarray(start.references.high)
+    low = np.asarray(start.references.low)
+    high = np.asarray(start.references.high)
     for some in (ramps, ~ramps):
         # A ramp of one action has arrived after it.
-        np.testing.assert_allclose(reference[some].mean(axis=0), (low + high) / 2, atol=0.06 * (high - low).max())
+        np.testing.assert_allclose(
+            reference[some].mean(axis=0), (low + high) / 2, atol=0.06 * (high - low).max()
+        )
 
 
 def test_the_window_is_cleared_on_reset() -> None:
@@ -144,14 +165,18 @@ def test_the_window_is_cleared_on_reset() -> None:
 
 @pytest.mark.parametrize("actions", [1, 3], ids=["33 ticks", "34 ticks"])
 @pytest.mark.parametrize("delay", [0, 2])
-def test_the_angle_is_that_of_the_last_tick_that_an_action_is_held(actions: int, delay: int) -> None:
+def test_the_angle_is_that_of_the_last_tick_that_an_action_is_held(
+    actions: int, delay: int
+) -> None:
     config = TaskConfig(sensing=SensingConfig(delay_ticks=delay))
-    task, fin = ForceTracking(AnalyticFin(), config), AnalyticFin()
+    task = ForceTracking(AnalyticFin(), config)
+    fin = AnalyticFin()
     # Slow enough to be on its way when the action ends.
     slow = [(0.9, -1.0)] * actions
     state, _ = played(task, slow)
     commands = jax.tree.map(
-        lambda x: jnp.full(sum(ACTION_TICKS[:actions]), x), command_of(fin.limits, jnp.array(slow[0]))
+        lambda x: jnp.full(sum(ACTION_TICKS[:actions]), x),
+        command_of(fin.limits, jnp.array(slow[0])),
     )
     _, reading = roll(fin, fin.init(jax.random.key(0)), commands)
     assert float(state.angle) == pytest.approx(float(reading.angle[-1 - delay]), abs=1e-6)
@@ -166,9 +191,12 @@ def test_six_actions_are_exactly_the_window() -> None:
 
 
 def test_normalised_actions_span_the_limits_of_the_plant() -> None:
-    low, high = command_of(PAPER_LIMITS, -jnp.ones(2)), command_of(PAPER_LIMITS, jnp.ones(2))
+    low = command_of(PAPER_LIMITS, -jnp.ones(2))
+    high = command_of(PAPER_LIMITS, jnp.ones(2))
     np.testing.assert_allclose([*low, *high], [-np.pi / 2, 1, np.pi / 2, np.pi], rtol=1e-6)
-    np.testing.assert_allclose(action_of(PAPER_LIMITS, command_of(PAPER_LIMITS, STROKE)), STROKE, atol=1e-6)
+    np.testing.assert_allclose(
+        action_of(PAPER_LIMITS, command_of(PAPER_LIMITS, STROKE)), STROKE, atol=1e-6
+    )
 
 
 def test_a_batch_does_what_each_fin_does_alone() -> None:
@@ -191,17 +219,19 @@ def test_references_are_redrawn_when_they_are_due() -> None:
     for i in range(8):
         state, _ = step(state, STROKE, ACTION_TICKS[i % 3])
         references.append(tuple(np.asarray(state.reference)))
-    assert [a != b for a, b in zip(references[1:], references, strict=False)] == [False] * 3 + [True] + [False] * 3 + [
+    assert [a != b for a, b in zip(references[1:], references, strict=False)] == [False] * 3 + [
         True
-    ]
+    ] + [False] * 3 + [True]
 
 
 def test_no_episode_draws_what_the_one_before_drew() -> None:
-    """Each goes on with the key of the last; noise and references of all its actions differ from theirs."""
+    """Each goes on with the key of the last; noise and references of all its actions differ from
+    theirs."""
     noisy = TaskConfig(reference_actions=1, sensing=SensingConfig(noise_rad=1.0))
     task = ForceTracking(Echo(), noisy)
     step = jax.jit(task.step)
-    state, drawn = task.reset(jax.random.key(0), BOX), []
+    state = task.reset(jax.random.key(0), BOX)
+    drawn = []
     for _ in range(3):
         drawn.append(np.asarray(state.reference))
         for ticks in ACTION_TICKS:
@@ -236,5 +266,7 @@ def test_the_critic_also_sees_the_mean_force_of_each_part_of_the_window() -> Non
     privileged = np.asarray(task.privileged_observation(state))
     np.testing.assert_array_equal(privileged[:11], task.observe(state))
     parts = np.arange(1, 201).reshape(8, 25).mean(axis=1)
-    np.testing.assert_allclose(privileged[11:27].reshape(8, 2), np.stack([parts, -2 * parts], 1) / 3, rtol=1e-5)
+    np.testing.assert_allclose(
+        privileged[11:27].reshape(8, 2), np.stack([parts, -2 * parts], 1) / 3, rtol=1e-5
+    )
     np.testing.assert_array_equal(privileged[27:], [1, 1, 0, 0])

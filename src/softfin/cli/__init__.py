@@ -1,4 +1,5 @@
-"""The command line: ``softfin COMMAND ...``; a command's module in this folder is imported when it is called."""
+"""The command line: ``softfin COMMAND ...``; a command's module in this folder is imported when it
+is called."""
 
 import contextlib
 import difflib
@@ -14,31 +15,58 @@ from softfin.core.printable import printable
 from softfin.core.program_cache import describe_cache, use_program_cache
 
 COMMANDS = {
-    "example": ("example", "write an example to begin with: a trained surrogate, controllers, a recording"),
-    "collect": ("data", "record motions of a fin, random or chosen by a surrogate, and its force as a dataset"),
+    "example": (
+        "example",
+        "write an example to begin with: a trained surrogate, controllers, a recording",
+    ),
+    "collect": (
+        "data",
+        "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
+    ),
     "inspect": ("data", "check logs before a surrogate is fitted to them"),
     "import-logs": ("data", "turn CSV, Parquet or ROS 2 bags into a dataset"),
-    "fit": ("surrogates", "fit a surrogate to logs: streaming networks, the paper's networks, or the better of both"),
+    "fit": (
+        "surrogates",
+        "fit a surrogate to logs: streaming networks, the paper's networks, or the better of both",
+    ),
     "calibrate": ("surrogates", "fit the virtual tank to logs or to a plant"),
-    "import-keras": ("surrogates", "turn published .keras networks and their scalers into a surrogate"),
+    "import-keras": (
+        "surrogates",
+        "turn published .keras networks and their scalers into a surrogate",
+    ),
     "compare": ("surrogates", "score surrogates on test logs, free-running over several horizons"),
     "map": ("controllers", "find the mean forces that a fin can make, and gaits that make them"),
-    "train": ("controllers", "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits"),
+    "train": (
+        "controllers",
+        "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits",
+    ),
     "evaluate": ("evaluation", "evaluate a controller on a fin over reference forces"),
     "baselines": (
         "evaluation",
         "evaluate baselines without learning: best sine, analytic model, random search",
     ),
     "view": ("evaluation", "show a fin in motion, as a film or as a page that plays it"),
-    "explore": ("evaluation", "make a page in which one drags the force and watches the fin hold it"),
+    "explore": (
+        "evaluation",
+        "make a page in which one drags the force and watches the fin hold it",
+    ),
     "rig": ("rig", "the real fin: check it, zero it, or emulate its drive and sensor"),
     "run": ("driving", "hold reference forces on the real fin"),
     "bag": ("data", "recover a recording that was cut off; convert recordings to logs and back"),
     "monitor": ("rig", "watch a recording while it is made, in the terminal or as a page"),
     "ros2": ("driving", "run as a ROS 2 node: readings out, references in"),
-    "robot": ("robot", "a robot with several fins: what it can do, how it holds its place and follows a path"),
-    "export": ("controllers", "write a controller or a surrogate as ONNX, for hosts without Python"),
-    "doctor": ("doctor", "examine this computer and the installation: what is well, what is not, what to do"),
+    "robot": (
+        "robot",
+        "a robot with several fins: what it can do, how it holds its place and follows a path",
+    ),
+    "export": (
+        "controllers",
+        "write a controller or a surrogate as ONNX, for hosts without Python",
+    ),
+    "doctor": (
+        "doctor",
+        "examine this computer and the installation: what is well, what is not, what to do",
+    ),
     "reproduce": ("evaluation", "run all stages, with the paper's tables and figures"),
 }
 """For each command its module, and what it does."""
@@ -48,7 +76,8 @@ STOPPED = 1
 
 
 def script() -> None:
-    """Run `main` as the installed command; after Ctrl-C end at once, as a compiled program may still run."""
+    """Run `main` as the installed command; after Ctrl-C end at once, as a compiled program may
+    still run."""
     use_program_cache()
     try:
         main()
@@ -77,9 +106,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def arguments_of(name: str) -> type[Any]:
-    """Import the class of a command, such as `ImportLogsArguments`, whose fields are its options."""
+    """Import the class of a command, such as `ImportLogsArguments`, whose fields are its
+    options."""
     module = importlib.import_module(f"softfin.cli.{COMMANDS[name][0]}")
-    arguments: type[Any] = getattr(module, "".join(map(str.capitalize, name.split("-"))) + "Arguments")
+    arguments: type[Any] = getattr(
+        module, "".join(map(str.capitalize, name.split("-"))) + "Arguments"
+    )
     return arguments
 
 
@@ -97,11 +129,13 @@ def _run(name: str, words: list[str]) -> None:
         _exit(f"softfin {name}: {missing}", 2)
     # XLA's notes on how it compiles would hide the lines of a command.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy does in 0.1 s of
-    # processor time on one thread took 9 s, and a minute. They count when NumPy is imported, which is below.
+    # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy
+    # does in 0.1 s of processor time on one thread took 9 s, and a minute. They count when NumPy is
+    # imported, which is below.
     if "OMP_NUM_THREADS" not in os.environ:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # JAX makes millions of small objects while it traces; to look them through so often is a sixth of that time.
+    # JAX makes millions of small objects while it traces; to look them through so often is a sixth
+    # of that time.
     gc.set_threshold(50_000, 20, 10)
     arguments: Any = None
     try:
@@ -115,7 +149,11 @@ def _run(name: str, words: list[str]) -> None:
     except KeyboardInterrupt as interrupt:
         if debug:
             raise
-        hint = "; the same command with --resume goes on" if "resume" in getattr(arguments, "model_fields", ()) else ""
+        hint = (
+            "; the same command with --resume goes on"
+            if "resume" in getattr(arguments, "model_fields", ())
+            else ""
+        )
         sys.stderr.write(f"softfin {name}: stopped, nothing is half-written{hint}\n")
         raise SystemExit(STOPPED) from interrupt
     except Exception as error:
@@ -123,16 +161,26 @@ def _run(name: str, words: list[str]) -> None:
             raise
         if isinstance(error, SoftfinError):
             _exit(f"softfin {name}: {error}", error.exit_code)
-        if isinstance(error, ModuleNotFoundError) and (missing := what_is_missing(error)) is not None:
+        if (
+            isinstance(error, ModuleNotFoundError)
+            and (missing := what_is_missing(error)) is not None
+        ):
             _exit(f"softfin {name}: {missing}", 2)
         if isinstance(error, OSError):
-            _exit(f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED)
-        _exit(f"softfin {name}: {type(error).__name__}: {one_line(error)} "
-              "(this should not happen; --debug shows where)", STOPPED)  # fmt: skip
+            _exit(
+                f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED
+            )
+        _exit(
+            f"softfin {name}: {type(error).__name__}: {one_line(error)} "
+            "(this should not happen; --debug shows where)",
+            STOPPED,
+        )
 
 
 def _usage() -> str:
-    lines = "\n".join(f"  {name:{len('import-keras')}}  {what}" for name, (_, what) in COMMANDS.items())
+    lines = "\n".join(
+        f"  {name:{len('import-keras')}}  {what}" for name, (_, what) in COMMANDS.items()
+    )
     return (
         "usage: softfin COMMAND [OPTION ...]\n\nMake a soft fin produce the force you ask for.\n\n"
         f"{lines}\n\nsoftfin COMMAND --help lists a command's options; --debug shows tracebacks;"

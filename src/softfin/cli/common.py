@@ -1,4 +1,5 @@
-"""Parts that commands share: kinds of options, configuration, arming, progress on stderr, results on stdout; no JAX."""
+"""Parts that commands share: kinds of options, configuration, arming, progress on stderr, results
+on stdout; no JAX."""
 
 import contextlib
 import sys
@@ -38,7 +39,9 @@ WORD = "move"
 def folder_of(kind: str, positional: bool = False) -> Option:
     """Option for the folder of an artifact, such as a controller."""
     metavar = kind.upper() if positional else "DIR"
-    return Option(metavar, positional, check=lambda path, _: artifacts.find_description(Path(path), kind))
+    return Option(
+        metavar, positional, check=lambda path, _: artifacts.find_description(Path(path), kind)
+    )
 
 
 def plant(metavar: str = "PLANT", positional: bool = False) -> Option:
@@ -76,16 +79,25 @@ def _check_vacant(path: Path, command: Any) -> None:
 
 Out: TypeAlias = Annotated[Path, Option("DIR", check=_check_vacant)]
 File: TypeAlias = Annotated[Path, Option("FILE")]
-ReferenceFile: TypeAlias = Annotated[Path, Option("FILE", check=lambda path, _: paths.check_reference_file(path))]
-YamlFile: TypeAlias = Annotated[Path, Option("FILE", check=lambda path, _: paths.check_readable(path))]
+ReferenceFile: TypeAlias = Annotated[
+    Path, Option("FILE", check=lambda path, _: paths.check_reference_file(path))
+]
+YamlFile: TypeAlias = Annotated[
+    Path, Option("FILE", check=lambda path, _: paths.check_readable(path))
+]
 Controller: TypeAlias = Annotated[Path, folder_of("controller", positional=True)]
 Plant: TypeAlias = Annotated[str, plant()]
-AnyPlant: TypeAlias = Annotated[str, Option("PLANT", check=lambda name, _: is_live(name) or resolve_plant(name))]
+AnyPlant: TypeAlias = Annotated[
+    str, Option("PLANT", check=lambda name, _: is_live(name) or resolve_plant(name))
+]
 LivePlant: TypeAlias = Annotated[str, Option("PLANT")]
-Logs: TypeAlias = Annotated[Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(path))]
+Logs: TypeAlias = Annotated[
+    Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(path))
+]
 Data: TypeAlias = Annotated[str, Option("DATA", positional=True, check=_check_data)]
 Force: TypeAlias = Annotated[
-    tuple[float, float], Option("X,Y", parse=numbers("not a force; write X,Y in newton, as 1,-1", 2))
+    tuple[float, float],
+    Option("X,Y", parse=numbers("not a force; write X,Y in newton, as 1,-1", 2)),
 ]
 
 
@@ -98,15 +110,20 @@ class CommandOptions(Configuration):
     """Show the traceback of an error."""
 
     def check(self) -> None:
-        """Raise a SoftfinError where the options cannot be used, before anything is computed or imported for it."""
+        """Raise a SoftfinError where the options cannot be used, before anything is computed or
+        imported for it."""
         seed = getattr(self, "seed", None)
         if seed is not None and not 0 <= seed < SEEDS:
-            raise ConfigurationError(f"--seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}")
+            raise ConfigurationError(
+                f"--seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}"
+            )
         options.check(self)
 
     def tell(self, result: Any, text: str) -> None:
         """Print the result: as JSON, or as text for people."""
-        sys.stdout.write(artifacts.dump_json(result) if self.json_ else printable(text.rstrip("\n"), "\n") + "\n")
+        sys.stdout.write(
+            artifacts.dump_json(result) if self.json_ else printable(text.rstrip("\n"), "\n") + "\n"
+        )
 
 
 class Common(CommandOptions):
@@ -130,21 +147,28 @@ class Configured(Common):
     """Change one value of the configuration."""
 
     def configured(self, base: Config, **given: Any) -> Config:
-        """Return the defaults, changed by the YAML file, then by `--set`, then by the options that were given.
+        """Return the defaults, changed by the YAML file, then by `--set`, then by the options that
+        were given.
 
-        These are the options that are None or () by default and have the name of a field; those that the command reads
-        itself from a text or under another name are `given`.
+        These are the options that are None or () by default and have the name of a field; those
+        that the command reads itself from a text or under another name are `given`.
         """
-        config = base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
-        own = {name: getattr(self, name) for name, option in type(self).model_fields.items()
-               if name in type(base).model_fields and option.default in (None, ())}  # fmt: skip
+        config = (
+            base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
+        )
+        own = {
+            name: getattr(self, name)
+            for name, option in type(self).model_fields.items()
+            if name in type(base).model_fields and option.default in (None, ())
+        }
         own = {name: value for name, value in own.items() if not isinstance(value, str)} | given
         changes = {name: value for name, value in own.items() if value not in (None, ())}
         return config.changed(self.set).merged(changes, "options")
 
 
 class LogOptions(ImportConfig):
-    """Options of every command that reads recordings made by others; softfin's own need none of these."""
+    """Options of every command that reads recordings made by others; softfin's own need none of
+    these."""
 
     @property
     def recordings(self) -> ImportConfig:
@@ -153,12 +177,14 @@ class LogOptions(ImportConfig):
 
     @staticmethod
     def columns_read(columns: Mapping[str, str]) -> str:
-        """Lines that tell how columns with names of their own were read, by the first log of each way, if any."""
+        """Lines that tell how columns with names of their own were read, by the first log of each
+        way, if any."""
         return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
 def on_terminal() -> bool:
-    """Whether a person may be there to answer; a program that was started without an input has none at all."""
+    """Whether a person may be there to answer; a program that was started without an input has none
+    at all."""
     # Python leaves it out where the descriptor was closed, which its types do not tell.
     given: TextIO | None = sys.stdin
     return given is not None and given.isatty()
@@ -180,13 +206,15 @@ class Armed(Configuration):
     arm: bool = False
     """Let the real fin move, once you confirm it on the terminal."""
     yes: bool = False
-    """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the fin."""
+    """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the
+    fin."""
 
     def confirm(self, robot: "RobotSetup", motion: str | None = None, proves: bool = False) -> None:
-        """Print the notes of an open machine; raise ConfigurationError unless a person confirms that it may move.
+        """Print the notes of an open machine; raise ConfigurationError unless a person confirms
+        that it may move.
 
-        `motion` is what it will do, if not to follow commands. A rig must be ready for it, unless this is what proves
-        that it is. Raises RigError.
+        `motion` is what it will do, if not to follow commands. A rig must be ready for it, unless
+        this is what proves that it is. Raises RigError.
         """
         name = robot.machine.name
         for note in robot.machine.notes:
@@ -201,34 +229,46 @@ class Armed(Configuration):
         if self.yes:
             return
         if not on_terminal():
-            raise ConfigurationError(f"{name}: --arm asks on a terminal whether it may move; in a script add --yes")
+            raise ConfigurationError(
+                f"{name}: --arm asks on a terminal whether it may move; in a script add --yes"
+            )
         limits = robot.machine.limits
         motion = motion or (
-            f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at up to "
-            f"{limits.velocity_max:.2f} rad/s"
+            f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at "
+            f"up to {limits.velocity_max:.2f} rad/s"
         )
         discard_typed_ahead()
-        sys.stderr.write(f"{printable(name)}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: ")
+        sys.stderr.write(
+            f"{printable(name)}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: "
+        )
         sys.stderr.flush()
         if sys.stdin.readline().strip() != WORD:
             raise ConfigurationError(f"{name}: not confirmed with {WORD!r}; nothing moved")
 
 
 class ProgressLines:
-    """Progress as lines on standard error: at both ends of a stage, and at a steady pace however seldom it reports."""
+    """Progress as lines on standard error: at both ends of a stage, and at a steady pace however
+    seldom it reports."""
 
     def __init__(self, now: float) -> None:
-        self._lock, self._next_s = threading.Lock(), now + PACE_S
-        self._stage, self._note, self._done = "", "", 0.0
+        self._lock = threading.Lock()
+        self._next_s = now + PACE_S
+        self._stage = ""
+        self._note = ""
+        self._done = 0.0
         self._first = self._last = (now, 0.0)
 
     def report(self, now: float, stage: str, done: float, note: str) -> None:
         """Take a report of the work at a time [s]; write it where the stage begins or ends."""
         with self._lock:
-            begins, ends = stage != self._stage, done >= 1 > self._done
+            begins = stage != self._stage
+            ends = done >= 1 > self._done
             if begins:
-                self._stage, self._first = stage, (now, done)
-            self._note, self._done, self._last = note, done, (now, done)
+                self._stage = stage
+                self._first = (now, done)
+            self._note = note
+            self._done = done
+            self._last = (now, done)
             if begins or ends:
                 self._next_s = now
         self.write(now)
@@ -241,12 +281,16 @@ class ProgressLines:
             self._next_s = now + PACE_S
             left = self._left_s(now)
             told = "" if not left else f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
-            sys.stderr.write(f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip() + f"{told}\n")
+            sys.stderr.write(
+                f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip() + f"{told}\n"
+            )
             sys.stderr.flush()
 
     def _left_s(self, now: float) -> float | None:
-        """Time that the stage has left [s], by what it did since its first report; None before the second, 0 beyond."""
-        (begin, first), (end, last) = self._first, self._last
+        """Time that the stage has left [s], by what it did since its first report; None before the
+        second, 0 beyond."""
+        (begin, first) = self._first
+        (end, last) = self._last
         if last <= first or last >= 1:
             return None
         return max(float(round((end - begin) / (last - first) * (1 - last) - (now - end))), 0.0)
@@ -254,14 +298,22 @@ class ProgressLines:
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, float, str], None]]:
-    """Show bars on standard error, or where that is not a terminal lines, with the time that each stage has left."""
+    """Show bars on standard error, or where that is not a terminal lines, with the time that each
+    stage has left."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.table import Column
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        lines, ended = ProgressLines(time.monotonic()), threading.Event()
+        lines = ProgressLines(time.monotonic())
+        ended = threading.Event()
 
         def keep_pace() -> None:
             while not ended.wait(PACE_S / 10):
@@ -274,12 +326,18 @@ def progress() -> Iterator[Callable[[str, float, str], None]]:
             ended.set()
         return
     # On a narrow terminal the bar gives way first, then the end of the note.
-    bar, note = Column(min_width=4, ratio=1), Column(no_wrap=True, overflow="ellipsis")
+    bar = Column(min_width=4, ratio=1)
+    note = Column(no_wrap=True, overflow="ellipsis")
     columns = (
-        TextColumn("{task.description:>12}", markup=False, table_column=Column(no_wrap=True, min_width=12)),
-        BarColumn(bar_width=None, table_column=bar), TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(), TimeRemainingColumn(), TextColumn("{task.fields[note]}", markup=False, table_column=note),
-    )  # fmt: skip
+        TextColumn(
+            "{task.description:>12}", markup=False, table_column=Column(no_wrap=True, min_width=12)
+        ),
+        BarColumn(bar_width=None, table_column=bar),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}", markup=False, table_column=note),
+    )
     with Progress(*columns, console=console, expand=True) as bars:
         tasks: dict[str, TaskID] = {}
 

@@ -33,46 +33,56 @@ class MapArguments(Configured):
         config = self.configured(MapConfig())
         summary = self.stage(map_forces, self.plant, self.out, config)
         # Adding 0 turns -0.0 into 0.
-        (x0, y0), (x1, y1) = (tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"])
+        (x0, y0), (x1, y1) = (
+            tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"]
+        )
         beyond = ", ".join(f"({x:g}, {y:g})" for x, y in summary["beyond"]) or "none"
         warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
         self.tell(
             summary,
             f"{self.out}: mean forces of x {x0:.2f} .. {x1:.2f} N and y {y0:.2f} .. {y1:.2f} N, "
-            f"{summary['area_n2']:.1f} N2 in all; {summary['held']} of the lattice's {summary['nodes']} forces have a "
+            f"{summary['area_n2']:.1f} N2 in all; {summary['held']} of the lattice's "
+            f"{summary['nodes']} forces have a "
             f"gait that makes them to within {config.tolerance_n:g} N\n"
             f"the paper's references that this fin cannot make: {beyond}{warning}",
         )
 
 
 class TrainArguments(Configured):
-    """Train force controllers inside a surrogate (paper Sec. III-C): one for all references, a grid, or gaits."""
+    """Train force controllers inside a surrogate (paper Sec. III-C): one for all references, a
+    grid, or gaits."""
 
     surrogate: Annotated[str, plant("SURROGATE", positional=True)]
     """Folder of the surrogate; any other plant serves too (tank, package.module:plant)."""
     out: Out
     """Folder of the controller to write."""
     controller: ControllerKind = "grid"
-    """One policy for all references, one policy per cell of a grid, or a table of gaits (no network)."""
+    """One policy for all references, one policy per cell of a grid, or a table of gaits (no
+    network)."""
     algorithm: AlgorithmOption = "auto"
-    """Gradients through the plant, or LSTM-PPO: ppo as in the paper, ppo-hindsight with relabelling; auto: gradients if
-    the plant has them."""
+    """Gradients through the plant, or LSTM-PPO: ppo as in the paper, ppo-hindsight with
+    relabelling; auto: gradients if the plant has them."""
     cells: Annotated[str, Option("CELLS")] | None = None
-    """Cells of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of boxes."""
+    """Cells of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of
+    boxes."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
-    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5), or map: all that the fin can make (--map)."""
+    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5), or map: all that the fin
+    can make (--map)."""
     map: Annotated[Path, folder_of("map")] | None = None
-    """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin from."""
+    """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin
+    from."""
     steps: int | None = None
     """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
     seed: int = 0
     """Seed of weights, exploration and references."""
     seeds: Annotated[str, Option("SEEDS")] | None = None
-    """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such as --seeds=0,1,2."""
+    """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such
+    as --seeds=0,1,2."""
     engine: EngineName = "local"
     """Engine of training: this process, or tasks of Ray (extra ray), for many machines."""
     cluster: Annotated[str, Option("HOST:PORT")] | None = None
-    """Address HOST:PORT of the Ray cluster; by default one is started on this machine for the run."""
+    """Address HOST:PORT of the Ray cluster; by default one is started on this machine for the
+    run."""
     resume: bool = False
     """Go on from the last checkpoint of an unfinished run."""
 
@@ -80,7 +90,9 @@ class TrainArguments(Configured):
         """Refuse options that do not go together."""
         asked_seeds(self.seed, self.seeds)
         if self.range == MAP and self.map is None:
-            raise ConfigurationError("--range map: give the map too: --map DIR, which softfin map writes")
+            raise ConfigurationError(
+                "--range map: give the map too: --map DIR, which softfin map writes"
+            )
         if self.range not in (None, MAP):
             read_range(self.range)
         if self.cells is not None:
@@ -88,7 +100,9 @@ class TrainArguments(Configured):
         trained = ("algorithm", "seeds", "steps", "resume", "engine", "cluster")
         useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
-            raise ConfigurationError(f"{', '.join(useless)}: gaits are found, not trained; leave it out")
+            raise ConfigurationError(
+                f"{', '.join(useless)}: gaits are found, not trained; leave it out"
+            )
         super().check()
 
     def __call__(self) -> None:
@@ -104,20 +118,30 @@ class TrainArguments(Configured):
             box = None if cells is None else cells[0].model_dump()
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
             # Beside a map only a changed lattice is handed on, to be refused.
-            given = None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
+            given = (
+                None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
+            )
             self.stage(find_gaits, self.surrogate, self.out, given, force_map=self.map)
             return self._tell((0,))
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
-                f"algorithm = {config.algorithm}: its steps and the rest of its settings go with it; give --algorithm "
-                f"{config.algorithm}"
+                f"algorithm = {config.algorithm}: its steps and the rest of its settings go with "
+                f"it; give --algorithm {config.algorithm}"
             )
         self.stage(
-            train, self.surrogate, self.out, config, force_map=self.map, seeds=seeds,
-            engine=self.engine, cluster=self.cluster, reason=reason, resume=self.resume,
-        )  # fmt: skip
+            train,
+            self.surrogate,
+            self.out,
+            config,
+            force_map=self.map,
+            seeds=seeds,
+            engine=self.engine,
+            cluster=self.cluster,
+            reason=reason,
+            resume=self.resume,
+        )
         return self._tell(seeds)
 
     def _tell(self, seeds: tuple[int, ...]) -> None:
@@ -125,17 +149,23 @@ class TrainArguments(Configured):
         from softfin.cli.tables import aligned, held
         from softfin.learning.policy import describe_memory
 
-        gaits, several = self.controller == "gaits", len(seeds) > 1
-        results, texts = [], []
+        gaits = self.controller == "gaits"
+        several = len(seeds) > 1
+        results = []
+        texts = []
         for seed in seeds:
             folder = self.out / f"seed-{seed}" if several else self.out
             description = load_description(folder, "controller")
             own: dict[str, Any] = {"seed": seed} if several else {}
             results.append(own | {"controller": str(folder), "scores": description["scores"]})
-            rows = [["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]]
+            rows = [
+                ["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]
+            ]
             for row in description["scores"]:
                 x, y = row["reference_n"]
-                error = f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
+                error = (
+                    f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
+                )
                 rows.append([f"({x:5.2f}, {y:5.2f})", error, held(row).strip()])
             footprint = [] if gaits else [describe_memory(description["memory"])]
             head = f"{folder}: scored in {self.surrogate}, without exploration noise"
@@ -144,7 +174,8 @@ class TrainArguments(Configured):
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
-    """Return the seeds of ``--seed`` and ``--seeds``; whether one comes twice is checked where they are used."""
+    """Return the seeds of ``--seed`` and ``--seeds``; whether one comes twice is checked where they
+    are used."""
     if text is None:
         return (first,)
     try:
@@ -156,18 +187,24 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
     if len(numbers) == 1:
         numbers = tuple(range(first, first + numbers[0]))
     elif first != 0:
-        raise ConfigurationError(f"--seed {first}: --seeds={text} names them all; give one of the two")
+        raise ConfigurationError(
+            f"--seed {first}: --seeds={text} names them all; give one of the two"
+        )
     if not numbers or not all(0 <= seed < SEEDS for seed in numbers):
-        raise ConfigurationError(f"--seeds {text}: give one seed or more, whole numbers from 0 to {SEEDS - 1}")
+        raise ConfigurationError(
+            f"--seeds {text}: give one seed or more, whole numbers from 0 to {SEEDS - 1}"
+        )
     return numbers
 
 
 def asked_cells(
     controller: str, cells: str | None, span: str | None, force_map: Path | None = None
 ) -> "tuple[Cell, ...] | None":
-    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where neither is given.
+    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where
+    neither is given.
 
-    A range of `map` is the box round all forces that the fin can make; training takes the nearest of these.
+    A range of `map` is the box round all forces that the fin can make; training takes the nearest
+    of these.
     """
     from softfin.gaits.force_map import load_map
     from softfin.gaits.reachable import Cell, bounding_box
@@ -181,21 +218,25 @@ def asked_cells(
         within = range_of(span)
     if controller != "grid":
         if cells is not None:
-            raise ConfigurationError(f"--cells {cells}: {controller} has no cells; give --range, or --controller grid")
+            raise ConfigurationError(
+                f"--cells {cells}: {controller} has no cells; give --range, or --controller grid"
+            )
         return None if span is None else (within,)
     if cells is None and span is None:
         return None
     found = cells_of(cells or "paper", within)
     if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
-            f"--range {span}: the cells ({cells or 'paper'}) have places of their own ({bounding_box(found)}); leave "
+            f"--range {span}: the cells ({cells or 'paper'}) have places of their own "
+            f"({bounding_box(found)}); leave "
             "it out, or give a lattice such as --cells 3x3, which fills it"
         )
     return found
 
 
 class ExportArguments(Common):
-    """Write one step of a controller, or of a surrogate, as ONNX, with its state as inputs and outputs.
+    """Write one step of a controller, or of a surrogate, as ONNX, with its state as inputs and
+    outputs.
 
     It needs softfin[onnx].
     """
@@ -210,7 +251,9 @@ class ExportArguments(Common):
     def check(self) -> None:
         """Refuse a controller and a surrogate, or neither."""
         if (self.controller is None) == (self.surrogate is None):
-            raise ConfigurationError("give the folder of a controller, or --surrogate DIR, one of them")
+            raise ConfigurationError(
+                "give the folder of a controller, or --surrogate DIR, one of them"
+            )
         super().check()
 
     def __call__(self) -> None:
@@ -222,16 +265,21 @@ class ExportArguments(Common):
 
             exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
             checked = (
-                f"over {EPISODE} actions onnxruntime's commands differ from softfin's by {{}} (rad, rad/s) at most"
+                f"over {EPISODE} actions onnxruntime's commands differ from softfin's by "
+                f"{{}} (rad, rad/s) at most"
             )
         elif self.surrogate is not None:
             from softfin.surrogate.onnx import CHECK_S, export_surrogate
 
             exported = export_surrogate(self.surrogate, self.onnx, self.overwrite)
-            checked = f"over {CHECK_S} s of random commands onnxruntime's readings differ from softfin's by {{}} "
+            checked = (
+                f"over {CHECK_S} s of random commands onnxruntime's readings differ from "
+                f"softfin's by {{}} "
+            )
             checked += "(rad, rad/s, N) at most"
         self.tell(
             {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()},
-            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; {checked.format(f'{exported.worst:.1g}')}\n"
+            f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; "
+            f"{checked.format(f'{exported.worst:.1g}')}\n"
             f"in:  {', '.join(exported.inputs)}\nout: {', '.join(exported.outputs)}",
         )

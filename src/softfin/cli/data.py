@@ -18,8 +18,8 @@ class CollectArguments(Armed, Configured):
     out: Out
     """Folder of the dataset to write."""
     plant: AnyPlant = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
-    one of these with :FILE."""
+    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one:
+    rig, ros2, or one of these with :FILE."""
     logs: int | None = None
     """Training logs to record (the paper's 100)."""
     test_logs: int | None = None
@@ -38,7 +38,9 @@ class CollectArguments(Armed, Configured):
             return
         for option, is_given in (("--arm", self.arm), ("--resume", self.resume)):
             if is_given:
-                raise ConfigurationError(f"{option}: {self.plant} is simulated; leave it out, or give --plant rig")
+                raise ConfigurationError(
+                    f"{option}: {self.plant} is simulated; leave it out, or give --plant rig"
+                )
 
     def __call__(self) -> None:
         from softfin.cli.driving import KeyboardStop, say
@@ -52,7 +54,14 @@ class CollectArguments(Armed, Configured):
             robot = find_robot(self.plant)
             keys = KeyboardStop(self.confirm)
             data = self.stage(
-                collect_live, robot, self.out, config, keys.confirm, resume=self.resume, stop=keys.stop, warn=say
+                collect_live,
+                robot,
+                self.out,
+                config,
+                keys.confirm,
+                resume=self.resume,
+                stop=keys.stop,
+                warn=say,
             )
         else:
             data = self.stage(collect, self.plant, self.out, config)
@@ -80,10 +89,14 @@ class InspectArguments(LogOptions, Common):
 
 def inspection_table(result: Mapping[str, Any]) -> str:
     """Return the logs in a line, and each issue in a few."""
-    summary, counts = result["summary"], result["summary"]["counts"]
-    lags = {name: "not known" if (lag := summary[f"{name}_lag_ms"]) is None
-            else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
-            for name in ("command", "force")}  # fmt: skip
+    summary = result["summary"]
+    counts = result["summary"]["counts"]
+    lags = {
+        name: "not known"
+        if (lag := summary[f"{name}_lag_ms"]) is None
+        else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
+        for name in ("command", "force")
+    }
     lines = [
         f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, "
         f"{summary['rows'] / 6000:.1f} minutes",
@@ -95,10 +108,13 @@ def inspection_table(result: Mapping[str, Any]) -> str:
         lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
     lines.append("")
     for issue in result["issues"]:
-        row, others = issue["row"], len(issue["logs"]) - 1
+        row = issue["row"]
+        others = len(issue["logs"]) - 1
         place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
         more = f" (and {counted(others, 'more log')})" if others else ""
-        lines.append(f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}")
+        lines.append(
+            f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"
+        )
         for text in (issue["message"], f"-> {issue['fix']}" if issue["fix"] else ""):
             wrapped = textwrap.wrap(text, 101, break_long_words=False, break_on_hyphens=False)
             lines += [" " * 9 + line for line in wrapped]
@@ -132,20 +148,23 @@ class ImportLogsArguments(LogOptions, Common):
         summary = inspection.summary()
         self.tell(
             {"dataset": str(self.out), **summary, "data_hash": data.data_hash},
-            f"{self.columns_read(summary['columns'])}{self.out}: {summary['logs']} + {summary['test_logs']} logs, "
+            f"{self.columns_read(summary['columns'])}{self.out}: {summary['logs']} + "
+            f"{summary['test_logs']} logs, "
             f"{summary['rows']:,} rows; {issue_counts(summary['counts'])}",
         )
 
 
 class BagArguments(LogOptions, Common):
-    """Mend a bag that was cut off or damaged; turn recordings of any kind into Parquet logs or ROS 2 bags."""
+    """Mend a bag that was cut off or damaged; turn recordings of any kind into Parquet logs or ROS
+    2 bags."""
 
     action: Annotated[Literal["recover", "convert"], Option(positional=True)]
     """recover: save what a damaged .mcap file holds. convert: write logs as .parquet or .mcap."""
     path: Annotated[Path, Option("RECORDING", positional=True)]
     """File to recover (.mcap), or recording or folder of recordings to convert."""
     out: File | None = None
-    """File to write; recover: NAME.recovered.mcap by default; convert: required, its suffix is the format."""
+    """File to write; recover: NAME.recovered.mcap by default; convert: required, its suffix is the
+    format."""
     ignore_errors: bool = False
     """Convert logs with errors, too."""
 
@@ -157,9 +176,16 @@ class BagArguments(LogOptions, Common):
         from softfin.data.convert import convert
 
         result = convert(
-            self.path, self.out, self.recordings, ignore_errors=self.ignore_errors, overwrite=self.overwrite
+            self.path,
+            self.out,
+            self.recordings,
+            ignore_errors=self.ignore_errors,
+            overwrite=self.overwrite,
         )
-        text = f"{', '.join(result['files'])}: {result['rows']:,} rows; {issue_counts(result['counts'])}"
+        text = (
+            f"{', '.join(result['files'])}: {result['rows']:,} rows; "
+            f"{issue_counts(result['counts'])}"
+        )
         return self.tell(result, f"{self.columns_read(result['columns'])}{text}")
 
     def _recover(self) -> None:
@@ -167,11 +193,14 @@ class BagArguments(LogOptions, Common):
 
         out = self.out or recovered_path(self.path)
         recovery = recover(self.path, out, self.overwrite)
-        span = f"{counted(sum(recovery.messages.values()), 'message')} over {recovery.seconds:.1f} s"
+        span = (
+            f"{counted(sum(recovery.messages.values()), 'message')} over {recovery.seconds:.1f} s"
+        )
         lost = sum(damage.length for damage in recovery.damages)
         reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
         self.tell(
             {"recovered": None if recovery.whole else str(out), **recovery.to_dict()},
-            f"{self.path}: whole already, {span}; nothing written" if recovery.whole
+            f"{self.path}: whole already, {span}; nothing written"
+            if recovery.whole
             else f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})",
-        )  # fmt: skip
+        )

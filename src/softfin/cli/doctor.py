@@ -1,4 +1,5 @@
-"""``doctor`` examines the computer and the installation: what is well, what is not, and what to do about it."""
+"""``doctor`` examines the computer and the installation: what is well, what is not, and what to do
+about it."""
 
 import sys
 
@@ -10,7 +11,8 @@ from softfin.rig.doctor import examine
 
 
 class DoctorArguments(CommandOptions):
-    """Examine the installation, devices, disk and bus of this computer, to be pasted into an issue; nothing moves."""
+    """Examine the installation, devices, disk and bus of this computer, to be pasted into an issue;
+    nothing moves."""
 
     rig: YamlFile | None = None
     """The rig's file: its drive and sensor are asked, too, as by softfin rig check."""
@@ -20,7 +22,9 @@ class DoctorArguments(CommandOptions):
         for result in examine(self.rig):
             results.append(result)
             if not self.json_:
-                sys.stdout.write(f"{MARKS[result.state]:>6}  {result.what:14} {printable(result.text)}\n")
+                sys.stdout.write(
+                    f"{MARKS[result.state]:>6}  {result.what:14} {printable(result.text)}\n"
+                )
                 sys.stdout.flush()
         if self.json_:
             self.tell([result._asdict() for result in results], "")

@@ -1,4 +1,5 @@
-"""Commands that let a controller drive a real fin: ``run`` with references live, ``ros2`` as a node; no JAX."""
+"""Commands that let a controller drive a real fin: ``run`` with references live, ``ros2`` as a
+node; no JAX."""
 
 import contextlib
 import functools
@@ -9,7 +10,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from softfin.cli.common import Armed, Common, Configured, Controller, File, Force, LivePlant, ReferenceFile, on_terminal
+from softfin.cli.common import (
+    Armed,
+    Common,
+    Configured,
+    Controller,
+    File,
+    Force,
+    LivePlant,
+    ReferenceFile,
+    on_terminal,
+)
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import resolve_reference
@@ -45,14 +56,17 @@ class Driving(Armed, Common):
     bag: File | None = None
     """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is
+    tracked, with a warning."""
     trim: bool = False
     """Add force feedback, which removes the steady-state error of the measured mean force."""
 
     def check(self) -> None:
         """Refuse a recording that would replace another one, before anything moves."""
         if self.seconds is not None and self.seconds < 1:
-            raise ConfigurationError(f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it")
+            raise ConfigurationError(
+                f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it"
+            )
         if self.bag is not None:
             if self.bag.suffix != ".mcap":
                 raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
@@ -61,23 +75,36 @@ class Driving(Armed, Common):
 
     def parties(self) -> tuple[LoadedController, RobotSetup]:
         """Load the controller and the machine, which must fit each other; nothing is opened yet."""
-        controller, robot = load_controller(self.controller), find_robot(self.plant)
+        controller = load_controller(self.controller)
+        robot = find_robot(self.plant)
         robot.check_fits(str(self.controller), controller.limits, controller.artifact.fin)
         return controller, robot
 
     def drive(
-        self, controller: LoadedController, robot: RobotSetup, references: References, seconds: int | None,
-        line: Callable[[str], None], stop: StopRequest | None = None, observers: Sequence[Observer] = (),
-    ) -> dict[str, Any]:  # fmt: skip
-        """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the errors at its end."""
+        self,
+        controller: LoadedController,
+        robot: RobotSetup,
+        references: References,
+        seconds: int | None,
+        line: Callable[[str], None],
+        stop: StopRequest | None = None,
+        observers: Sequence[Observer] = (),
+    ) -> dict[str, Any]:
+        """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the
+        errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
         stop = stop or StopRequest()
-        acting: LoadedController | DisturbanceObserver = DisturbanceObserver(controller) if self.trim else controller
+        acting: LoadedController | DisturbanceObserver = (
+            DisturbanceObserver(controller) if self.trim else controller
+        )
         with Session(robot.machine, guard, stop=stop, observers=observers) as session:
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
-                say(f"{self.controller}: holds no range of its surrogate's data, so leaving that range is not noticed")
+                say(
+                    f"{self.controller}: holds no range of its surrogate's data, so leaving that "
+                    "range is not noticed"
+                )
             listen_on_terminal(stop, line)
             bag.unlink(missing_ok=True)
             session.stop_on_signals()
@@ -86,22 +113,32 @@ class Driving(Armed, Common):
                 zero = session.rest(robot.settle_s)
                 summary = _follow(session, acting, references, zero, seconds)
                 session.deactivate()
-        return {"bag": str(bag), **summary, "clock": session.pace.to_dict(), "counters": robot.machine.counters()}
+        return {
+            "bag": str(bag),
+            **summary,
+            "clock": session.pace.to_dict(),
+            "counters": robot.machine.counters(),
+        }
 
     def tell_errors(self, result: dict[str, Any]) -> None:
         """Print the recording and the errors at its end."""
         errors = f"({result['error_x_n']}, {result['error_y_n']})"
-        self.tell(result, f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s {errors} N")
+        self.tell(
+            result,
+            f"{result['bag']}: {result['seconds']:.1f} s, error over the last 2 s {errors} N",
+        )
 
 
 def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
-    """Have Enter on the terminal, or the end of its input, ask for a stop; `line` gets what else is typed."""
+    """Have Enter on the terminal, or the end of its input, ask for a stop; `line` gets what else is
+    typed."""
     if on_terminal() and not _in_background():
         listen_to_keyboard(stop, line, typed(stop, sys.stdin))
 
 
 def _in_background() -> bool:
-    """Whether it is a background job (&), which the terminal suspends for reading, in the middle of a motion."""
+    """Whether it is a background job (&), which the terminal suspends for reading, in the middle of
+    a motion."""
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
     except OSError:
@@ -110,14 +147,18 @@ def _in_background() -> bool:
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Lines of the terminal; where they end or are not text, nobody can stop the fin by a key any more, so it stops."""
+    """Lines of the terminal; where they end or are not text, nobody can stop the fin by a key any
+    more, so it stops."""
     with contextlib.suppress(OSError, ValueError):
         yield from terminal
-    stop.ask("emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin")
+    stop.ask(
+        "emergency_stop", "the terminal's input ended or is not text, so no key could stop the fin"
+    )
 
 
 class KeyboardStop:
-    """Enter stops a stage whose fin moves by itself, from the moment that a person has confirmed the motion."""
+    """Enter stops a stage whose fin moves by itself, from the moment that a person has confirmed
+    the motion."""
 
     def __init__(self, confirm: Callable[[RobotSetup], None]) -> None:
         self.stop = StopRequest()
@@ -127,7 +168,9 @@ class KeyboardStop:
     def confirm(self, robot: RobotSetup) -> None:
         """Ask whether the fin may move, then listen; raises ConfigurationError if it may not."""
         self._confirm(robot)
-        listen_on_terminal(self.stop, lambda _: say("the commands are fixed; Enter alone stops the fin"))
+        listen_on_terminal(
+            self.stop, lambda _: say("the commands are fixed; Enter alone stops the fin")
+        )
 
 
 def say(text: str) -> None:
@@ -149,28 +192,41 @@ def _follow(
     for result in run_controller(session, controller, references, actions, zero):
         window = [*window[-CYCLE_ACTIONS + 1 :], result]
         x, y = mean_force([sample for each in window for sample in each.samples])
-        x, y = x - zero[0], y - zero[1]
+        x = x - zero[0]
+        y = y - zero[1]
         ticks += len(result.samples)
         if ticks - printed >= RATE_HZ:
             printed = ticks
-            line = (f"{ticks / RATE_HZ:7.1f} s  reference ({result.reference[0]:+.2f}, {result.reference[1]:+.2f}) N  "
-                    f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {result.samples[-1].angle:+.2f} rad")  # fmt: skip
+            line = (
+                f"{ticks / RATE_HZ:7.1f} s  reference ({result.reference[0]:+.2f}, "
+                f"{result.reference[1]:+.2f}) N  "
+                f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {result.samples[-1].angle:+.2f} rad"
+            )
             try:
                 say(line)
             except OSError as error:
-                # The terminal was closed, or what the lines are piped into has ended: nobody reads them any more.
-                session.stop_request.ask("emergency_stop", f"nobody reads its lines any more ({error.strerror})")
+                # The terminal was closed, or what the lines are piped into has ended: nobody reads
+                # them any more.
+                session.stop_request.ask(
+                    "emergency_stop", f"nobody reads its lines any more ({error.strerror})"
+                )
     errors = [abs(mean - asked) for mean, asked in zip((x, y), window[-1].reference, strict=True)]
-    return {"seconds": ticks / RATE_HZ, "error_x_n": round(errors[0], 4), "error_y_n": round(errors[1], 4)}
+    return {
+        "seconds": ticks / RATE_HZ,
+        "error_x_n": round(errors[0], 4),
+        "error_y_n": round(errors[1], 4),
+    }
 
 
 class RunArguments(Driving):
-    """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one, Enter alone to stop."""
+    """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one,
+    Enter alone to stop."""
 
     reference: Force | None = None
     """Reference force as --reference=X,Y in newton, at first."""
     reference_file: ReferenceFile | None = None
-    """A moving reference instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next."""
+    """A moving reference instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held
+    until the next."""
 
     def check(self) -> None:
         """Refuse two references, or none."""
@@ -192,29 +248,37 @@ class RunArguments(Driving):
             from softfin.task.signals import read_reference_file
 
             rows = read_reference_file(self.reference_file)
-            recorded = recorded_reference(rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say)
+            recorded = recorded_reference(
+                rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say
+            )
             line = "references come from the file; Enter alone stops the fin"
-            result = self.drive(controller, robot, recorded, self.seconds or rows.seconds, lambda _: say(line))
+            result = self.drive(
+                controller, robot, recorded, self.seconds or rows.seconds, lambda _: say(line)
+            )
         self.tell_errors(result)
 
 
 class Ros2Arguments(Driving, Configured):
-    """Run as a ROS 2 node: hold the reference of a topic on the real fin, publish each sample; Enter or a topic stops.
+    """Run as a ROS 2 node: hold the reference of a topic on the real fin, publish each sample;
+    Enter or a topic stops.
 
-    Topics, frames and the timeout of references: --set joint_topic=/NAME and so on (docs/rig.md has them all).
+    Topics, frames and the timeout of references: --set joint_topic=/NAME and so on (docs/rig.md has
+    them all).
     """
 
     reference: Force
-    """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the last is too old."""
+    """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the
+    last is too old."""
     fin: str | None = None
-    """Name of one fin of a robot: its topics are /NAME/joint_states, /NAME/reference and so on, and it stops when
-    references end."""
+    """Name of one fin of a robot: its topics are /NAME/joint_states, /NAME/reference and so on, and
+    it stops when references end."""
     transport: TransportName | None = None
     """auto: rclpy where it is installed, else DDS without ROS 2."""
     domain: int | None = None
     """ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
     network: str | None = None
-    """With DDS: the network interface, as eth0, whose others may read and write the topics; else this computer alone.
+    """With DDS: the network interface, as eth0, whose others may read and write the topics; else
+    this computer alone.
     """
 
     def __call__(self) -> None:
@@ -231,23 +295,32 @@ class Ros2Arguments(Driving, Configured):
         controller, robot = self.parties()
         if isinstance(clock_of(robot.machine), SimulatedClock):
             raise RigError(
-                f"{robot.machine.name}: emulated in simulated time, in which no topic can be heard; start "
-                "softfin rig emulate --real-time"
+                f"{robot.machine.name}: emulated in simulated time, in which no topic can be "
+                "heard; start softfin rig emulate --real-time"
             )
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
         transport = open_transport(topics.connection)
         try:
-            node = RosNode(transport, topics, say, lambda asked: resolve_reference(controller, asked, self.strict))
+            node = RosNode(
+                transport,
+                topics,
+                say,
+                lambda asked: resolve_reference(controller, asked, self.strict),
+            )
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
             stop = StopRequest()
             result = self.drive(
-                controller, robot, lambda _: node.reference() or otherwise, self.seconds,
-                lambda _: say("references come by their topic; Enter alone stops the fin"), stop,
+                controller,
+                robot,
+                lambda _: node.reference() or otherwise,
+                self.seconds,
+                lambda _: say("references come by their topic; Enter alone stops the fin"),
+                stop,
                 (functools.partial(node.observe, stop),),
-            )  # fmt: skip
+            )
             result["counters"] |= node.counters()
         finally:
             transport.close()

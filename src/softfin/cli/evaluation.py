@@ -31,8 +31,8 @@ class EvaluateArguments(Armed, Configured):
     out: Out
     """Folder to write evaluation.json and the figures to."""
     plant: AnyPlant = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one: rig, ros2, or
-    one of these with :FILE."""
+    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one:
+    rig, ros2, or one of these with :FILE."""
     reference: tuple[Force, ...] = ()
     """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
     seconds: int | None = None
@@ -42,29 +42,38 @@ class EvaluateArguments(Armed, Configured):
     seed: int | None = None
     """Seed of the plant's noise (0)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is tracked, with a warning."""
+    """Refuse a reference that the fin cannot make; else the nearest one that it can make is
+    tracked, with a warning."""
     trim: bool = False
     """Add force feedback, which removes the steady-state error of the measured mean force."""
     randomize: float | None = None
-    """With the tank: each repetition in a perturbed tank, whose parameters differ by up to this fraction; 0: none."""
+    """With the tank: each repetition in a perturbed tank, whose parameters differ by up to this
+    fraction; 0: none."""
     moving: tuple[MovingReference, ...] = ()
-    """References that move too, within the controller's range: --moving step, --moving ramp, --moving sine."""
+    """References that move too, within the controller's range: --moving step, --moving ramp,
+    --moving sine."""
     reference_file: ReferenceFile | None = None
-    """Another that moves: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until the next one."""
+    """Another that moves: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until
+    the next one."""
     error_map: bool = False
-    """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N for N x N."""
+    """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N
+    for N x N."""
     random: int | None = None
-    """Evaluate it on so many random references, too, over all that it was trained for and the fin can make."""
+    """Evaluate it on so many random references, too, over all that it was trained for and the fin
+    can make."""
 
     def check(self) -> None:
         """Refuse options that do not go with the plant."""
         super().check()
         if is_live(self.plant) and self.randomize is not None:
             raise ConfigurationError(
-                f"--randomize {self.randomize:g} needs the virtual tank as plant, got {self.plant!r}; leave it out"
+                f"--randomize {self.randomize:g} needs the virtual tank as plant, got "
+                f"{self.plant!r}; leave it out"
             )
         if self.arm and not is_live(self.plant):
-            raise ConfigurationError(f"--arm: {self.plant} is not a real fin; leave it out, or give --plant rig")
+            raise ConfigurationError(
+                f"--arm: {self.plant} is not a real fin; leave it out, or give --plant rig"
+            )
 
     def __call__(self) -> None:
         from softfin.cli.driving import KeyboardStop
@@ -76,9 +85,16 @@ class EvaluateArguments(Armed, Configured):
         from softfin.stages.live import evaluate_live
         from softfin.task.signals import read_reference_file
 
-        recorded = None if self.reference_file is None else read_reference_file(self.reference_file).model_dump()
+        recorded = (
+            None
+            if self.reference_file is None
+            else read_reference_file(self.reference_file).model_dump()
+        )
         config = self.configured(
-            EvaluateConfig(), references=self.reference, recorded=recorded, strict=self.strict or None
+            EvaluateConfig(),
+            references=self.reference,
+            recorded=recorded,
+            strict=self.strict or None,
         )
         if self.error_map and config.error_map is None:
             config = config.merged({"error_map": LATTICE_POINTS}, "options")
@@ -87,56 +103,90 @@ class EvaluateArguments(Armed, Configured):
         if is_live(self.plant):
             robot = find_robot(self.plant)
             keys = KeyboardStop(self.confirm)
-            summary = self.stage(evaluate_live, self.controller, robot, self.out, config, keys.confirm, stop=keys.stop)
+            summary = self.stage(
+                evaluate_live,
+                self.controller,
+                robot,
+                self.out,
+                config,
+                keys.confirm,
+                stop=keys.stop,
+            )
         else:
             summary = evaluate(
-                self.controller, self.plant, self.out, config, randomize=self.randomize, overwrite=self.overwrite
+                self.controller,
+                self.plant,
+                self.out,
+                config,
+                randomize=self.randomize,
+                overwrite=self.overwrite,
             )
         parts: dict[str, Callable[[Any], str]]
-        parts = {"moving": moving_table, "error_map": map_line, "random": random_line, "warning": "warning: {}".format}
-        lines = [show(found) for name, show in parts.items() if (found := summary.get(name)) is not None]
+        parts = {
+            "moving": moving_table,
+            "error_map": map_line,
+            "random": random_line,
+            "warning": "warning: {}".format,
+        }
+        lines = [
+            show(found) for name, show in parts.items() if (found := summary.get(name)) is not None
+        ]
         self.tell(summary, "\n".join([table_two({summary["conditions"]["kind"]: summary}), *lines]))
 
 
 def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return a line for every signal: errors, and the longest settling time of its steps over all seeds."""
+    """Return a line for every signal: errors, and the longest settling time of its steps over all
+    seeds."""
     from softfin.cli.tables import aligned
 
     cells = [["references that move", "x error", "y error", "settles in"]]
     for row in rows:
-        settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[row["settles"]]
-        cells.append([f"  {row['described']}", *(f"{row[axis]['error_n']:.3f}" for axis in "xy"), settling])
+        settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[
+            row["settles"]
+        ]
+        cells.append(
+            [f"  {row['described']}", *(f"{row[axis]['error_n']:.3f}" for axis in "xy"), settling]
+        )
     return "\n".join(aligned(cells))
 
 
 def map_line(errors: Mapping[str, Any]) -> str:
     """Return the error map in one line."""
-    (x0, y0), (x1, y1) = errors["low_n"], errors["high_n"]
-    counts = {"not covered": errors["not_covered"], "beyond the fin's reach": errors["not_reachable"]}
+    (x0, y0) = errors["low_n"]
+    (x1, y1) = errors["high_n"]
+    counts = {
+        "not covered": errors["not_covered"],
+        "beyond the fin's reach": errors["not_reachable"],
+    }
     gaps = "".join(f", {count} {what}" for what, count in counts.items() if count)
     return (
-        f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y {y0:g} .. {y1:g} N"
-        f"{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst {errors['worst_x_n']:.3f}, "
-        f"{errors['worst_y_n']:.3f} N"
+        f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
+        f"{y0:g} .. {y1:g} N{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst "
+        f"{errors['worst_x_n']:.3f}, {errors['worst_y_n']:.3f} N"
     )
 
 
 def random_line(errors: Mapping[str, Any]) -> str:
     """Return the errors over random references in one line."""
-    words = (f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in "xy")
-             for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n")))  # fmt: skip
+    words = (
+        f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in "xy")
+        for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n"))
+    )
     return f"{errors['count']} random references: error x, y {', '.join(words)} N"
 
 
 class BaselinesArguments(Configured):
-    """Evaluate baselines without learning: still fin, best sine, inverse model, random search; or RecurrentPPO."""
+    """Evaluate baselines without learning: still fin, best sine, inverse model, random search; or
+    RecurrentPPO."""
 
     out: Out
     """Folder to write baselines.json to."""
     plant: Plant = "tank"
-    """The fin that all are evaluated on: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
+    """The fin that all are evaluated on: tank, a tank's YAML, the folder of a surrogate, or
+    package.module:plant."""
     surrogate: Plant | None = None
-    """Plant in which sines and gaits are searched, as a rule the folder of a surrogate of the fin (the fin itself)."""
+    """Plant in which sines and gaits are searched, as a rule the folder of a surrogate of the fin
+    (the fin itself)."""
     seconds: int | None = None
     """Length of each experiment (30)."""
     seeds: int | None = None
@@ -154,14 +204,17 @@ class BaselinesArguments(Configured):
 
 
 def baselines_table(summaries: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
-    """Return Table II of every baseline, then one line for each, with how often limits of plant or model change it."""
+    """Return Table II of every baseline, then one line for each, with how often limits of plant or
+    model change it."""
     from softfin.cli.tables import aligned, table_two
 
     limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")
     rows = [["mean over the references [N]", "x error", "y error", "x std", "y std", ""]]
     for name, summary in summaries.items():
         means = (summary["mean"][axis][score] for score in ("error_n", "std_n") for axis in "xy")
-        clipped = sum(any(row["commanded"].get(limit) for limit in limited) for row in summary["references"])
+        clipped = sum(
+            any(row["commanded"].get(limit) for limit in limited) for row in summary["references"]
+        )
         note = f"{clipped} of {len(summary['references'])} clipped by the limits" if clipped else ""
         rows.append([name, *map("{:.3f}".format, means), note])
     left = [f"{name}  left out: {why}" for name, why in left_out.items()]
@@ -178,7 +231,8 @@ class ViewArguments(Configured):
     seconds: float | None = None
     """Duration in the plant's time [s] (10)."""
     centre: float | None = None
-    """Angle about which the gait oscillates [rad] (0); --set gait.amplitude_rad, gait.velocity_rad_s for the rest."""
+    """Angle about which the gait oscillates [rad] (0); --set gait.amplitude_rad,
+    gait.velocity_rad_s for the rest."""
     excitation: bool = False
     """Random commands, as datasets are recorded under, in place of the gait."""
     controller: Annotated[Path, folder_of("controller")] | None = None
@@ -196,9 +250,14 @@ class ViewArguments(Configured):
 
         centre = None if self.centre is None else {"centre_rad": self.centre}
         config = self.configured(
-            ViewConfig(), gait=centre, random=self.excitation or None, next_references=self.next_reference
+            ViewConfig(),
+            gait=centre,
+            random=self.excitation or None,
+            next_references=self.next_reference,
         )
-        summary = self.stage(view, self.plant, self.out, config, controller=self.controller, reference=self.reference)
+        summary = self.stage(
+            view, self.plant, self.out, config, controller=self.controller, reference=self.reference
+        )
         x, y = summary["mean_force_n"]
         frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
         force = "true force" if summary["force"] == "true force" else "force"
@@ -211,15 +270,16 @@ class ViewArguments(Configured):
 
 
 class ExploreArguments(Common):
-    """Make a page to try controllers in: drag the force that you want, and watch the fin hold it; no network."""
+    """Make a page to try controllers in: drag the force that you want, and watch the fin hold it;
+    no network."""
 
     controllers: tuple[Controller, ...]
     """Folders of the controllers, which the page switches between."""
     out: File
     """File to write, as .html."""
     plant: tuple[Plant, ...] = ("tank",)
-    """The fin: tank, a tank's YAML, or the folder of a streaming surrogate; several are switched between, and the mean
-    force that a surrogate predicts is drawn next to that of the tank."""
+    """The fin: tank, a tank's YAML, or the folder of a streaming surrogate; several are switched
+    between, and the mean force that a surrogate predicts is drawn next to that of the tank."""
 
     def check(self) -> None:
         """Refuse a file of another kind."""
@@ -233,20 +293,25 @@ class ExploreArguments(Common):
 
         summary = explore(self.controllers, self.out, self.plant, overwrite=self.overwrite)
         held, moved = (", ".join(summary[name]) for name in ("controllers", "plants"))
-        self.tell(summary, f"{self.out}: {held} in {moved}, {summary['bytes'] / 1e6:.1f} MB; open it in a browser")
+        self.tell(
+            summary,
+            f"{self.out}: {held} in {moved}, {summary['bytes'] / 1e6:.1f} MB; open it in a browser",
+        )
 
 
 class ReproduceArguments(Configured):
-    """Collect, fit, find gaits, train, evaluate, report in one run: results.json, report.html, the paper's tables, and
-    explore.html to try the controllers in."""
+    """Collect, fit, find gaits, train, evaluate, report in one run: results.json, report.html, the
+    paper's tables, and explore.html to try the controllers in."""
 
     out: Out
     """Folder of the run."""
     preset: ReproducePreset = "demo"
-    """How much: demo takes minutes, paper is the paper's full data and budgets, streaming the same with a streaming
-    surrogate, best that surrogate, gaits and policies by gradients through it, tiny only shows that all works."""
+    """How much: demo takes minutes, paper is the paper's full data and budgets, streaming the same
+    with a streaming surrogate, best that surrogate, gaits and policies by gradients through it,
+    tiny only shows that all works."""
     plant: Plant = "tank"
-    """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and fit."""
+    """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and
+    fit."""
     seed: int = 0
     """First of the seeds."""
     resume: bool = False
@@ -259,7 +324,9 @@ class ReproduceArguments(Configured):
         from softfin.stages.reproduce_config import PRESETS
 
         config = self.configured(PRESETS[self.preset])
-        results = self.stage(reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume)
+        results = self.stage(
+            reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume
+        )
         parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
         evaluated = {
             f"On {self.plant}": "controllers",
@@ -268,14 +335,29 @@ class ReproduceArguments(Configured):
         }
         for title, key in evaluated.items():
             if summaries := results[key]:
-                moving = {name: moving_table(rows) for name, each in summaries.items() if (rows := each.get("moving"))}
-                parts.append("\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())]))
+                moving = {
+                    name: moving_table(rows)
+                    for name, each in summaries.items()
+                    if (rows := each.get("moving"))
+                }
+                parts.append(
+                    "\n".join(
+                        [title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())]
+                    )
+                )
         took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
         processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
-        parts.append(f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor time; "
-                     f"{results['peak_memory_gib']:.1f} GiB at most")  # fmt: skip
+        parts.append(
+            f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor "
+            f"time; {results['peak_memory_gib']:.1f} GiB at most"
+        )
         best = headline(results)
-        parts.append(f"{'' if best is None else best.sentence}\n{self.out / 'report.html'} shows it")
+        parts.append(
+            f"{'' if best is None else best.sentence}\n{self.out / 'report.html'} shows it"
+        )
         pages = [stage["page"] for stage in results["stages"] if "page" in stage]
-        parts += [f"{self.out / page}: drag the force yourself, and watch the fin hold it" for page in pages]
+        parts += [
+            f"{self.out / page}: drag the force yourself, and watch the fin hold it"
+            for page in pages
+        ]
         self.tell(results, "\n\n".join(parts))

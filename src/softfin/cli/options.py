@@ -1,7 +1,9 @@
-"""The fields of a configuration as options of a command: read from words, checked, and listed as help.
+"""The fields of a configuration as options of a command: read from words, checked, and listed as
+help.
 
-A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that may be repeated (or
-several positional arguments). `Option`, in the field's annotation, holds what the type does not tell.
+A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that
+may be repeated (or several positional arguments). `Option`, in the field's annotation, holds what
+the type does not tell.
 """
 
 import difflib
@@ -37,13 +39,16 @@ class Option:
     """How an option is written, read and checked, where its type does not tell."""
 
     metavar: str | None = None
-    """Placeholder of the value in help and messages; by default the type: INT, FLOAT, PATH, TEXT."""
+    """Placeholder of the value in help and messages; by default the type: INT, FLOAT, PATH,
+    TEXT."""
     positional: bool = False
     """Whether the value is given by its place, without a name."""
     parse: Callable[[str, str], Any] | None = None
-    """Function of the text and the option's name that returns the value; raises ConfigurationError."""
+    """Function of the text and the option's name that returns the value; raises
+    ConfigurationError."""
     check: Callable[[Any, Any], object] | None = None
-    """Function of the value and its command that raises a SoftfinError where what the value names does not exist."""
+    """Function of the value and its command that raises a SoftfinError where what the value names
+    does not exist."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +58,8 @@ class Field:
     field: str
     option: Option
     kind: Any
-    """int, float, Path, bool or a Literal; of anything else the option has a parser, or the command reads the text."""
+    """int, float, Path, bool or a Literal; of anything else the option has a parser, or the command
+    reads the text."""
     repeats: bool
     required: bool
     default: Any
@@ -93,12 +99,16 @@ class Field:
             if text in self.choices:
                 return text
             allowed = ", ".join(self.choices)
-            raise ConfigurationError(f"{shown}: choose one of {allowed}{_nearest(text, self.choices)}")
+            raise ConfigurationError(
+                f"{shown}: choose one of {allowed}{_nearest(text, self.choices)}"
+            )
         if self.kind in NUMBER_NAMES:
             try:
                 return self.kind(text)
             except ValueError:
-                raise ConfigurationError(f"{shown}: not {NUMBER_NAMES[self.kind]}; write {self.usage}") from None
+                raise ConfigurationError(
+                    f"{shown}: not {NUMBER_NAMES[self.kind]}; write {self.usage}"
+                ) from None
         if self.kind is Path and not text:
             raise ConfigurationError(f"{self.name}: the path is empty; write {self.usage}")
         return Path(text) if self.kind is Path else text
@@ -111,15 +121,20 @@ def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
 
 def fields_of(command: type[Configuration]) -> list[Field]:
     """List the options of a command: its own first, then those that it inherits."""
-    hints, found = get_type_hints(command, include_extras=True), command.model_fields
-    own = [name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found]
+    hints = get_type_hints(command, include_extras=True)
+    found = command.model_fields
+    own = [
+        name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found
+    ]
     return [_field(name, hints[name], found[name]) for name in dict.fromkeys(own)]
 
 
 def _field(name: str, hint: Any, info: FieldInfo) -> Field:
-    option, repeats = Option(), False
+    option = Option()
+    repeats = False
     while True:
-        origin, parts = get_origin(hint), get_args(hint)
+        origin = get_origin(hint)
+        parts = get_args(hint)
         if origin is Annotated:
             option = next((part for part in parts[1:] if isinstance(part, Option)), option)
             if option.parse is not None:
@@ -128,7 +143,8 @@ def _field(name: str, hint: Any, info: FieldInfo) -> Field:
         elif origin in (types.UnionType, Union):
             hint = next(part for part in parts if part is not type(None))
         elif origin is tuple and parts[1:] == (...,):
-            hint, repeats = parts[0], True
+            hint = parts[0]
+            repeats = True
         else:
             break
     text = " ".join((info.description or "").replace("``", "").split())
@@ -137,7 +153,8 @@ def _field(name: str, hint: Any, info: FieldInfo) -> Field:
 
 
 def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
-    """Return the command that the words ask for; raises ConfigurationError in one line, or HelpRequested."""
+    """Return the command that the words ask for; raises ConfigurationError in one line, or
+    HelpRequested."""
     fields = fields_of(command)
     named = {field.name: field for field in fields if not field.option.positional}
     places = [field for field in fields if field.option.positional]
@@ -154,10 +171,14 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
             raise HelpRequested
         # -1,2 is a value.
         if not word.startswith("--") and not (word[:1] == "-" and word[1:2].isalpha()):
-            place = next((field for field in places if field.repeats or field.field not in values), None)
+            place = next(
+                (field for field in places if field.repeats or field.field not in values), None
+            )
             if place is None:
                 expected = " ".join(field.usage for field in places) or "only options"
-                raise ConfigurationError(f"{word!r}: one argument too many; the command takes {expected}")
+                raise ConfigurationError(
+                    f"{word!r}: one argument too many; the command takes {expected}"
+                )
             take(place, word)
             continue
         written, sign, text = word.partition("=")
@@ -167,7 +188,9 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
             raise ConfigurationError(f"{written}: unknown option{nearest}")
         if field.kind is bool:
             if sign:
-                raise ConfigurationError(f"{word}: this option takes no value; write {field.name}, or leave it out")
+                raise ConfigurationError(
+                    f"{word}: this option takes no value; write {field.name}, or leave it out"
+                )
             values[field.field] = True
             continue
         if not sign:
@@ -182,7 +205,8 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
 
 
 def check(command: Any) -> None:
-    """Check the paths and names in the values of a command; raises a SoftfinError where one does not exist."""
+    """Check the paths and names in the values of a command; raises a SoftfinError where one does
+    not exist."""
     for field in fields_of(type(command)):
         if field.option.check is not None and (value := getattr(command, field.field)) is not None:
             for each in value if field.repeats else (value,):
@@ -194,8 +218,13 @@ def help_of(command: type[Configuration], program: str) -> str:
     width = max(60, min(shutil.get_terminal_size().columns, 120))
     fields = fields_of(command)
     places = [field for field in fields if field.option.positional]
-    options = sorted((field for field in fields if not field.option.positional), key=lambda field: not field.required)
-    shown = [field.usage for field in (*places, *options) if field.required or field.option.positional]
+    options = sorted(
+        (field for field in fields if not field.option.positional),
+        key=lambda field: not field.required,
+    )
+    shown = [
+        field.usage for field in (*places, *options) if field.required or field.option.positional
+    ]
     lines = _wrap(" ".join(["usage:", program, *shown, "[OPTION ...]"]), width, " " * 7)
     for paragraph in (command.__doc__ or "").split("\n\n"):
         lines += ["", *_wrap(" ".join(paragraph.split()), width)]
@@ -211,7 +240,12 @@ def _notes(field: Field) -> str:
     notes = ["required"] if field.required and not field.option.positional else []
     if field.repeats and not field.option.positional:
         notes.append("may be repeated")
-    if not (field.required or field.default is None or field.default is False or field.default in ((), {})):
+    if not (
+        field.required
+        or field.default is None
+        or field.default is False
+        or field.default in ((), {})
+    ):
         values = field.default if field.repeats else (field.default,)
         notes.append(f"default: {' '.join(map(str, values))}")
     return f" ({'; '.join(notes)})" if notes else ""

@@ -1,4 +1,5 @@
-"""``rig`` checks the real fin, zeroes it, or emulates it; ``monitor`` watches a recording while it is made."""
+"""``rig`` checks the real fin, zeroes it, or emulates it; ``monitor`` watches a recording while it
+is made."""
 
 import contextlib
 import json
@@ -22,7 +23,10 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.stop import SIGNAL_CHECK_S, interrupted_by_signals
 from softfin.storage.paths import RIG_FILE
 
-PROVING = "the motor is powered and holds where it stands; softfin then falls silent until the drive stops by itself"
+PROVING = (
+    "the motor is powered and holds where it stands; softfin then falls silent until the "
+    "drive stops by itself"
+)
 COMMISSIONING = "you will be told before each step what moves"
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
@@ -30,13 +34,16 @@ MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 
 class RigArguments(Armed, Common):
-    """Check, stop or zero the real fin, or emulate both devices with the virtual tank behind them."""
+    """Check, stop or zero the real fin, or emulate both devices with the virtual tank behind
+    them."""
 
-    action: Annotated[Literal["check", "stop", "zero", "commission", "emulate"], Option(positional=True)]
-    """check: a table of what is well and what is not, nothing moves; stop: stop the motor and take its voltage off,
-    whoever has powered it; zero: set angle and force to zero where they are; commission: the steps to take before you
-    rely on a rig; emulate: the file of a rig whose drive, sensor and tank every command emulates, as fast as the
-    computer allows."""
+    action: Annotated[
+        Literal["check", "stop", "zero", "commission", "emulate"], Option(positional=True)
+    ]
+    """check: a table of what is well and what is not, nothing moves; stop: stop the motor and take
+    its voltage off, whoever has powered it; zero: set angle and force to zero where they are;
+    commission: the steps to take before you rely on a rig; emulate: the file of a rig whose drive,
+    sensor and tank every command emulates, as fast as the computer allows."""
     rig: File = RIG_FILE
     """The rig's file: written by emulate, read by the others."""
     step: int | None = None
@@ -44,7 +51,8 @@ class RigArguments(Armed, Common):
     reset_fault: bool = False
     """With check: acknowledge the fault that the drive is in, and print which it was."""
     prove: bool = False
-    """With check: only prove that the drive stops when softfin dies; the motor is powered at rest: needs --arm."""
+    """With check: only prove that the drive stops when softfin dies; the motor is powered at rest:
+    needs --arm."""
     angle: bool = False
     """With zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
     force: bool = False
@@ -54,7 +62,8 @@ class RigArguments(Armed, Common):
     seed: int = 0
     """With emulate: seed of the tank's noise."""
     real_time: bool = False
-    """With emulate: a drive and a sensor over sockets of this computer, in real time, until Ctrl-C."""
+    """With emulate: a drive and a sensor over sockets of this computer, in real time, until
+    Ctrl-C."""
 
     def __call__(self) -> None:
         actions = {
@@ -72,7 +81,9 @@ class RigArguments(Armed, Common):
             with contextlib.closing(Rig(config)) as rig:
                 rig.drive.connect()
                 fault = rig.drive.reset_fault()
-            sys.stderr.write(f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n")
+            sys.stderr.write(
+                f"{'no fault to reset' if fault is None else f'reset: {printable(fault)}'}\n"
+            )
         if self.prove:
             self._prove(config)
             return
@@ -80,7 +91,9 @@ class RigArguments(Armed, Common):
         for finding in check_rig(config, self.rig.absolute().parent):
             findings.append(finding)
             if not self.json_:
-                sys.stdout.write(f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n")
+                sys.stdout.write(
+                    f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n"
+                )
                 sys.stdout.flush()
         if self.json_:
             self.tell([finding._asdict() for finding in findings], "")
@@ -95,7 +108,10 @@ class RigArguments(Armed, Common):
             self.confirm(RobotSetup(rig, config.safety), PROVING, proves=True)
             proof = prove_stop(config, rig.drive)
         after_ms = 1000 * proof.faulted_after_s
-        text = f"{rig.name}: its drive stopped by itself {after_ms:.0f} ms after softfin's last heartbeat"
+        text = (
+            f"{rig.name}: its drive stopped by itself {after_ms:.0f} ms after softfin's last "
+            "heartbeat"
+        )
         self.tell(proof.model_dump(mode="json"), text)
 
     def _stop(self) -> None:
@@ -109,7 +125,10 @@ class RigArguments(Armed, Common):
         result: dict[str, Any] = {}
         if both or self.angle:
             with interrupted_by_signals():
-                result |= zero_angle(config, confirm=lambda rig: self.confirm(RobotSetup(rig, config.safety), ZEROING))
+                result |= zero_angle(
+                    config,
+                    confirm=lambda rig: self.confirm(RobotSetup(rig, config.safety), ZEROING),
+                )
         if both or self.force:
             result |= zero_force(config)
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
@@ -122,11 +141,13 @@ class RigArguments(Armed, Common):
         config = load_rig(self.rig)
         if config.emulation is not None:
             raise ConfigurationError(
-                f"{self.rig}: an emulated rig has no shaft to turn and no cables to pull; the steps are for real "
-                "devices, see docs/commissioning.md"
+                f"{self.rig}: an emulated rig has no shaft to turn and no cables to pull; the "
+                "steps are for real devices, see docs/commissioning.md"
             )
         if self.step not in (None, *STEP_TITLES):
-            raise ConfigurationError(f"--step {self.step}: no such step; give a number from 1 to {len(STEP_TITLES)}")
+            raise ConfigurationError(
+                f"--step {self.step}: no such step; give a number from 1 to {len(STEP_TITLES)}"
+            )
         if self.yes:
             raise ConfigurationError("--yes: a commissioning needs a person; leave it out")
         self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
@@ -136,7 +157,10 @@ class RigArguments(Armed, Common):
             step = commission_step(self.rig, config, number, operator, REAL)
             if not step.passed:
                 failed = next(item.what for item in step.items if not item.passed)
-                raise DeviceError(f"step {number}: {failed}: not as required; correct it, then run this command again")
+                raise DeviceError(
+                    f"step {number}: {failed}: not as required; correct it, then run this command "
+                    "again"
+                )
             number = None if self.step else load_form(self.rig).next_step(config)
         form = form_file(self.rig).with_suffix(".md")
         left = load_form(self.rig).next_step(config)
@@ -145,7 +169,9 @@ class RigArguments(Armed, Common):
 
     def _emulate(self) -> None:
         if self.rig.exists() and not self.overwrite:
-            raise ConfigurationError(f"{self.rig}: exists; give another --rig, or --overwrite to replace it")
+            raise ConfigurationError(
+                f"{self.rig}: exists; give another --rig, or --overwrite to replace it"
+            )
         from softfin.rig.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
         from softfin.tank import Tank, TankConfig
 
@@ -153,9 +179,19 @@ class RigArguments(Armed, Common):
         tank = Tank(TankConfig.build(values, str(self.tank)))
         if self.real_time:
             # Ctrl-C is expected from the moment that it is named.
-            with contextlib.suppress(KeyboardInterrupt), EmulatedRig(tank, self.seed, clock=REAL) as emulated:
-                write_rig(self.rig, emulated.values(), "An emulated rig, while `softfin rig emulate --real-time` runs")
-                told = f"{self.rig}: written; the emulated fin moves for it until Ctrl-C\n{emulated.description()}\n"
+            with (
+                contextlib.suppress(KeyboardInterrupt),
+                EmulatedRig(tank, self.seed, clock=REAL) as emulated,
+            ):
+                write_rig(
+                    self.rig,
+                    emulated.values(),
+                    "An emulated rig, while `softfin rig emulate --real-time` runs",
+                )
+                told = (
+                    f"{self.rig}: written; the emulated fin moves for it until "
+                    f"Ctrl-C\n{emulated.description()}\n"
+                )
                 sys.stdout.write(told)
                 sys.stdout.flush()
                 while True:
@@ -164,10 +200,14 @@ class RigArguments(Armed, Common):
         # A new rig starts without the state of the one that was there.
         state_file(self.rig).unlink(missing_ok=True)
         write_simulated(self.rig, tank, values, self.seed)
-        plant, option = ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
+        plant, option = (
+            ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
+        )
         sys.stdout.write(
-            f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: softfin rig check"
-            f"{option} --prove --arm, then softfin rig zero{option} --arm, then softfin collect --plant {plant} --arm\n"
+            f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: "
+            "softfin rig check"
+            f"{option} --prove --arm, then softfin rig zero{option} --arm, then softfin collect "
+            f"--plant {plant} --arm\n"
         )
 
 
@@ -175,13 +215,15 @@ class MonitorArguments(CommandOptions):
     """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
 
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]
-    """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one when it comes."""
+    """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one
+    when it comes."""
     web: bool = False
     """Show a page in the browser, with live traces."""
     port: int = 8080
     """Port of the page; 0 takes a free one."""
     host: str = LOOPBACK
-    """Address that the page is served on; on another one than this, whoever reaches it sees the recording."""
+    """Address that the page is served on; on another one than this, whoever reaches it sees the
+    recording."""
 
     def __call__(self) -> None:
         from rich.console import Console
@@ -195,13 +237,17 @@ class MonitorArguments(CommandOptions):
         with contextlib.suppress(KeyboardInterrupt):
             if self.json_:
                 follower.poll()
-                while (summary := follower.summary())["state"] == "reading" and summary["problem"] is None:
+                while (summary := follower.summary())["state"] == "reading" and summary[
+                    "problem"
+                ] is None:
                     follower.poll()
                 sys.stdout.write(json.dumps(summary, indent=2, allow_nan=False) + "\n")
             elif self.web:
                 with Server(follower, self.host, self.port) as server:
                     if self.host not in (LOOPBACK, "::1", "localhost"):
-                        sys.stderr.write(f"warning: {self.host}: others can watch too; no password\n")
+                        sys.stderr.write(
+                            f"warning: {self.host}: others can watch too; no password\n"
+                        )
                     sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
                     server.serve_forever()
             else:

@@ -1,4 +1,5 @@
-"""``robot``: a body with several fins; what it can do, how well it holds and follows, a page, a node of ROS 2."""
+"""``robot``: a body with several fins; what it can do, how well it holds and follows, a page, a
+node of ROS 2."""
 
 import sys
 from pathlib import Path
@@ -11,12 +12,14 @@ from softfin.core.errors import ConfigurationError
 
 
 class RobotArguments(Configured):
-    """Check, evaluate or show a robot with several fins, or share wrenches among real ones as a ROS 2 node."""
+    """Check, evaluate or show a robot with several fins, or share wrenches among real ones as a ROS
+    2 node."""
 
     action: Annotated[Literal["check", "evaluate", "view", "ros2"], Option(positional=True)]
-    """check: rank, singular values, reach and stability; evaluate: wrenches, holding and paths in simulation, as JSON,
-    figures and pages; view: one trial as a page in three dimensions; ros2: a node that takes wrenches and asks the
-    fins' nodes for forces; it moves nothing by itself, Enter or a topic stops it and the fins (docs/robot.md)."""
+    """check: rank, singular values, reach and stability; evaluate: wrenches, holding and paths in
+    simulation, as JSON, figures and pages; view: one trial as a page in three dimensions; ros2: a
+    node that takes wrenches and asks the fins' nodes for forces; it moves nothing by itself, Enter
+    or a topic stops it and the fins (docs/robot.md)."""
     robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
     """The robot: ucat, or a YAML file."""
     out: Annotated[Path, Option("PATH")] | None = None
@@ -42,20 +45,24 @@ class RobotArguments(Configured):
     domain: int | None = None
     """With ros2: ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
     network: str | None = None
-    """With ros2 and DDS: the network interface, as eth0, whose others may read and write the topics; else this computer
-    alone."""
+    """With ros2 and DDS: the network interface, as eth0, whose others may read and write the
+    topics; else this computer alone."""
 
     def check(self) -> None:
         """Refuse tasks that do not go with the action."""
         super().check()
         if self.action in ("check", "ros2") and self._tasks():
-            raise ConfigurationError(f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate")
+            raise ConfigurationError(
+                f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate"
+            )
         for option, actions in (
             ("baselines", ("evaluate",)),
             ("dead", ("evaluate", "view")),
         ):
             if getattr(self, option) and self.action not in actions:
-                raise ConfigurationError(f"--{option} goes with robot {' and robot '.join(actions)}")
+                raise ConfigurationError(
+                    f"--{option} goes with robot {' and robot '.join(actions)}"
+                )
         if self.action == "view" and (len(self._tasks()) > 1 or self.wrenches):
             raise ConfigurationError("robot view shows one of --hold, --lemniscate, --lissajous")
 
@@ -64,7 +71,12 @@ class RobotArguments(Configured):
         return tuple(name for name in names if getattr(self, name))
 
     def __call__(self) -> None:
-        actions = {"check": self._check, "evaluate": self._evaluate, "view": self._view, "ros2": self._ros2}
+        actions = {
+            "check": self._check,
+            "evaluate": self._evaluate,
+            "view": self._view,
+            "ros2": self._ros2,
+        }
         actions[self.action]()
 
     def _check(self) -> None:
@@ -75,15 +87,22 @@ class RobotArguments(Configured):
             f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
             "singular values  " + "  ".join(f"{value:.3f}" for value in found["singular_values"]),
             *(f"without {name}: rank {rank}" for name, rank in found["rank_without"].items()),
-            "mean force of each fin  " + ", ".join(f"{name} {n:.2f} N" for name, n in found["fin_reach_n"].items()),
-            *(f"{name:6} up to {most:5.2f} {'N' if i < 3 else 'N m'} "
-              f"({found['acceleration'][name]:.2f} {'m/s2' if i < 3 else 'rad/s2'} from rest)"
-              for i, (name, most) in enumerate(found["reach"].items())),
-        ]  # fmt: skip
+            "mean force of each fin  "
+            + ", ".join(f"{name} {n:.2f} N" for name, n in found["fin_reach_n"].items()),
+            *(
+                f"{name:6} up to {most:5.2f} {'N' if i < 3 else 'N m'} "
+                f"({found['acceleration'][name]:.2f} {'m/s2' if i < 3 else 'rad/s2'} from rest)"
+                for i, (name, most) in enumerate(found["reach"].items())
+            ),
+        ]
         if abs(found["sinks_n"]) > 1e-3:
-            lines.append(f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N")
+            lines.append(
+                f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N"
+            )
         if found["swing_hz"]:
-            swings = " and ".join(f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items())
+            swings = " and ".join(
+                f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items()
+            )
             lines.append(f"righted with {found['righting_nm_rad']:.2f} N m/rad: swings in {swings}")
         lines.extend(f"warning: {problem}" for problem in found["problems"])
         self.tell(found, "\n".join(lines))
@@ -92,8 +111,12 @@ class RobotArguments(Configured):
         from softfin.robot.evaluate import RobotEvaluateConfig
         from softfin.stages.robot import evaluate
 
-        config = self.configured(RobotEvaluateConfig(), tasks=self._tasks(), dead=self.dead or None,
-                                 baselines=self.baselines or None)  # fmt: skip
+        config = self.configured(
+            RobotEvaluateConfig(),
+            tasks=self._tasks(),
+            dead=self.dead or None,
+            baselines=self.baselines or None,
+        )
         out = self.out or Path("runs/robot")
         found = self.stage(evaluate, self.robot, out, config)
         self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
@@ -105,7 +128,9 @@ class RobotArguments(Configured):
         out = self.out or Path("robot.html")
         row = self.stage(view, self.robot, out, config)
         self.tell(
-            row, f"{out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open it in a browser"
+            row,
+            f"{out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open it "
+            "in a browser",
         )
 
     def _ros2(self) -> None:
@@ -118,8 +143,10 @@ class RobotArguments(Configured):
 
         options = {"transport": self.transport, "domain": self.domain, "network": self.network}
         given = {name: value for name, value in options.items() if value is not None}
-        config, robot = self.configured(RobotNodeConfig(), connection=given or None), load_robot(self.robot)
-        transport, request = open_transport(config.connection), StopRequest()
+        config = self.configured(RobotNodeConfig(), connection=given or None)
+        robot = load_robot(self.robot)
+        transport = open_transport(config.connection)
+        request = StopRequest()
         try:
             node = RobotNode(transport, robot, config, say)
             for note in transport.notes:
@@ -150,9 +177,17 @@ def _table(found: dict[str, Any]) -> list[str]:
         for task, rows in trials.items():
             for row in rows:
                 note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
-                cells.append([task, str(row["seed"]), f"{100 * row['position_rms_m']:.2f}",
-                              f"{100 * row['position_worst_m']:.1f}", f"{row['attitude_rms_deg']:.2f}",
-                              f"{row['attitude_worst_deg']:.1f}", note])  # fmt: skip
+                cells.append(
+                    [
+                        task,
+                        str(row["seed"]),
+                        f"{100 * row['position_rms_m']:.2f}",
+                        f"{100 * row['position_worst_m']:.1f}",
+                        f"{row['attitude_rms_deg']:.2f}",
+                        f"{row['attitude_worst_deg']:.1f}",
+                        note,
+                    ]
+                )
         lines.append("\n".join(aligned(cells, (0, 6))))
     if "baselines" in found:
         titles = ("mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]")
@@ -167,8 +202,13 @@ def _table(found: dict[str, Any]) -> list[str]:
                 for task in trials
             )
             cells.append(
-                [name, f"{scores['force_error_n']:.3f}", f"{scores['moment_error_nm']:.3f}",
-                 f"{scores['ripple']['roll']:.2f}", *(f"{100 * off:.1f}; {tilt:.1f}" for off, tilt in errors)]
-            )  # fmt: skip
+                [
+                    name,
+                    f"{scores['force_error_n']:.3f}",
+                    f"{scores['moment_error_nm']:.3f}",
+                    f"{scores['ripple']['roll']:.2f}",
+                    *(f"{100 * off:.1f}; {tilt:.1f}" for off, tilt in errors),
+                ]
+            )
         lines.append("\n".join(aligned(cells)))
     return lines

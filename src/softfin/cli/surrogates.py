@@ -6,7 +6,18 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from softfin.cli.common import Common, Configured, Data, File, LogOptions, Logs, Out, Plant, folder_of, numbers
+from softfin.cli.common import (
+    Common,
+    Configured,
+    Data,
+    File,
+    LogOptions,
+    Logs,
+    Out,
+    Plant,
+    folder_of,
+    numbers,
+)
 from softfin.cli.options import Option
 from softfin.core.choices import CalibratePreset, ModelName
 from softfin.core.errors import ConfigurationError
@@ -16,8 +27,12 @@ from softfin.data.issues import counted
 if TYPE_CHECKING:
     from softfin.surrogate import FitConfig, StreamingConfig
 
-VELOCITY_RANGE = Option("LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2))
-HORIZONS = Option("SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30"))
+VELOCITY_RANGE = Option(
+    "LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2)
+)
+HORIZONS = Option(
+    "SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30")
+)
 
 
 class FitArguments(LogOptions, Configured):
@@ -42,7 +57,8 @@ class FitArguments(LogOptions, Configured):
         """Refuse options that do not go with the model."""
         if self.epochs is not None and self.model != "paper":
             raise ConfigurationError(
-                f"--epochs with --model {self.model}: only --model paper counts in epochs; see --set force_updates=N"
+                f"--epochs with --model {self.model}: only --model paper counts in epochs; see "
+                "--set force_updates=N"
             )
         super().check()
 
@@ -51,9 +67,15 @@ class FitArguments(LogOptions, Configured):
         from softfin.stages.surrogates import fit
 
         result = self.stage(
-            fit, self.dataset, self.out, self.configured(defaults(self.model)), logs=self.recordings,
-            ignore_errors=self.ignore_errors, seed=self.seed, resume=self.resume,
-        )  # fmt: skip
+            fit,
+            self.dataset,
+            self.out,
+            self.configured(defaults(self.model)),
+            logs=self.recordings,
+            ignore_errors=self.ignore_errors,
+            seed=self.seed,
+            resume=self.resume,
+        )
         notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
         sys.stderr.write(printable(notes, "\n"))
         parts = [table_one(result["table_i"])]
@@ -78,7 +100,8 @@ def warning(counts: Mapping[str, int], dataset: Path) -> str:
 
 
 class ImportKerasArguments(Common):
-    """Turn two Keras 2 networks and their scalers into a surrogate; needs no TensorFlow and reads no pickle."""
+    """Turn two Keras 2 networks and their scalers into a surrogate; needs no TensorFlow and reads
+    no pickle."""
 
     scalers: File
     """JSON of {channel: {scale, offset, data_min, data_max}}."""
@@ -92,18 +115,32 @@ class ImportKerasArguments(Common):
     def __call__(self) -> None:
         from softfin.stages.surrogates import import_keras
 
-        surrogate = import_keras(self.posnet, self.forcenet, self.scalers, self.out, overwrite=self.overwrite)
+        surrogate = import_keras(
+            self.posnet, self.forcenet, self.scalers, self.out, overwrite=self.overwrite
+        )
         nets = {"posnet": surrogate.posnet, "forcenet": surrogate.forcenet}
         counts = {name: net.config.parameters() for name, net in nets.items()}
-        text = f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} parameters"
-        self.tell({"surrogate": str(self.out), "parameters": counts, "limits": surrogate.limits.to_dict()}, text)
+        text = (
+            f"{self.out}: PosNet {counts['posnet']:,} and ForceNet {counts['forcenet']:,} "
+            "parameters"
+        )
+        self.tell(
+            {
+                "surrogate": str(self.out),
+                "parameters": counts,
+                "limits": surrogate.limits.to_dict(),
+            },
+            text,
+        )
 
 
 class CompareArguments(Configured):
-    """Compare surrogates, free-running under the commands of a dataset's test logs for several horizons."""
+    """Compare surrogates, free-running under the commands of a dataset's test logs for several
+    horizons."""
 
     surrogates: Annotated[tuple[Path, ...], folder_of("surrogate", positional=True)]
-    """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one group."""
+    """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one
+    group."""
     dataset: Annotated[Path, folder_of("dataset")]
     """Folder of the dataset whose test logs they are scored on."""
     out: Out
@@ -111,8 +148,8 @@ class CompareArguments(Configured):
     horizons: Annotated[tuple[float, ...], HORIZONS] | None = None
     """How long they run free, as 1,5,30 in seconds (1,5,30)."""
     noise_floor: Plant | None = None
-    """A plant that records the same commands once more, such as the tank that was recorded: the error that noise,
-    drift and perturbed tanks leave."""
+    """A plant that records the same commands once more, such as the tank that was recorded: the
+    error that noise, drift and perturbed tanks leave."""
     seed: int | None = None
     """Seed of the second recording's noise (0)."""
 
@@ -121,7 +158,9 @@ class CompareArguments(Configured):
         from softfin.surrogate.compare.compare import CompareConfig
 
         config = self.configured(CompareConfig(), horizons_s=self.horizons)
-        result = self.stage(compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor)
+        result = self.stage(
+            compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor
+        )
         self.tell({"comparison": str(self.out), **result}, comparison_tables(result))
 
 
@@ -152,40 +191,55 @@ WARPED = (
 
 
 def comparison_tables(summary: Mapping[str, Any]) -> str:
-    """Return the errors, mean force and DTW for a terminal of 120 columns, then what a reader should know."""
+    """Return the errors, mean force and DTW for a terminal of 120 columns, then what a reader
+    should know."""
     groups = []
     for row in summary["groups"]:
         yardstick = summary["flops_ratio_to"]
         ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
         size = f"{row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs a tick"
-        groups.append((f"{row['name']}: {counted(row['seeds'], 'seed')}, {size}{ratio}", row["horizons"]))
+        groups.append(
+            (f"{row['name']}: {counted(row['seeds'], 'seed')}, {size}{ratio}", row["horizons"])
+        )
     if (floor := summary["noise_floor"]) is not None:
         groups.append((floor["name"], floor["horizons"]))
     several = any(row["seeds"] > 1 for row in summary["groups"])
     seeds = "; mean over the seeds \N{PLUS-MINUS SIGN} half of its 95% interval" if several else ""
-    scored = f"{summary['test_logs']} test logs, {summary['scored'][-1]['rows']:,} rows at the longest horizon"
+    scored = (
+        f"{summary['test_logs']} test logs, {summary['scored'][-1]['rows']:,} rows at the "
+        "longest horizon"
+    )
     lines = [f"Free-running over {scored}{seeds}", *_table(ERRORS, groups)]
     if any("mean_force_mae_n" in row for _, rows in groups for row in rows):
         stated = any("coverage" in row for _, rows in groups for row in rows)
-        title = "Mean force over 200 samples" + (", and the intervals stated for it at 90%" if stated else "")
+        title = "Mean force over 200 samples" + (
+            ", and the intervals stated for it at 90%" if stated else ""
+        )
         lines += ["", title, *_table(MEANS + INTERVALS * stated, groups)]
     title = "DTW in a band of 1 s: mean absolute difference after warping, in units and scaled"
     lines += ["", title, *_table(WARPED, groups), *[f"note: {note}" for note in summary["notes"]]]
     return "\n".join(lines)
 
 
-def _table(columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, Any]]) -> list[str]:
+def _table(
+    columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, Any]]
+) -> list[str]:
     from softfin.cli.tables import aligned
 
     head = [["", *(column[i] for column in columns)] for i in (0, 1)]
     body = [
-        [f"  {row['horizon_s']:g} s", *(_cell(row.get(score), factor) for _, _, score, factor in columns)]
+        [
+            f"  {row['horizon_s']:g} s",
+            *(_cell(row.get(score), factor) for _, _, score, factor in columns),
+        ]
         for _, rows in groups
         for row in rows
     ]
     lines = aligned([*head, *body])
     rest = iter(lines[2:])
-    return lines[:2] + [line for heading, rows in groups for line in (heading, *islice(rest, len(rows)))]
+    return lines[:2] + [
+        line for heading, rows in groups for line in (heading, *islice(rest, len(rows)))
+    ]
 
 
 def _cell(cell: Mapping[str, Any] | None, factor: int) -> str:
@@ -204,11 +258,13 @@ class CalibrateArguments(Configured):
     """Fit the virtual tank to logs or to a plant; report how well each parameter is determined."""
 
     data: Data
-    """Folder of a dataset, or a plant to move: a surrogate's folder, tank, a tank's YAML, or package.module:plant."""
+    """Folder of a dataset, or a plant to move: a surrogate's folder, tank, a tank's YAML, or
+    package.module:plant."""
     out: Out
     """Folder to write calibration.json, tank.yaml and the figures to."""
     preset: CalibratePreset = "full"
-    """Parameters to fit: full is fin, water, drive and recording; quick is six numbers, in a minute."""
+    """Parameters to fit: full is fin, water, drive and recording; quick is six numbers, in a
+    minute."""
     evaluations: int | None = None
     """Tanks that the global search tries (4000); 0 leaves it to the local one."""
     velocity: Annotated[tuple[float, ...], VELOCITY_RANGE] | None = None
@@ -223,7 +279,9 @@ class CalibrateArguments(Configured):
         from softfin.tank.calibration.config import CALIBRATE_PRESETS
 
         config = self.configured(CALIBRATE_PRESETS[self.preset], velocity_rad_s=self.velocity)
-        result = self.stage(calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume)
+        result = self.stage(
+            calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume
+        )
         self.tell({"calibration": str(self.out), **result}, calibration_tables(result))
 
 
@@ -234,13 +292,16 @@ def calibration_tables(result: Mapping[str, Any]) -> str:
     scores = [["R2 (RMSE)", "angle", "force x", "force y"]]
     for part, title in (("train", "fitted segments"), ("test", "unseen segments")):
         rows = zip(result["scores"][part].values(), ("rad", "N", "N"), strict=True)
-        scores.append([title, *(f"{row['r2']:.3f} ({row['rmse']:.2f} {unit})" for row, unit in rows)])
+        scores.append(
+            [title, *(f"{row['r2']:.3f} ({row['rmse']:.2f} {unit})" for row, unit in rows)]
+        )
     parameters = [["parameter", "value", "error", "unit", "determined"]]
     for name, row in result["parameters"].items():
         error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
         parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
     trades = [
-        f"{' and '.join(pair['parameters'])} trade against each other: correlation {pair['correlation']:+.2f}"
+        f"{' and '.join(pair['parameters'])} trade against each other: correlation "
+        f"{pair['correlation']:+.2f}"
         for pair in result["trades"]
     ]
     return "\n".join([*aligned(scores), "", *aligned(parameters, (0, 3)), *trades])

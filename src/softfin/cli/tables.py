@@ -11,7 +11,8 @@ from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
-    """Return one line for each row, with its columns as wide as they must be; those in `left` are flush left."""
+    """Return one line for each row, with its columns as wide as they must be; those in `left` are
+    flush left."""
     columns = list(zip_longest(*([str(cell) for cell in row] for row in rows), fillvalue=""))
     widths = [max(map(len, column)) for column in columns]
     padded = [
@@ -31,9 +32,19 @@ def table_one(scores: dict[str, Any] | None) -> str:
         titles = [what, row["window"] or "-", f"{row['parameters']:,}"]
         for unit, label in (("physical", titles), ("scaled", ["", "", ""])):
             measure = in_unit if unit == "physical" else "scaled"
-            rows.append([*label, measure, *(f"{row[unit][key]:.4f}" for key in ("rmse", "mae", "dtw_mae"))])
-    rows += [[f"the paper, {name}", row["window"], f"{row['parameters']:,}", "no unit",
-              *(row[key] for key in ("rmse", "mae", "dtw"))] for name, row in PAPER_TABLE_I.items()]  # fmt: skip
+            rows.append(
+                [*label, measure, *(f"{row[unit][key]:.4f}" for key in ("rmse", "mae", "dtw_mae"))]
+            )
+    rows += [
+        [
+            f"the paper, {name}",
+            row["window"],
+            f"{row['parameters']:,}",
+            "no unit",
+            *(row[key] for key in ("rmse", "mae", "dtw")),
+        ]
+        for name, row in PAPER_TABLE_I.items()
+    ]
     return "\n".join(aligned(rows))
 
 
@@ -50,7 +61,13 @@ def table_two(controllers: Mapping[str, Any]) -> str:
         notes = [""]
         for row in summary["references"]:
             x, y = row["reference_n"]
-            rows.append([f"  ({x:5.2f}, {y:5.2f}) N", *_scores(row), *map("{:.3f}".format, paper.get((x, y), ()))])
+            rows.append(
+                [
+                    f"  ({x:5.2f}, {y:5.2f}) N",
+                    *_scores(row),
+                    *map("{:.3f}".format, paper.get((x, y), ())),
+                ]
+            )
             notes.append(("  stands still" if row["still"] else "") + held(row))
         complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
@@ -61,12 +78,15 @@ def table_two(controllers: Mapping[str, Any]) -> str:
 
 
 def describe_errors(summary: Mapping[str, Any]) -> str:
-    """Return a line about the force behind the errors, with the error of the sensor's reading if that is another."""
+    """Return a line about the force behind the errors, with the error of the sensor's reading if
+    that is another."""
     mean = summary["mean"]
     if summary["conditions"].get("judged_by") != "true force":
         return "errors are those of the reported force; errors of a sensor itself do not show"
     x, y = (mean[axis]["reading_error_n"] for axis in AXES)
-    return f"errors are those of the true force; the sensor reads a mean error of {x:.3f}, {y:.3f} N"
+    return (
+        f"errors are those of the true force; the sensor reads a mean error of {x:.3f}, {y:.3f} N"
+    )
 
 
 def _scores(row: Mapping[str, Any]) -> list[str]:

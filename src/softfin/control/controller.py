@@ -1,6 +1,7 @@
 """Controllers: a reference force in, a command out, three times a second.
 
-One controller serves everywhere: with NumPy on a robot, where JAX is not imported, and as a pytree in programs of JAX.
+One controller serves everywhere: with NumPy on a robot, where JAX is not imported, and as a pytree
+in programs of JAX.
 """
 
 import dataclasses
@@ -37,21 +38,26 @@ class Measured(NamedTuple):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds them).
+    """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds
+    them).
 
-    It may have `cells` that it was trained for and a `reachable` region, which tell the references that it can hold.
+    It may have `cells` that it was trained for and a `reachable` region, which tell the references
+    that it can hold.
     """
 
     def init(self) -> ControllerState:
         """Return the state before the first action: the fin at rest."""
         ...
 
-    def act(self, state: ControllerState, measured: Measured, reference: Any) -> tuple[ControllerState, Command]:
+    def act(
+        self, state: ControllerState, measured: Measured, reference: Any
+    ) -> tuple[ControllerState, Command]:
         """Compute the next state and command for a reference force (x, y) [N]."""
         ...
 
     def check(self, reference: Force) -> None:
-        """Raise CoverageError where the reference [N] is outside the range that the controller was trained for."""
+        """Raise CoverageError where the reference [N] is outside the range that the controller was
+        trained for."""
         ...
 
 
@@ -66,12 +72,14 @@ class ControllerStep(Protocol):
         ...
 
     def act(self, ops: Operations, state: Any, now: Array) -> tuple[Any, Array]:
-        """Compute the next state and the action in [-1, 1]^2; `now` is (angle [rad], reference x, reference y [N])."""
+        """Compute the next state and the action in [-1, 1]^2; `now` is (angle [rad], reference x,
+        reference y [N])."""
         ...
 
 
 class TrainingRange(NamedTuple):
-    """Least and greatest reading in the data behind a controller's surrogate; None where that is not known."""
+    """Least and greatest reading in the data behind a controller's surrogate; None where that is
+    not known."""
 
     angle_rad: Pair | None
     velocity_rad_s: Pair | None
@@ -111,8 +119,8 @@ class LoadedController:
     """References that it was trained for [N]."""
     reachable: Reachable | None = None
     """Mean forces that the fin can make, where that is known."""
-    # Were it static, each origin would have a compiled program of its own, and where a program returns a controller,
-    # that would have the origin of the first one.
+    # Were it static, each origin would have a compiled program of its own, and where a program
+    # returns a controller, that would have the origin of the first one.
     artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
 
     def __post_init__(self) -> None:
@@ -128,22 +136,29 @@ class LoadedController:
         return self.step.init()
 
     def act(self, state: Any, measured: Measured, reference: Any) -> tuple[Any, Command]:
-        """Compute the next state and command; numbers and NumPy arrays in, numbers out, or arrays of JAX.
+        """Compute the next state and command; numbers and NumPy arrays in, numbers out, or arrays
+        of JAX.
 
         Raises:
-            RunError: outside of JAX, a measurement or the reference is not a finite number; the state is as it was.
+            RunError: outside of JAX, a measurement or the reference is not a finite number; the
+            state is as it was.
         """
         angle, force = measured
         ops = operations_of(angle, reference, state[0])
         if ops is not NUMPY:
             xp = ops.xp
-            now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(np.float32)
+            now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(
+                np.float32
+            )
             state, action = self.step.act(ops, state, now)
             return state, command_of(self.limits, action)
-        if not all(abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)):
+        if not all(
+            abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)
+        ):
             raise RunError(
-                f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, reference "
-                f"({reference[0]:g}, {reference[1]:g}) N: a controller needs finite numbers; check drive and sensor"
+                f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, "
+                f"reference ({reference[0]:g}, {reference[1]:g}) N: a controller needs finite "
+                "numbers; check drive and sensor"
             )
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
         command: Any = command_of(self.limits, action.tolist())
@@ -160,7 +175,8 @@ class LoadedController:
 def register_pytrees(*classes: type) -> None:
     """Make dataclasses pytrees of JAX: fields are leaves unless they are `STATIC` or `DROPPED`.
 
-    Controllers may be loaded before JAX is imported, so a class is registered as soon as that happens.
+    Controllers may be loaded before JAX is imported, so a class is registered as soon as that
+    happens.
     """
     for each in classes:
         if each not in _REGISTERED and dataclasses.is_dataclass(each):

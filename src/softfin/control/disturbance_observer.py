@@ -1,23 +1,28 @@
-"""Force feedback around any controller: estimate its steady-state force error and subtract it from the reference.
+"""Force feedback around any controller: estimate its steady-state force error and subtract it from
+the reference.
 
-A bias of the surrogate, a softer fin or colder water shows as a difference e between the mean force over the window
-and the mean of the references that the inner controller got over the same window. Subtracting the estimated difference
-makes this a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe and Ohnishi 2020): integral action that knows its own
-output, so the window's delay does not destabilise it.
+A bias of the surrogate, a softer fin or colder water shows as a difference e between the mean force
+over the window and the mean of the references that the inner controller got over the same window.
+Subtracting the estimated difference makes this a disturbance observer (Ohnishi 1987; Sariyildiz,
+Oboe and Ohnishi 2020): integral action that knows its own output, so the window's delay does not
+destabilise it.
 
-The sensor measures the bias b of the controller and its own drift d together, e = b + d. Only b may be corrected: a
-correction of d would move the true force away from the reference. The two differ in time. The sensor is zeroed at rest,
-so d starts at 0 and then wanders; b is there from the start, and changes with the reference. A Kalman filter with the
-states b and d, on each axis, therefore attributes an early error to the controller and a late, slow one to the sensor:
+The sensor measures the bias b of the controller and its own drift d together, e = b + d. Only b may
+be corrected: a correction of d would move the true force away from the reference. The two differ in
+time. The sensor is zeroed at rest, so d starts at 0 and then wanders; b is there from the start,
+and changes with the reference. A Kalman filter with the states b and d, on each axis, therefore
+attributes an early error to the controller and a late, slow one to the sensor:
 
-    b: random walk over the distance that the reference moves
-    d: Ornstein-Uhlenbeck process from 0, standard deviation sqrt(2) drift_n, time constant 2 drift_s
+    b: random walk over the distance that the reference moves d: Ornstein-Uhlenbeck process from 0,
+    standard deviation sqrt(2) drift_n, time constant 2 drift_s
 
-A sensor whose drift w(t) has the standard deviation drift_n and the time constant drift_s reads w(t) - w(0) after it
-was zeroed. The variance of that is 2 drift_n^2 (1 - exp(-t / drift_s)), which is the variance of d.
+A sensor whose drift w(t) has the standard deviation drift_n and the time constant drift_s reads
+w(t) - w(0) after it was zeroed. The variance of that is 2 drift_n^2 (1 - exp(-t / drift_s)), which
+is the variance of d.
 
-An error that drift cannot explain is a change of the fin, and reopens the estimate of b. The inner reference stays
-within the controller's cells and the reachable forces, so the observer does not wind up at their edge.
+An error that drift cannot explain is a change of the fin, and reopens the estimate of b. The inner
+reference stays within the controller's cells and the reachable forces, so the observer does not
+wind up at their edge.
 """
 
 import math
@@ -37,9 +42,13 @@ from softfin.core.quantities import Command, Limits
 from softfin.gaits.reachable import Cell, Force, Reachable
 
 WINDOW_WEIGHTS = np.array(
-    [[ACTION_TICKS[(age - 1 - ago) % 3] / WINDOW for ago in range(CYCLE_ACTIONS)] for age in range(3)]
+    [
+        [ACTION_TICKS[(age - 1 - ago) % 3] / WINDOW for ago in range(CYCLE_ACTIONS)]
+        for age in range(3)
+    ]
 )
-"""Parts of the window of the last six actions, the newest first, at an age that is 0, 1 or 2 beyond a multiple of 3."""
+"""Parts of the window of the last six actions, the newest first, at an age that is 0, 1 or 2 beyond
+a multiple of 3."""
 
 
 class DisturbanceObserverConfig(Configuration):
@@ -48,22 +57,23 @@ class DisturbanceObserverConfig(Configuration):
     bias_n: PositiveFloat = 0.2
     """Standard deviation of the controller's force error before anything is measured [N]."""
     bias_per_n: NonNegativeFloat = 0.03
-    """Standard deviation of the change of that error when the reference changes by 1 N [N]; the variance is
-    proportional to the distance, so a slow movement adds as much as a step."""
+    """Standard deviation of the change of that error when the reference changes by 1 N [N]; the
+    variance is proportional to the distance, so a slow movement adds as much as a step."""
     drift_n: NonNegativeFloat = 0.05
-    """Standard deviation of the drift of a force sensor that is never zeroed [N]; 0 attributes every error to the
-    controller."""
+    """Standard deviation of the drift of a force sensor that is never zeroed [N]; 0 attributes
+    every error to the controller."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
     noise_n: PositiveFloat = 0.04
     """Standard deviation of the mean force over a window at a constant reference [N]."""
     lag_actions: int = Field(default=1, ge=0, le=6)
-    """Actions until the force follows the reference; the window of references is that much older."""
+    """Actions until the force follows the reference; the window of references is that much
+    older."""
     settle_actions: int = Field(default=8, ge=6)
     """Actions from rest during which nothing is learnt: the fin is still starting."""
     still_n: PositiveFloat = 0.05
-    """The reference counts as constant while it moves by less than this within the window [N]; beyond that, the
-    variance of the noise grows with the fourth power of the movement."""
+    """The reference counts as constant while it moves by less than this within the window [N];
+    beyond that, the variance of the noise grows with the fourth power of the movement."""
     limit_n: PositiveFloat = 1.0
     """Limit of the correction of each axis [N]."""
 
@@ -72,8 +82,9 @@ class DisturbanceObserverConfig(Configuration):
         least = CYCLE_ACTIONS + self.lag_actions
         if self.settle_actions < least:
             raise ValueError(
-                f"settle_actions = {self.settle_actions} with lag_actions = {self.lag_actions}: before {least} actions "
-                f"the window of references is not full; give settle_actions {least} or more"
+                f"settle_actions = {self.settle_actions} with lag_actions = {self.lag_actions}: "
+                f"before {least} actions the window of references is not full; give settle_actions "
+                f"{least} or more"
             )
         return self
 
@@ -101,7 +112,8 @@ class DisturbanceObserverState(NamedTuple):
 
 @dataclass(frozen=True)
 class DisturbanceObserver:
-    """A controller with force feedback around it; meets the Controller contract, as the one inside does."""
+    """A controller with force feedback around it; meets the Controller contract, as the one inside
+    does."""
 
     controller: Any
     """The Controller inside."""
@@ -128,7 +140,8 @@ class DisturbanceObserver:
 
     @cached_property
     def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Lower and upper corners of the cells ``(cells, 2)`` [N]; None for a controller that covers everything."""
+        """Lower and upper corners of the cells ``(cells, 2)`` [N]; None for a controller that
+        covers everything."""
         if not self.cells:
             return None
         low = np.array([cell.low for cell in self.cells], np.float32)
@@ -183,27 +196,34 @@ class DisturbanceObserver:
         """Return bias, drift and their covariance after one action of the Kalman filter."""
         config = self.config
         xp = ops.xp
-        # Predict. The bias may change where the reference changes; before the first action there is no change yet.
+        # Predict. The bias may change where the reference changes; before the first action there is
+        # no change yet.
         distance = abs(reference - state.references[0]).max()
-        change = ops.choose(state.age > 0, lambda: config.bias_per_n**2 * distance, lambda: 0.0 * distance)
+        change = ops.choose(
+            state.age > 0, lambda: config.bias_per_n**2 * distance, lambda: 0.0 * distance
+        )
         kept = math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s))
         drift = kept * state.drift
         bias_variance = state.covariance[0] + change
         cross = kept * state.covariance[1]
         drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * config.drift_n**2
-        # While the reference moves, the fin's lag looks like an error that lasts as long as the movement, so averaging
-        # neighbouring windows does not remove it. The slow motion of the correction itself is excluded; otherwise it
-        # would block its own update.
+        # While the reference moves, the fin's lag looks like an error that lasts as long as the
+        # movement, so averaging neighbouring windows does not remove it. The slow motion of the
+        # correction itself is excluded; otherwise it would block its own update.
         highest = xp.maximum(state.references.max(axis=0), reference)
         lowest = xp.minimum(state.references.min(axis=0), reference)
         movement = xp.maximum((highest - lowest).max(), config.still_n)
         noise_variance = (config.noise_n * (movement / config.still_n) ** 2) ** 2
         innovation = error - state.bias - drift
-        # An error beyond three standard deviations cannot be drift: the fin or the water has changed.
+        # An error beyond three standard deviations cannot be drift: the fin or the water has
+        # changed.
         expected = bias_variance + 2 * cross + drift_variance + noise_variance
         learns = ops.choose(state.age >= config.settle_actions, lambda: 1.0, lambda: 0.0)
-        bias_variance = bias_variance + learns * xp.maximum((innovation**2).max() - 9 * expected, 0.0)
-        # Update. Neighbouring windows share all actions but one, so a window counts as one sixth of a measurement.
+        bias_variance = bias_variance + learns * xp.maximum(
+            (innovation**2).max() - 9 * expected, 0.0
+        )
+        # Update. Neighbouring windows share all actions but one, so a window counts as one sixth of
+        # a measurement.
         total = bias_variance + 2 * cross + drift_variance + CYCLE_ACTIONS * noise_variance
         bias_gain = learns * (bias_variance + cross) / total
         drift_gain = learns * (cross + drift_variance) / total
@@ -220,11 +240,12 @@ class DisturbanceObserver:
         return bias, drift, covariance
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
-        """Return the corrected reference, moved into the controller's cells and the reachable forces.
+        """Return the corrected reference, moved into the controller's cells and the reachable
+        forces.
 
-        A correction may lead into another cell. Where it leads between cells, it ends at the edge of the reference's
-        own cell. Cells come last: beyond them the controller's command means nothing, beyond the reachable forces the
-        fin only falls short.
+        A correction may lead into another cell. Where it leads between cells, it ends at the edge
+        of the reference's own cell. Cells come last: beyond them the controller's command means
+        nothing, beyond the reachable forces the fin only falls short.
         """
         if self.reachable is not None:
             corrected = self.reachable.project(corrected)

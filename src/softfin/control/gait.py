@@ -1,6 +1,8 @@
-"""Gaits as a controller: no network, a table of six actions for each node of a lattice of references, blended between.
+"""Gaits as a controller: no network, a table of six actions for each node of a lattice of
+references, blended between.
 
-It is the yardstick of the policies, their expert, and a choice of its own where the controller must be small.
+It is the yardstick of the policies, their expert, and a choice of its own where the controller must
+be small.
 """
 
 from collections.abc import Mapping
@@ -20,7 +22,8 @@ class GaitState(NamedTuple):
     """State of a gait controller."""
 
     age: Number
-    """Actions since the start. It goes on when the reference moves, so that the gait keeps its phase."""
+    """Actions since the start. It goes on when the reference moves, so that the gait keeps its
+    phase."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +35,17 @@ class GaitStep:
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls,
+        description: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        limits: Limits,
+        cells: tuple[Cell, ...],
     ) -> tuple["GaitStep", tuple[Cell, ...]]:
-        """Build it from a controller's description and arrays; returns it with its lattice's box."""
+        """Build it from a controller's description and arrays; returns it with its lattice's
+        box."""
         table = ForceMap.from_dict(description, arrays).gaits.table
-        (x0, y0), (x1, y1) = table.low.tolist(), table.high.tolist()
+        (x0, y0) = table.low.tolist()
+        (x1, y1) = table.high.tolist()
         return cls(table), (Cell(low=(x0, y0), high=(x1, y1)),)
 
     def init(self) -> GaitState:
@@ -45,4 +54,6 @@ class GaitStep:
 
     def act(self, ops: Operations, state: GaitState, now: Array) -> tuple[GaitState, Array]:
         """Take the next action of the gait for the reference."""
-        return GaitState(state.age + 1), ops.row(self.table.gait(now[1:], ops), state.age % CYCLE_ACTIONS)
+        return GaitState(state.age + 1), ops.row(
+            self.table.gait(now[1:], ops), state.age % CYCLE_ACTIONS
+        )

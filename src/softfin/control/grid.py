@@ -1,8 +1,10 @@
-"""Grid-switching (paper Sec. III-C3, second design): a policy for each cell of reference forces, switched on demand.
+"""Grid-switching (paper Sec. III-C3, second design): a policy for each cell of reference forces,
+switched on demand.
 
-A switch should show in the force that was asked for and nowhere else. So the active policy keeps its cell a little
-beyond the border (hysteresis); the one that takes over first replays the observations of the last six actions, one
-cycle of the clock; and its actions are blended with those of the cycle before (bumpless transfer).
+A switch should show in the force that was asked for and nowhere else. So the active policy keeps
+its cell a little beyond the border (hysteresis); the one that takes over first replays the
+observations of the last six actions, one cycle of the clock; and its actions are blended with those
+of the cycle before (bumpless transfer).
 """
 
 from collections.abc import Mapping
@@ -27,15 +29,17 @@ class SwitchingConfig(Configuration):
     """Configuration of how one policy takes over from another."""
 
     margin_n: NonNegativeFloat = 0.1
-    """The active policy stays until another cell is nearer to the reference by more than this [N], so that a
-    reference on the border does not switch for ever; the policies still hold a reference that little beyond theirs."""
+    """The active policy stays until another cell is nearer to the reference by more than this [N],
+    so that a reference on the border does not switch for ever; the policies still hold a reference
+    that little beyond theirs."""
     fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
     """Actions over which the new policy's actions are blended in; 0 switches at once."""
     step_n: PositiveFloat = 0.5
-    """A reference that moves by this or more from one action to the next [N] is a step, where nothing is blended;
-    after smaller moves it is in part."""
+    """A reference that moves by this or more from one action to the next [N] is a step, where
+    nothing is blended; after smaller moves it is in part."""
     replay: bool = True
-    """Whether the new policy replays the last six actions as if it had been active, or starts with an empty memory."""
+    """Whether the new policy replays the last six actions as if it had been active, or starts with
+    an empty memory."""
 
 
 class GridState(NamedTuple):
@@ -44,7 +48,8 @@ class GridState(NamedTuple):
     hidden: Array
     cell: Array
     actions: Array
-    """Past actions in [-1, 1], the last one first, side by side: a cycle, and those observed before its first one."""
+    """Past actions in [-1, 1], the last one first, side by side: a cycle, and those observed before
+    its first one."""
     angles: Array
     """Angle of the shaft at each action of the last cycle, the last one first [rad]."""
     last_reference: Array
@@ -76,13 +81,20 @@ class GridStep:
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls,
+        description: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        limits: Limits,
+        cells: tuple[Cell, ...],
     ) -> tuple["GridStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its cells."""
         if not cells:
             raise ValueError("cells: there are none; a grid has one or more")
         observation = Observation.model_validate(description["task"])
-        low, high = (np.array([getattr(cell, corner) for cell in cells], np.float32) for corner in ("low", "high"))
+        low, high = (
+            np.array([getattr(cell, corner) for cell in cells], np.float32)
+            for corner in ("low", "high")
+        )
         switching = SwitchingConfig.model_validate(description.get("switching") or {})
         networks, gaits = fold(arrays, observation, (len(cells),))
         return cls(networks, low, high, rest_action(limits), observation, switching, gaits), cells
@@ -91,7 +103,9 @@ class GridStep:
         """Return the state of a fin at rest."""
         return GridState(
             *self.networks.empty(),
-            actions=np.tile(np.asarray(self.rest, np.float32), CYCLE_ACTIONS + self.observation.past_actions + 1),
+            actions=np.tile(
+                np.asarray(self.rest, np.float32), CYCLE_ACTIONS + self.observation.past_actions + 1
+            ),
             angles=np.zeros(CYCLE_ACTIONS, np.float32),
             last_reference=np.zeros(2, np.float32),
             age=0,
@@ -100,11 +114,15 @@ class GridStep:
         )
 
     def act(self, ops: Operations, state: GridState, now: Array) -> tuple[GridState, Array]:
-        """Compute the deterministic action of the active policy, blended in where it has just taken over."""
-        xp, reference = ops.xp, now[1:]
+        """Compute the deterministic action of the active policy, blended in where it has just taken
+        over."""
+        xp = ops.xp
+        reference = now[1:]
         active_cell = self.active_cell(ops, state, reference)
         switched = (active_cell != state.active_cell) & (state.age > 0)
-        network = PolicyNetwork(*[ops.row(part, active_cell) for part in ops.constant(self.networks)])
+        network = PolicyNetwork(
+            *[ops.row(part, active_cell) for part in ops.constant(self.networks)]
+        )
         memory = PolicyMemory(
             *ops.choose(
                 switched,
@@ -112,10 +130,14 @@ class GridStep:
                 lambda: PolicyMemory(state.hidden, state.cell),
             )
         )
-        memory = network.remember(ops, memory, self.observation.observe(ops, now, state.actions, state.age))
+        memory = network.remember(
+            ops, memory, self.observation.observe(ops, now, state.actions, state.age)
+        )
         blend = self._blend(ops, state, switched, reference)
         before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
-        action = (1 - blend) * network.action(ops, memory, self.gaits, reference, state.age) + blend * before
+        action = (1 - blend) * network.action(
+            ops, memory, self.gaits, reference, state.age
+        ) + blend * before
         less = blend - 1 / max(1, self.switching.fade_actions)
         after = GridState(
             *memory,
@@ -129,8 +151,11 @@ class GridStep:
         return after, action
 
     def active_cell(self, ops: Operations, state: GridState, reference: Array) -> Number:
-        """Return the index of the cell whose policy acts: the last one, unless another is nearer by the margin."""
-        xp, low, high = ops.xp, ops.constant(self.low), ops.constant(self.high)
+        """Return the index of the cell whose policy acts: the last one, unless another is nearer by
+        the margin."""
+        xp = ops.xp
+        low = ops.constant(self.low)
+        high = ops.constant(self.high)
         beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0 * low)
         distance = xp.sqrt(beyond[:, 0] * beyond[:, 0] + beyond[:, 1] * beyond[:, 1])
         nearest = ops.whole(xp.argmin(distance))
@@ -141,26 +166,36 @@ class GridStep:
     def _warm_up_memory(
         self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
     ) -> PolicyMemory:
-        """Replay the last cycle, or as much of it as there was, as if the reference had long been this one."""
+        """Replay the last cycle, or as much of it as there was, as if the reference had long been
+        this one."""
 
         def replayed(memory: PolicyMemory, ago: int) -> PolicyMemory:
             now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
-            observation = self.observation.observe(ops, now, state.actions[2 * ago :], state.age - ago)
+            observation = self.observation.observe(
+                ops, now, state.actions[2 * ago :], state.age - ago
+            )
             return network.remember(ops, memory, observation)
 
         empty: PolicyMemory = ops.constant(network.empty())
         memory = empty
         if self.switching.replay:
             for ago in range(CYCLE_ACTIONS, 0, -1):
-                memory = PolicyMemory(*ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty))
+                memory = PolicyMemory(
+                    *ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty)
+                )
         return memory
 
-    def _blend(self, ops: Operations, state: GridState, switched: Number, reference: Array) -> Number:
-        """Return the weight of the action one cycle ago: at first 1, once there is a whole cycle."""
+    def _blend(
+        self, ops: Operations, state: GridState, switched: Number, reference: Array
+    ) -> Number:
+        """Return the weight of the action one cycle ago: at first 1, once there is a whole
+        cycle."""
         if not self.switching.fade_actions:
             return 0 * state.blend
         whole = ops.choose(state.age >= CYCLE_ACTIONS, lambda: np.float32(1), lambda: np.float32(0))
         blend = ops.choose(switched, lambda: whole, lambda: state.blend)
         moved = reference - state.last_reference
-        kept = 1 - ops.xp.sqrt(moved[0] * moved[0] + moved[1] * moved[1]) / np.float32(self.switching.step_n)
+        kept = 1 - ops.xp.sqrt(moved[0] * moved[0] + moved[1] * moved[1]) / np.float32(
+            self.switching.step_n
+        )
         return blend * ops.clip(kept, 0.0, 1.0)

@@ -1,7 +1,9 @@
-"""A controller's step as ONNX: measurements, reference and state in, command and next state out, three times a second.
+"""A controller's step as ONNX: measurements, reference and state in, command and next state out,
+three times a second.
 
-The step is traced from the formulas that NumPy runs on the robot, with ndonnx in its place; before the file is kept,
-onnxruntime plays an episode from it and the two are compared. Needs the extra ``softfin[onnx]``.
+The step is traced from the formulas that NumPy runs on the robot, with ndonnx in its place; before
+the file is kept, onnxruntime plays an episode from it and the two are compared. Needs the extra
+``softfin[onnx]``.
 """
 
 import importlib
@@ -43,7 +45,8 @@ class OnnxOperations(Operations):
     """The operations of ndonnx; both of two choices are in the graph."""
 
     def __init__(self, ndonnx: Any) -> None:
-        self.xp, self._operators = ndonnx, importlib.import_module(NEEDED[-1])
+        self.xp = ndonnx
+        self._operators = importlib.import_module(NEEDED[-1])
         self._constants: dict[int, tuple[np.ndarray, Array]] = {}
 
     def row(self, table: Array, index: Number) -> Array:
@@ -52,11 +55,14 @@ class OnnxOperations(Operations):
             return table[index, ...]
         return self.xp.take(table, self.xp.reshape(index, (1,)), axis=0)[0, ...]
 
-    def choose(self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+    def choose(
+        self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]
+    ) -> Any:
         """Add a Where for each part, unless the choice is known now."""
         if isinstance(condition, bool | np.bool_):
             return then() if condition else otherwise()
-        one, other = then(), otherwise()
+        one = then()
+        other = otherwise()
         if isinstance(one, tuple):
             return tuple(self.xp.where(condition, a, b) for a, b in zip(one, other, strict=True))
         return self.xp.where(condition, self.xp.asarray(one), self.xp.asarray(other))
@@ -111,20 +117,31 @@ def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
         for name, value in start.items()
     }
     shapes = {"angle": (), "force": (2,), "reference": (2,)}
-    measured = {name: ndonnx.argument(shape=shape, dtype=ndonnx.float32) for name, shape in shapes.items()}
+    measured = {
+        name: ndonnx.argument(shape=shape, dtype=ndonnx.float32) for name, shape in shapes.items()
+    }
     now = ndonnx.concat([ndonnx.reshape(measured["angle"], (1,)), measured["reference"]])
     after, action = controller.step.act(OnnxOperations(ndonnx), type(initial)(**state), now)
     commands = dict(zip(COMMAND_OUTPUTS, command_of(controller.limits, action), strict=True))
-    for name, low, high in zip(COMMAND_OUTPUTS, controller.limits[::2], controller.limits[1::2], strict=True):
+    for name, low, high in zip(
+        COMMAND_OUTPUTS, controller.limits[::2], controller.limits[1::2], strict=True
+    ):
         # Rounding must not lead out of the limits: the nearest float32 that is not beyond each.
-        least, most = np.float32(low), np.float32(high)
+        least = np.float32(low)
+        most = np.float32(high)
         least = np.nextafter(least, np.float32(np.inf)) if least < low else least
         most = np.nextafter(most, np.float32(-np.inf)) if most > high else most
         commands[name] = ndonnx.clip(commands[name], float(least), float(most))
-    following = {f"{NEXT}{name}": ndonnx.reshape(value, start[name].shape) for name, value in after._asdict().items()}
-    model = onnx.version_converter.convert_version(ndonnx.build(measured | state, commands | following), OPSET)
+    following = {
+        f"{NEXT}{name}": ndonnx.reshape(value, start[name].shape)
+        for name, value in after._asdict().items()
+    }
+    model = onnx.version_converter.convert_version(
+        ndonnx.build(measured | state, commands | following), OPSET
+    )
     for cast in (node for node in model.graph.node if node.op_type == "Cast"):
-        # The converter leaves what concerns numbers of eight bits, which came later and are not here.
+        # The converter leaves what concerns numbers of eight bits, which came later and are not
+        # here.
         cast.attribute.remove(next(each for each in cast.attribute if each.name == "saturate"))
     return model
 
@@ -145,16 +162,21 @@ def _metadata(controller: LoadedController) -> dict[str, Any]:
         "force_frame": FORCE_FRAME,
         "inputs": {
             "angle": "angle of the shaft, the last reading [rad]; 0 before the first",
-            "force": "(x, y), mean of the readings since the last action [N]; 0 before the first; not used yet",
+            "force": "(x, y), mean of the readings since the last action [N]; 0 before the first; "
+            "not used yet",
             "reference": "(x, y), mean force to hold [N]",
         },
-        "outputs": {"command_angle": "[rad]", "command_velocity": "profile velocity on the way there [rad/s]"},
+        "outputs": {
+            "command_angle": "[rad]",
+            "command_velocity": "profile velocity on the way there [rad/s]",
+        },
         "weights_sha256": artifact.weights_sha256,
     }
 
 
 def _difference(data: bytes, controller: LoadedController) -> float:
-    """Compare the commands over an episode of steps and drifts all over the cells and a little beyond.
+    """Compare the commands over an episode of steps and drifts all over the cells and a little
+    beyond.
 
     Both carry their own state on, so errors that add up show. Returns the greatest difference.
     """
@@ -162,15 +184,20 @@ def _difference(data: bytes, controller: LoadedController) -> float:
     session = open_session(data)
     native = controller.step.init()
     state = {name: np.asarray(value) for name, value in native._asdict().items()}
-    low, high = np.min([c.low for c in controller.cells], axis=0), np.max([c.high for c in controller.cells], axis=0)
-    worst, reference = 0.0, (low + high) / 2
+    low = np.min([c.low for c in controller.cells], axis=0)
+    high = np.max([c.high for c in controller.cells], axis=0)
+    worst = 0.0
+    reference = (low + high) / 2
     for index in range(EPISODE):
         if index % 15 == 0:
             reference = numbers.uniform(low - 0.2, high + 0.2)
         reference = reference + numbers.uniform(-0.1, 0.1, 2)
-        angle, force = numbers.uniform(*controller.limits[:2]), numbers.normal(size=2)
+        angle = numbers.uniform(*controller.limits[:2])
+        force = numbers.normal(size=2)
         fed = {"angle": angle, "force": force, "reference": reference}
-        found = session.run(None, {name: np.asarray(value, np.float32) for name, value in fed.items()} | state)
+        found = session.run(
+            None, {name: np.asarray(value, np.float32) for name, value in fed.items()} | state
+        )
         state = dict(zip(state, found[len(COMMAND_OUTPUTS) :], strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
         difference = np.abs(np.array(command) - np.array(found[: len(COMMAND_OUTPUTS)])).max()

@@ -1,12 +1,12 @@
 """The step of a policy: observation and memory in, memory and action out (paper Sec. III-C2).
 
-    gates = [observation, hidden] kernel + bias;  cell' = s(f) cell + s(i) tanh(g);  hidden' = s(o) tanh(cell')
-    action = tanh(tanh(hidden' W + b) V + c + atanh(gait))
+    gates = [observation, hidden] kernel + bias;  cell' = s(f) cell + s(i) tanh(g);  hidden' = s(o)
+    tanh(cell') action = tanh(tanh(hidden' W + b) V + c + atanh(gait))
 
-It is the LSTM of Hochreiter and Schmidhuber (1997) with forget gates, and one layer behind it. Two things are folded
-into the weights when they are read: the units and the normalisation of the observation, and 1/2 for the gates, since
-the logistic function is s(x) = 1/2 + tanh(x / 2) / 2, so that one tanh computes all four gates. Policies that did not
-begin as gaits have no such term.
+It is the LSTM of Hochreiter and Schmidhuber (1997) with forget gates, and one layer behind it. Two
+things are folded into the weights when they are read: the units and the normalisation of the
+observation, and 1/2 for the gates, since the logistic function is s(x) = 1/2 + tanh(x / 2) / 2, so
+that one tanh computes all four gates. Policies that did not begin as gaits have no such term.
 """
 
 from collections.abc import Mapping
@@ -62,7 +62,8 @@ class Observation(pydantic.BaseModel, frozen=True):
         return units
 
     def observe(self, ops: Operations, now: Array, actions: Array, age: Number) -> Array:
-        """Return the observation in SI units; of `actions`, side by side and the last one first, a part is observed."""
+        """Return the observation in SI units; of `actions`, side by side and the last one first, a
+        part is observed."""
         parts = [now, actions[: 2 * (self.past_actions + 1)]]
         if self.phase:
             parts.append(ops.row(ops.constant(PHASES), age % CYCLE_ACTIONS))
@@ -77,7 +78,8 @@ class PolicyMemory(NamedTuple):
 
 
 class PolicyNetwork(NamedTuple):
-    """Weights as they are used: gates in the order input, forget, output, cell; those of a grid have a leading axis."""
+    """Weights as they are used: gates in the order input, forget, output, cell; those of a grid
+    have a leading axis."""
 
     kernel: Array
     """Weights of observation and hidden state, ``(observations + units, 4 units)``."""
@@ -94,20 +96,29 @@ class PolicyNetwork(NamedTuple):
 
     def remember(self, ops: Operations, memory: PolicyMemory, observation: Array) -> PolicyMemory:
         """Do one step of the LSTM."""
-        xp, units = ops.xp, self.bias.shape[-1] // 4
+        xp = ops.xp
+        units = self.bias.shape[-1] // 4
         gates = xp.tanh(ops.dot(xp.concat([observation, memory.hidden]), self.kernel) + self.bias)
         opened = 0.5 * gates[: 3 * units] + 0.5
         cell = opened[units : 2 * units] * memory.cell + opened[:units] * gates[3 * units :]
         return PolicyMemory(opened[2 * units :] * xp.tanh(cell), cell)
 
     def action(
-        self, ops: Operations, memory: PolicyMemory, gaits: GaitTable | None, reference: Array, age: Number
+        self,
+        ops: Operations,
+        memory: PolicyMemory,
+        gaits: GaitTable | None,
+        reference: Array,
+        age: Number,
     ) -> Array:
-        """Compute the deterministic action in [-1, 1]^2, the `age`-th since the start, for a reference [N]."""
+        """Compute the deterministic action in [-1, 1]^2, the `age`-th since the start, for a
+        reference [N]."""
         tanh = ops.xp.tanh
         inner = tanh(ops.dot(memory.hidden, self.hidden) + self.hidden_bias)
         before = ops.dot(inner, self.output) + self.output_bias
-        return tanh(before if gaits is None else before + gait_before_tanh(ops, gaits, reference, age))
+        return tanh(
+            before if gaits is None else before + gait_before_tanh(ops, gaits, reference, age)
+        )
 
 
 def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: Number) -> Array:
@@ -119,45 +130,69 @@ def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: N
 def fold(
     arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()
 ) -> tuple[PolicyNetwork, GaitTable | None]:
-    """Build a network from a trained policy's named arrays, or from policies stacked along a leading axis.
+    """Build a network from a trained policy's named arrays, or from policies stacked along a
+    leading axis.
 
-    Returns it with the gaits that its actions are added to, over references in N, where the policy began as gaits.
-    Raises ValueError where arrays are missing, unknown or have another shape.
+    Returns it with the gaits that its actions are added to, over references in N, where the policy
+    began as gaits. Raises ValueError where arrays are missing, unknown or have another shape.
     """
-    gaits = _gaits({name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}, observation)
+    gaits = _gaits(
+        {name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}, observation
+    )
     arrays = {name: array for name, array in arrays.items() if not name.startswith(f"{GAITS}.")}
     # The first axis of a layer's kernel is as long as its input; a missing array is refused below.
-    units, width = (sum(np.shape(arrays.get(f"net.{layer}.kernel", ()))[-2:-1]) for layer in ("hidden", "output"))
+    units, width = (
+        sum(np.shape(arrays.get(f"net.{layer}.kernel", ()))[-2:-1])
+        for layer in ("hidden", "output")
+    )
     size = observation.size
     shapes: dict[str, tuple[int, ...]] = {
-        "net.lstm.kernel": (size, 4 * units), "net.lstm.recurrent": (units, 4 * units), "net.lstm.bias": (4 * units,),
-        "net.hidden.kernel": (units, width), "net.hidden.bias": (width,),
-        "net.output.kernel": (width, 2), "net.output.bias": (2,),
-        "normalisation.mean": (size,), "normalisation.deviation": (size,), "normalisation.count": (),
+        "net.lstm.kernel": (size, 4 * units),
+        "net.lstm.recurrent": (units, 4 * units),
+        "net.lstm.bias": (4 * units,),
+        "net.hidden.kernel": (units, width),
+        "net.hidden.bias": (width,),
+        "net.output.kernel": (width, 2),
+        "net.output.bias": (2,),
+        "normalisation.mean": (size,),
+        "normalisation.deviation": (size,),
+        "normalisation.count": (),
         "log_deviation": (2,),
-    }  # fmt: skip
+    }
     if odd := sorted(set(shapes) ^ set(arrays)):
         raise ValueError(f"weights {', '.join(odd)[:200]} are missing or unknown")
     for name, shape in shapes.items():
         if arrays[name].shape != stack + shape:
-            raise ValueError(f"{name} has shape {arrays[name].shape}; its configuration needs {stack + shape}")
+            raise ValueError(
+                f"{name} has shape {arrays[name].shape}; its configuration needs {stack + shape}"
+            )
     kernel, mean, deviation, recurrent, bias = (
         arrays[name].astype(float)
-        for name in ("net.lstm.kernel", "normalisation.mean", "normalisation.deviation", "net.lstm.recurrent",
-                     "net.lstm.bias")
-    )  # fmt: skip
+        for name in (
+            "net.lstm.kernel",
+            "normalisation.mean",
+            "normalisation.deviation",
+            "net.lstm.recurrent",
+            "net.lstm.bias",
+        )
+    )
     normalised = kernel / np.maximum(deviation, LEAST_DEVIATION)[..., None]
     bias = bias - (mean[..., None, :] @ normalised)[..., 0, :]
 
     def gates(weights: np.ndarray) -> np.ndarray:
-        """Reorder from input, forget, cell, output to input, forget, output, cell, and halve the first three."""
+        """Reorder from input, forget, cell, output to input, forget, output, cell, and halve the
+        first three."""
         i, f, g, o = (weights[..., k * units : (k + 1) * units] for k in range(4))
         return np.ascontiguousarray(np.concatenate([i / 2, f / 2, o / 2, g], axis=-1), np.float32)
 
     return PolicyNetwork(
         gates(np.concatenate([normalised / observation.units()[:, None], recurrent], axis=-2)),
         gates(bias),
-        *(arrays[f"net.{layer}.{part}"] for layer in ("hidden", "output") for part in ("kernel", "bias")),
+        *(
+            arrays[f"net.{layer}.{part}"]
+            for layer in ("hidden", "output")
+            for part in ("kernel", "bias")
+        ),
     ), gaits
 
 
@@ -166,12 +201,24 @@ def _gaits(arrays: Mapping[str, np.ndarray], observation: Observation) -> GaitTa
         return None
     if {*arrays} != {f"{GAITS}.{name}" for name in GaitTable._fields}:
         raise ValueError(f"a table of gaits is not {', '.join(sorted(arrays))[:200]}")
-    low, high, actions = (np.asarray(arrays[f"{GAITS}.{name}"], np.float32) for name in GaitTable._fields)
-    if actions.ndim != 4 or actions.shape[2:] != (CYCLE_ACTIONS, 2) or low.shape != (2,) or high.shape != (2,):
-        raise ValueError(f"gaits of shape {actions.shape} from {low.shape} to {high.shape} are not a table of gaits")
+    low, high, actions = (
+        np.asarray(arrays[f"{GAITS}.{name}"], np.float32) for name in GaitTable._fields
+    )
+    if (
+        actions.ndim != 4
+        or actions.shape[2:] != (CYCLE_ACTIONS, 2)
+        or low.shape != (2,)
+        or high.shape != (2,)
+    ):
+        raise ValueError(
+            f"gaits of shape {actions.shape} from {low.shape} to {high.shape} are not a table of "
+            "gaits"
+        )
     # Actions were rounded to float32.
     if min(actions.shape[:2]) < 2 or np.abs(actions).max() > 1 + 1e-5:
-        raise ValueError("gaits: there are fewer than 2 x 2, or their actions are not within [-1, 1]")
+        raise ValueError(
+            "gaits: there are fewer than 2 x 2, or their actions are not within [-1, 1]"
+        )
     if not observation.phase:
         raise ValueError("task.phase is false; a policy with gaits observes the phase")
     return GaitTable(low * observation.force_scale_n, high * observation.force_scale_n, actions)

@@ -1,4 +1,5 @@
-"""References that a controller can hold: those of its cells, and among them the forces that the fin can make."""
+"""References that a controller can hold: those of its cells, and among them the forces that the fin
+can make."""
 
 from collections.abc import Sequence
 from typing import Any, cast
@@ -10,11 +11,13 @@ from softfin.core.errors import CoverageError
 from softfin.gaits.reachable import Cell, Force, Reachable
 
 EDGE_N = 1e-4
-"""References this near to a cell are on its edge: forces are float32, and their decimals seldom come out even."""
+"""References this near to a cell are on its edge: forces are float32, and their decimals seldom
+come out even."""
 
 
 def cells_of(controller: Any) -> tuple[Cell, ...]:
-    """Return the cells that a controller was trained for; none of one that has no `cells` and covers everything."""
+    """Return the cells that a controller was trained for; none of one that has no `cells` and
+    covers everything."""
     return cast(tuple[Cell, ...], getattr(controller, "cells", None) or ())
 
 
@@ -28,22 +31,29 @@ def check_within(cells: Sequence[Cell], reference: Force) -> None:
     nearest = min(cells, key=lambda cell: cell.distance(reference))
     beyond = nearest.distance(reference)
     if beyond > EDGE_N:
-        which = f"the nearest of {len(cells)} cells" if len(cells) > 1 else "what this controller was trained for"
+        which = (
+            f"the nearest of {len(cells)} cells"
+            if len(cells) > 1
+            else "what this controller was trained for"
+        )
         raise CoverageError(
-            f"reference ({reference[0]:g}, {reference[1]:g}) N: {beyond:.2g} N outside {which} ({nearest}); "
-            f"ask within {'a cell' if len(cells) > 1 else 'it'}, or train with {'a' if len(cells) > 1 else 'a wider'} "
-            "cell there"
+            f"reference ({reference[0]:g}, {reference[1]:g}) N: {beyond:.2g} N outside {which} "
+            f"({nearest}); ask within {'a cell' if len(cells) > 1 else 'it'}, or train with "
+            f"{'a' if len(cells) > 1 else 'a wider'} cell there"
         )
 
 
 def resolve_reference(controller: Any, reference: Force, strict: bool) -> tuple[Force, str | None]:
-    """Return the reference to track, and a warning where that is another: the nearest force that the fin can make.
+    """Return the reference to track, and a warning where that is another: the nearest force that
+    the fin can make.
 
-    That force lies in the controller's cells. Raises CoverageError where the fin cannot make the reference and
-    `strict`, or where the controller was not trained for it.
+    That force lies in the controller's cells. Raises CoverageError where the fin cannot make the
+    reference and `strict`, or where the controller was not trained for it.
     """
     if not np.isfinite(reference).all():
-        raise CoverageError(f"reference ({reference[0]:g}, {reference[1]:g}) N: give two finite numbers [N]")
+        raise CoverageError(
+            f"reference ({reference[0]:g}, {reference[1]:g}) N: give two finite numbers [N]"
+        )
     x, y = nearest_trackable(controller, np.array([reference], float))[0].tolist()
     # To the last bit it is what was asked for, unless it is another one.
     if (x, y) == tuple(reference):
@@ -54,11 +64,14 @@ def resolve_reference(controller: Any, reference: Force, strict: bool) -> tuple[
     return (x, y), f"{problem}, which is held instead"
 
 
-def nearest_trackable(controller: Any, forces: Float[np.ndarray, "forces 2"]) -> Float[np.ndarray, "forces 2"]:
-    """Return each force, or where the fin cannot make it the nearest one that it can make in the controller's cells.
+def nearest_trackable(
+    controller: Any, forces: Float[np.ndarray, "forces 2"]
+) -> Float[np.ndarray, "forces 2"]:
+    """Return each force, or where the fin cannot make it the nearest one that it can make in the
+    controller's cells.
 
-    Raises CoverageError for one that the fin can make but the controller was not trained for, and where the fin can
-    make nothing that it was trained for.
+    Raises CoverageError for one that the fin can make but the controller was not trained for, and
+    where the fin can make nothing that it was trained for.
     """
     reachable = reachable_of(controller)
     beyond = np.zeros(len(forces), bool) if reachable is None else ~reachable.contains(forces)
@@ -73,9 +86,11 @@ def nearest_trackable(controller: Any, forces: Float[np.ndarray, "forces 2"]) ->
         a, b = forces[beyond][0].tolist()
         x, y = reachable.nearest((a, b)).tolist()
         raise CoverageError(
-            f"reference ({a:g}, {b:g}) N: this fin cannot make it, nor any other force that this controller was "
-            f"trained for (nearest cell {min(cells, key=lambda cell: cell.distance((a, b)))}); the nearest that the "
-            f"fin can make is ({x:.3f}, {y:.3f}) N; train it there, within the fin's reach (softfin map shows it)"
+            f"reference ({a:g}, {b:g}) N: this fin cannot make it, nor any other force that this "
+            "controller was trained for (nearest cell "
+            f"{min(cells, key=lambda cell: cell.distance((a, b)))}); the nearest that the fin can "
+            f"make is ({x:.3f}, {y:.3f}) N; train it there, within the fin's reach (softfin map "
+            "shows it)"
         )
     for x, y in near.tolist():
         controller.check((x, y))
@@ -87,6 +102,6 @@ def nearest_trackable(controller: Any, forces: Float[np.ndarray, "forces 2"]) ->
 def unreachable(reference: Force, near: Force) -> str:
     """Describe a reference that the fin cannot make, with the nearest one that it can."""
     return (
-        f"reference ({reference[0]:g}, {reference[1]:g}) N: this fin cannot make it; the nearest that it can make "
-        f"in this controller's range is ({near[0]:.3f}, {near[1]:.3f}) N"
+        f"reference ({reference[0]:g}, {reference[1]:g}) N: this fin cannot make it; the nearest "
+        f"that it can make in this controller's range is ({near[0]:.3f}, {near[1]:.3f}) N"
     )

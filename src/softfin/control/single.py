@@ -39,7 +39,11 @@ class SingleStep:
 
     @classmethod
     def load(
-        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray], limits: Limits, cells: tuple[Cell, ...]
+        cls,
+        description: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        limits: Limits,
+        cells: tuple[Cell, ...],
     ) -> tuple["SingleStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its cell."""
         if len(cells) != 1:
@@ -51,7 +55,9 @@ class SingleStep:
     def init(self) -> SingleState:
         """Return the state of a fin at rest."""
         return SingleState(
-            *self.network.empty(), np.tile(np.asarray(self.rest, np.float32), self.observation.past_actions + 1), 0
+            *self.network.empty(),
+            np.tile(np.asarray(self.rest, np.float32), self.observation.past_actions + 1),
+            0,
         )
 
     def act(self, ops: Operations, state: SingleState, now: Array) -> tuple[SingleState, Array]:
@@ -60,4 +66,6 @@ class SingleStep:
         observation = self.observation.observe(ops, now, state.actions, state.age)
         memory = network.remember(ops, PolicyMemory(state.hidden, state.cell), observation)
         action = network.action(ops, memory, self.gaits, now[1:], state.age)
-        return SingleState(*memory, ops.xp.concat([action, state.actions[:-2]]), state.age + 1), action
+        return SingleState(
+            *memory, ops.xp.concat([action, state.actions[:-2]]), state.age + 1
+        ), action

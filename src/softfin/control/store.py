@@ -1,4 +1,5 @@
-"""A controller's folder: ``controller.json`` (kind, cells, task, limits, provenance) and ``weights.safetensors``."""
+"""A controller's folder: ``controller.json`` (kind, cells, task, limits, provenance) and
+``weights.safetensors``."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -25,19 +26,27 @@ CONTROLLER_KIND = "controller"
 AGAIN = "copy the folder again, or train it again"
 """Remedy where a folder is damaged."""
 
-CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType({step.kind: step for step in (SingleStep, GridStep, GaitStep)})
+CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType(
+    {step.kind: step for step in (SingleStep, GridStep, GaitStep)}
+)
 """Kinds of controllers by name."""
 
 
 def load_controller(path: Path) -> LoadedController:
-    """Load the controller in a folder; raises ArtifactError where there is none, or it is damaged."""
+    """Load the controller in a folder; raises ArtifactError where there is none, or it is
+    damaged."""
     path = Path(path)
     description, arrays = artifacts.load(path, CONTROLLER_KIND)
     digest = hashlib.sha256((path / artifacts.WEIGHTS).read_bytes()).hexdigest()
     for name, array in arrays.items():
         if not np.isfinite(array).all():
-            raise ArtifactError(f"{path / artifacts.WEIGHTS}: {name[:80]!r} holds numbers that are not finite; {AGAIN}")
-    return build_controller(description, arrays, str(path / f"{CONTROLLER_KIND}.json"), path.resolve().name, digest)
+            raise ArtifactError(
+                f"{path / artifacts.WEIGHTS}: {name[:80]!r} holds numbers that are not finite; "
+                f"{AGAIN}"
+            )
+    return build_controller(
+        description, arrays, str(path / f"{CONTROLLER_KIND}.json"), path.resolve().name, digest
+    )
 
 
 def build_controller(
@@ -50,30 +59,45 @@ def build_controller(
     """Build a controller from its description and arrays; errors name the `source`."""
     if (rate := description.get("action_rate_hz", "missing")) != ACTION_RATE_HZ:
         raise ArtifactError(
-            f"{source}: action_rate_hz is {rate!r}; this softfin reads {ACTION_RATE_HZ}; train it again"
+            f"{source}: action_rate_hz is {rate!r}; this softfin reads {ACTION_RATE_HZ}; train it "
+            "again"
         )
     kind = str(description.get("controller"))
     if kind not in CONTROLLER_STEPS:
         raise ArtifactError(
-            f"{source}: controller is {kind[:80]!r}; it must be one of {', '.join(CONTROLLER_STEPS)}; {AGAIN}"
+            f"{source}: controller is {kind[:80]!r}; it must be one of "
+            f"{', '.join(CONTROLLER_STEPS)}; {AGAIN}"
         )
     try:
-        limits, region = Limits.of(description["limits"]), description.get("reachable")
-        cells = tuple(Cell.model_validate(cell) for cell in ([] if kind == GaitStep.kind else description["cells"]))
-        step, cells = CONTROLLER_STEPS[kind].load(
-            description, {key: np.array(array, np.float32) for key, array in arrays.items()}, limits, cells
+        limits = Limits.of(description["limits"])
+        region = description.get("reachable")
+        cells = tuple(
+            Cell.model_validate(cell)
+            for cell in ([] if kind == GaitStep.kind else description["cells"])
         )
-        learnt = pydantic.TypeAdapter(TrainingRange | None).validate_python(description.get("training_range"))
+        step, cells = CONTROLLER_STEPS[kind].load(
+            description,
+            {key: np.array(array, np.float32) for key, array in arrays.items()},
+            limits,
+            cells,
+        )
+        learnt = pydantic.TypeAdapter(TrainingRange | None).validate_python(
+            description.get("training_range")
+        )
         fin = pydantic.TypeAdapter(str | None).validate_python(description.get("fin"))
         reachable = None if region is None else Reachable.from_dict(region)
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False)[0]
         at = ".".join(map(str, first["loc"])) or error.title
-        raise ArtifactError(f"{source}: {at} is {str(first['input'])[:80]}: {first['msg']}; {AGAIN}") from None
+        raise ArtifactError(
+            f"{source}: {at} is {str(first['input'])[:80]}: {first['msg']}; {AGAIN}"
+        ) from None
     except (KeyError, TypeError, ValueError) as error:
         problem = f"{error.args[0]} is missing" if isinstance(error, KeyError) else one_line(error)
         raise ArtifactError(f"{source}: {problem}; {AGAIN}") from None
-    return LoadedController(step, limits, cells, reachable, Artifact(name, learnt, fin, description, digest))
+    return LoadedController(
+        step, limits, cells, reachable, Artifact(name, learnt, fin, description, digest)
+    )
 
 
 def write_controller(
@@ -85,7 +109,8 @@ def write_controller(
     extra_files: Callable[[Path], None] | None,
     overwrite: bool,
 ) -> None:
-    """Write a controller, whole or not at all: `keys` and `arrays` of its kind; `extra_files` adds to the folder."""
+    """Write a controller, whole or not at all: `keys` and `arrays` of its kind; `extra_files` adds
+    to the folder."""
     description = {
         "controller": kind,
         "action_rate_hz": ACTION_RATE_HZ,
@@ -110,16 +135,20 @@ def save_gaits(
     `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
     """
     gaits = force_map.gaits
-    error, nodes = gaits.force_error(), gaits.table.references()
+    error = gaits.force_error()
+    nodes = gaits.table.references()
     keys = {
         **force_map.to_dict(),
         **learnt,
         "scores": [
-            {"reference_n": nodes[place].tolist(), "missed_n": round(float(error[place]), 4),
-             "smoothness_n": gaits.smoothness[place].round(4).tolist()}
+            {
+                "reference_n": nodes[place].tolist(),
+                "missed_n": round(float(error[place]), 4),
+                "smoothness_n": gaits.smoothness[place].round(4).tolist(),
+            }
             for place in np.ndindex(error.shape)
         ],
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
-    }  # fmt: skip
+    }
     write_controller(path, GaitStep.kind, limits, keys, force_map.arrays(), extra_files, overwrite)

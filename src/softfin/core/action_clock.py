@@ -1,15 +1,19 @@
-"""The action clock: 3.0 Hz over 100 Hz exactly, 33, 33 and 34 ticks of 10 ms, again and again; no JAX here."""
+"""The action clock: 3.0 Hz over 100 Hz exactly, 33, 33 and 34 ticks of 10 ms, again and again; no
+JAX here."""
 
 ACTION_TICKS = (33, 33, 34)
-"""Ticks that each action is held, again and again: 3.0 Hz over 100 Hz exactly, so six actions are 200 samples."""
+"""Ticks that each action is held, again and again: 3.0 Hz over 100 Hz exactly, so six actions are
+200 samples."""
 
 MOST_TICKS = max(ACTION_TICKS)
-"""Rows of an action in a program, in which all actions have one shape; of a shorter one the last row does not count."""
+"""Rows of an action in a program, in which all actions have one shape; of a shorter one the last
+row does not count."""
 
 ACTION_RATE_HZ = 3.0
 
 CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
-"""Actions that fill the evaluation window: what repeats every six, three or two leaves no ripple in its mean."""
+"""Actions that fill the evaluation window: what repeats every six, three or two leaves no ripple in
+its mean."""
 
 WINDOW = 2 * sum(ACTION_TICKS)
 """Samples whose mean force controllers are judged by: 200, 2 s, six actions (paper, Sec. IV-B)."""
@@ -21,5 +25,10 @@ def ticks_of(actions: int) -> list[int]:
 
 
 def rows_of(actions: int) -> list[int]:
-    """Rows that count, of the first so many actions with `MOST_TICKS` rows each, one after the other."""
-    return [action * MOST_TICKS + tick for action, ticks in enumerate(ticks_of(actions)) for tick in range(ticks)]
+    """Rows that count, of the first so many actions with `MOST_TICKS` rows each, one after the
+    other."""
+    return [
+        action * MOST_TICKS + tick
+        for action, ticks in enumerate(ticks_of(actions))
+        for tick in range(ticks)
+    ]

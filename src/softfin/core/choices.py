@@ -2,7 +2,8 @@
 
 from typing import Literal, TypeAlias
 
-# Each is covered by a table: PRESETS of reproductions and calibrations, SIGNALS of an evaluation, UNITS of columns.
+# Each is covered by a table: PRESETS of reproductions and calibrations, SIGNALS of an evaluation,
+# UNITS of columns.
 ReproducePreset: TypeAlias = Literal["demo", "best", "streaming", "paper", "tiny"]
 CalibratePreset: TypeAlias = Literal["full", "quick"]
 MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
@@ -16,13 +17,16 @@ ModelName: TypeAlias = Literal["streaming", "paper"]
 
 PolicyLayout: TypeAlias = Literal["single", "grid"]
 ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
-"""One policy for all references, one for each cell of a grid, or a table of gaits without a policy."""
+"""One policy for all references, one for each cell of a grid, or a table of gaits without a
+policy."""
 
 Algorithm: TypeAlias = Literal["gradient", "ppo"]
 AlgorithmPreset: TypeAlias = Literal["gradient", "ppo", "ppo-hindsight"]
-"""Gradients through the plant, plain LSTM-PPO as in the paper, or LSTM-PPO with hindsight relabelling."""
+"""Gradients through the plant, plain LSTM-PPO as in the paper, or LSTM-PPO with hindsight
+relabelling."""
 AlgorithmOption: TypeAlias = Literal["auto", AlgorithmPreset]
-"""How policies are trained; auto: by gradients if the plant has them, else by LSTM-PPO with hindsight relabelling."""
+"""How policies are trained; auto: by gradients if the plant has them, else by LSTM-PPO with
+hindsight relabelling."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
 

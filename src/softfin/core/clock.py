@@ -1,7 +1,8 @@
-"""The clock shared by the 100 Hz loop, its threads and the emulated devices: real, or simulated as fast as it goes.
+"""The clock shared by the 100 Hz loop, its threads and the emulated devices: real, or simulated as
+fast as it goes.
 
-Whatever waits, waits on a clock: the clock makes the threads, events, locks and conditions, and what it makes is used
-with this clock alone. The simulated one is `softfin.rig.simulated_clock`.
+Whatever waits, waits on a clock: the clock makes the threads, events, locks and conditions, and
+what it makes is used with this clock alone. The simulated one is `softfin.rig.simulated_clock`.
 """
 
 import threading
@@ -9,7 +10,8 @@ import time
 from collections.abc import Callable
 
 PAIR_S = 0.005
-"""Longest time between two readings that count as readings of one moment [s]: a tenth of what counts as a suspend."""
+"""Longest time between two readings that count as readings of one moment [s]: a tenth of what
+counts as a suspend."""
 
 
 class Clock:
@@ -24,10 +26,12 @@ class Clock:
         return time.time()
 
     def suspended(self) -> float:
-        """Return how long the computer has slept since its start [s]; 0 if the platform does not count it."""
+        """Return how long the computer has slept since its start [s]; 0 if the platform does not
+        count it."""
         if not hasattr(time, "CLOCK_BOOTTIME"):
             return 0.0
-        # This thread may lose the processor between two readings, which would look like a short sleep.
+        # This thread may lose the processor between two readings, which would look like a short
+        # sleep.
         while True:
             before = time.clock_gettime(time.CLOCK_MONOTONIC)
             boot = time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -43,7 +47,8 @@ class Clock:
         return threading.Event()
 
     def condition(self) -> threading.Condition:
-        """Make a condition with a re-entrant lock of its own; as `lock`, it may be held while its holder waits."""
+        """Make a condition with a re-entrant lock of its own; as `lock`, it may be held while its
+        holder waits."""
         return threading.Condition()
 
     lock = condition

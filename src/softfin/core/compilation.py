@@ -1,4 +1,5 @@
-"""`equinox.filter_jit` with options of XLA, for programs that take longer to compile than to run."""
+"""`equinox.filter_jit` with options of XLA, for programs that take longer to compile than to
+run."""
 
 from collections.abc import Callable
 from typing import Any, Literal, TypeVar, cast
@@ -11,8 +12,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 OPTIMISATION_LEVELS = {"low": 1, "none": 0}
 """XLA's optimisation levels."""
 
-# The older of XLA's code generators for processors compiles a third faster. XLA refuses options that it does not know.
-OLDER_GENERATOR = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__[:2] == (0, 10) else {}
+# The older of XLA's code generators for processors compiles a third faster. XLA refuses options
+# that it does not know.
+OLDER_GENERATOR = (
+    {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__[:2] == (0, 10) else {}
+)
 
 
 def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function]:
@@ -20,14 +24,17 @@ def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function
 
     Compared with `equinox.filter_jit`, on two cores:
     - high: two thirds of the time to compile; networks of a surrogate learn at the same speed.
-    - low: half the time to compile; the virtual tank runs at the same speed, the networks of a surrogate up to 1.5
-      times slower.
-    - none: a third of the time to compile; everything runs three times slower. For programs that run once.
+    - low: half the time to compile; the virtual tank runs at the same speed, the networks of a
+      surrogate up to 1.5 times slower.
+    - none: a third of the time to compile; everything runs three times slower. For programs that
+      run once.
     """
     options: dict[str, Any] = dict(OLDER_GENERATOR)
     if effort in OPTIMISATION_LEVELS:
         has_no_optimisation = cast(Any, jax.config).read("jax_disable_most_optimizations")
-        options["xla_backend_optimization_level"] = 0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
+        options["xla_backend_optimization_level"] = (
+            0 if has_no_optimisation else OPTIMISATION_LEVELS[effort]
+        )
 
     def compile_function(function: Function) -> Function:
         return cast(Function, cast(Any, eqx.filter_jit)(function, compiler_options=options))

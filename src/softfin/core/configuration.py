@@ -1,4 +1,5 @@
-"""Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value`` change them."""
+"""Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value``
+change them."""
 
 import difflib
 import math
@@ -14,34 +15,45 @@ import yaml
 from softfin.core.errors import ConfigurationError, one_line
 
 MAX_YAML_VALUES = 100_000
-"""Largest number of values in a YAML file with its aliases written out. A few hundred bytes of nested aliases can stand
-for billions of values, which validation and messages would walk one by one; a real file has hundreds."""
+"""Largest number of values in a YAML file with its aliases written out. A few hundred bytes of
+nested aliases can stand for billions of values, which validation and messages would walk one by
+one; a real file has hundreds."""
 
-# Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know their class.
+# Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know
+# their class.
 Config = TypeVar("Config", bound="Configuration")
 
 
 class Configuration(pydantic.BaseModel):
-    """Base of every stage's configuration: frozen, hashable, validated when built, unknown keys are errors."""
+    """Base of every stage's configuration: frozen, hashable, validated when built, unknown keys are
+    errors."""
 
-    model_config = pydantic.ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False)
+    model_config = pydantic.ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
+    )
 
     @classmethod
-    def build(cls: type[Config], values: Mapping[str, Any], source: str = "configuration") -> Config:
-        """Build from nested mappings; raises ConfigurationError that names the key, the value and what is allowed."""
+    def build(
+        cls: type[Config], values: Mapping[str, Any], source: str = "configuration"
+    ) -> Config:
+        """Build from nested mappings; raises ConfigurationError that names the key, the value and
+        what is allowed."""
         try:
             return cls.model_validate(values)
         except pydantic.ValidationError as error:
             raise ConfigurationError(f"{source}: {_explain(cls, error)}") from None
 
     def changed(self: Config, changes: Sequence[str]) -> Config:
-        """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are read as YAML."""
+        """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are
+        read as YAML."""
         values = self.model_dump()
         for change in changes:
             path, sign, text = change.partition("=")
             if not sign:
                 example = "=".join(map(str, next(iter(values.items()))))
-                raise ConfigurationError(f"--set {change}: no '='; write path=value, for example {example}")
+                raise ConfigurationError(
+                    f"--set {change}: no '='; write path=value, for example {example}"
+                )
             try:
                 value = parse_yaml(text)
             except ValueError as error:
@@ -71,7 +83,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ConfigurationError(f"{path}: not YAML ({error})") from None
     if not isinstance(values, dict | None):
-        raise ConfigurationError(f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values")
+        raise ConfigurationError(
+            f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values"
+        )
     return values or {}
 
 
@@ -83,7 +97,10 @@ def parse_yaml(text: str) -> Any:
         if node is None:
             return None
         if _expanded_size(node, {}) > MAX_YAML_VALUES:
-            raise ValueError(f"more than {MAX_YAML_VALUES:,} values with its aliases written out; use fewer aliases")
+            raise ValueError(
+                f"more than {MAX_YAML_VALUES:,} values with its aliases written out; use fewer "
+                "aliases"
+            )
         return loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ValueError(one_line(error)) from None
@@ -92,7 +109,8 @@ def parse_yaml(text: str) -> Any:
 
 
 def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
-    """Return the number of values of a node with its aliases written out; infinite if it contains itself.
+    """Return the number of values of a node with its aliases written out; infinite if it contains
+    itself.
 
     Each node is visited once. `sizes` holds the results so far.
     """
@@ -111,14 +129,17 @@ def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
 
 def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return base | {
-        key: _merge(base[key], value) if isinstance(base.get(key), dict) and isinstance(value, Mapping) else value
+        key: _merge(base[key], value)
+        if isinstance(base.get(key), dict) and isinstance(value, Mapping)
+        else value
         for key, value in over.items()
     }
 
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
     errors = error.errors(include_url=False)
-    # Where a value may be one of several configurations, pydantic tries each: meant is the one that fits best.
+    # Where a value may be one of several configurations, pydantic tries each: meant is the one that
+    # fits best.
     tried = Counter(_alternative(each["loc"]) for each in errors)
     meant = min(tried, key=lambda each: (each is not None, tried[each]))
     # A misspelt key is a missing one, too: what was written says more than what was not.
@@ -146,8 +167,12 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:
-    """Name of a configuration's class where pydantic puts it among the names of fields, as ``FitConfig``."""
-    return next((part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")), None)
+    """Name of a configuration's class where pydantic puts it among the names of fields, as
+    ``FitConfig``."""
+    return next(
+        (part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")),
+        None,
+    )
 
 
 def _nearest(name: str, allowed: Mapping[str, Any]) -> str:

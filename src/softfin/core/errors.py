@@ -1,4 +1,5 @@
-"""Errors that softfin raises. Every message says what was wrong, where, what is allowed, what to do, in one line."""
+"""Errors that softfin raises. Every message says what was wrong, where, what is allowed, what to
+do, in one line."""
 
 
 class SoftfinError(Exception):
@@ -56,5 +57,6 @@ class SafetyStop(RunError):
 
 
 def one_line(error: BaseException) -> str:
-    """Message of an error of any library, in one line of at most 300 characters; its type where it has none."""
+    """Message of an error of any library, in one line of at most 300 characters; its type where it
+    has none."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -1,4 +1,5 @@
-"""Makes ``softfin/ForceTracking-v0`` known to Gymnasium; the environment itself is imported when it is made."""
+"""Makes ``softfin/ForceTracking-v0`` known to Gymnasium; the environment itself is imported when it
+is made."""
 
 ID = "softfin/ForceTracking-v0"
 

@@ -1,6 +1,8 @@
-"""The operations that controllers' formulas are written in: the array API, and what differs between its libraries.
+"""The operations that controllers' formulas are written in: the array API, and what differs between
+its libraries.
 
-So each formula stands once. NumPy runs it on the robot, JAX compiles it, and the ONNX exporter traces it.
+So each formula stands once. NumPy runs it on the robot, JAX compiles it, and the ONNX exporter
+traces it.
 """
 
 from collections.abc import Callable
@@ -23,10 +25,13 @@ class Operations:
     """The library's namespace of the array API (2023.12)."""
 
     def row(self, table: Array, index: Number) -> Array:
-        """Return ``table[index]`` along the first axis, for an index that is known only when the formula runs."""
+        """Return ``table[index]`` along the first axis, for an index that is known only when the
+        formula runs."""
         return table[index]
 
-    def choose(self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+    def choose(
+        self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]
+    ) -> Any:
         """Return one of two values, or tuples of values; the other one may be computed or not."""
         return then() if condition else otherwise()
 
@@ -57,15 +62,20 @@ class JaxOperations(Operations):
     def __init__(self) -> None:
         import jax
 
-        self.xp, self._map = jax.numpy, jax.tree.map
+        self.xp = jax.numpy
+        self._map = jax.tree.map
 
     def row(self, table: Array, index: Number) -> Array:
         """Index the table dynamically."""
         return self.xp.asarray(table)[index]
 
-    def choose(self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+    def choose(
+        self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]
+    ) -> Any:
         """Select with ``where``, part by part."""
-        return self._map(lambda one, other: self.xp.where(condition, one, other), then(), otherwise())
+        return self._map(
+            lambda one, other: self.xp.where(condition, one, other), then(), otherwise()
+        )
 
     def whole(self, number: Number) -> Number:
         """Convert to int32."""

@@ -1,4 +1,5 @@
-"""The Plant contract: what moves when commanded. The virtual tank, every surrogate, one's own simulator are Plants.
+"""The Plant contract: what moves when commanded. The virtual tank, every surrogate, one's own
+simulator are Plants.
 
 A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go through it.
 """
@@ -27,27 +28,33 @@ Ticks: TypeAlias = int | Int[Array, ""]
 class Plant(Protocol):
     """A fin, real enough to learn from: one fin, no batch axes (`jax.vmap` adds them).
 
-    Programs hold an action by `advance` of one tick, in a scan. A plant that is faster with many ticks at once may have
-    a method `hold_action(state, command, ticks)`, which does what the function `hold_action` says.
+    Programs hold an action by `advance` of one tick, in a scan. A plant that is faster with many
+    ticks at once may have a method `hold_action(state, command, ticks)`, which does what the
+    function `hold_action` says.
     """
 
     @property
     def limits(self) -> Limits:
-        """The commands that the plant takes, angle 0 among them [rad, rad/s]; beyond them its readings mean nothing."""
+        """The commands that the plant takes, angle 0 among them [rad, rad/s]; beyond them its
+        readings mean nothing."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise, conditions)."""
+        """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise,
+        conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """Hold the scalar command for `ticks` samples of 10 ms (static) and read after each: fields ``(ticks,)``."""
+        """Hold the scalar command for `ticks` samples of 10 ms (static) and read after each: fields
+        ``(ticks,)``."""
 
 
 @runtime_checkable
 class TrueForcePlant(Plant, Protocol):
-    """A plant that simulates a sensor, and so knows the force behind its readings; errors are judged by that force."""
+    """A plant that simulates a sensor, and so knows the force behind its readings; errors are
+    judged by that force."""
 
     def true_force(self, state: State) -> Float[Array, "2"]:
-        """Mean force of the fin on its mount over the last tick (x, y) [N], without the errors of a sensor."""
+        """Mean force of the fin on its mount over the last tick (x, y) [N], without the errors of a
+        sensor."""
 
 
 @runtime_checkable
@@ -63,7 +70,8 @@ class ForceInterval(Protocol):
 
 @runtime_checkable
 class EnsemblePlant(Plant, Protocol):
-    """A plant of several members that estimates its own errors; `advance` reads the mean over the members."""
+    """A plant of several members that estimates its own errors; `advance` reads the mean over the
+    members."""
 
     @property
     def size(self) -> int:
@@ -77,14 +85,16 @@ class EnsemblePlant(Plant, Protocol):
         """One member as a plant of its own; `index` may be a value in a program."""
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """Advance as `advance` does, with every member's own reading: fields ``(members, ticks)``."""
+        """Advance as `advance` does, with every member's own reading: fields ``(members,
+        ticks)``."""
 
     def distance(self, state: State) -> Float[Array, ""]:
         """Distance of the last motion from the training data: 1 at their edge, more beyond it."""
 
 
 def check_commands(limits: Limits, commands: Command) -> None:
-    """Refuse commands beyond the limits, where their values are known: not while a program is being compiled."""
+    """Refuse commands beyond the limits, where their values are known: not while a program is being
+    compiled."""
     for name, unit, channel, low, high in (
         ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
         ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),
@@ -92,23 +102,29 @@ def check_commands(limits: Limits, commands: Command) -> None:
         if isinstance(channel, jax.core.Tracer):
             continue
         values = np.asarray(channel)
-        # Limits are kept in double precision, commands in single, whose error grows with the size of a limit.
+        # Limits are kept in double precision, commands in single, whose error grows with the size
+        # of a limit.
         tolerance = 1e-6 * max(1.0, abs(low), abs(high))
         outside = ~((values >= low - tolerance) & (values <= high + tolerance))
         if outside.any():
             raise CommandError(
-                f"command {name} = {values[outside].flat[0]:g} {unit}: the plant takes {low:g} to {high:g} {unit}"
+                f"command {name} = {values[outside].flat[0]:g} {unit}: the plant takes {low:g} to "
+                f"{high:g} {unit}"
             )
 
 
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
-    """Issue one command a tick, ``(ticks,)``, and read after each; raises CommandError beyond the plant's limits."""
+    """Issue one command a tick, ``(ticks,)``, and read after each; raises CommandError beyond the
+    plant's limits."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick, plant), state, commands)
 
 
-def roll_with_true_force(plant: Plant, state: State, commands: Command) -> tuple[State, tuple[Reading, Array | None]]:
-    """Issue commands as `roll` does; also return the true force ``(ticks, 2)`` [N], None where it is not known."""
+def roll_with_true_force(
+    plant: Plant, state: State, commands: Command
+) -> tuple[State, tuple[Reading, Array | None]]:
+    """Issue commands as `roll` does; also return the true force ``(ticks, 2)`` [N], None where it
+    is not known."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick_with_true_force, plant), state, commands)
 
@@ -118,18 +134,24 @@ def _tick(plant: Plant, state: State, command: Command) -> tuple[State, Reading]
     return state, jax.tree.map(lambda x: x[0], reading)
 
 
-def _tick_with_true_force(plant: Plant, state: State, command: Command) -> tuple[State, tuple[Reading, Array | None]]:
+def _tick_with_true_force(
+    plant: Plant, state: State, command: Command
+) -> tuple[State, tuple[Reading, Array | None]]:
     state, reading = _tick(plant, state, command)
     return state, (reading, plant.true_force(state) if isinstance(plant, TrueForcePlant) else None)
 
 
 def rest_command(limits: Limits) -> Command:
-    """The command under which a fin at rest at angle 0 stays there: angle 0 at the least velocity."""
+    """The command under which a fin at rest at angle 0 stays there: angle 0 at the least
+    velocity."""
     return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
 
 
-def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> tuple[State, Reading]:
-    """Hold a command for one action of 33 or 34 ticks; fields ``(34,)``, of which the first `ticks` count.
+def hold_action(
+    plant: Plant, state: State, command: Command, ticks: Ticks
+) -> tuple[State, Reading]:
+    """Hold a command for one action of 33 or 34 ticks; fields ``(34,)``, of which the first `ticks`
+    count.
 
     All actions have one shape, so whatever is compiled holds the plant once.
     """
@@ -143,16 +165,21 @@ def hold_action(plant: Plant, state: State, command: Command, ticks: Ticks) -> t
 def hold_action_with_true_force(
     plant: Plant, state: State, command: Command, ticks: Ticks
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    """Hold a command as `hold_action` does; also return the true force ``(34, 2)`` [N], None where it is not known."""
+    """Hold a command as `hold_action` does; also return the true force ``(34, 2)`` [N], None where
+    it is not known."""
     if not isinstance(plant, TrueForcePlant):
         state, reading = hold_action(plant, state, command, ticks)
         return state, (reading, None)
     return repeat(lambda state: _tick_with_true_force(plant, state, command), state, ticks)
 
 
-def repeat(tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks) -> tuple[State, Output]:
-    """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks` count."""
-    # Where it is differentiated, a tick is computed again: quicker than to keep what lies within it.
+def repeat(
+    tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks
+) -> tuple[State, Output]:
+    """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks`
+    count."""
+    # Where it is differentiated, a tick is computed again: quicker than to keep what lies within
+    # it.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
     def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
@@ -169,7 +196,8 @@ def mean_of(rows: Array, ticks: Ticks) -> Array:
 
 
 def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
-    """Hold each of ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)`` with 100 ticks for 3 actions."""
+    """Hold each of ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)`` with 100 ticks
+    for 3 actions."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
     held = (actions, jnp.asarray(ticks_of(count)))
@@ -178,5 +206,6 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
 
 
 def counted(rows: Array, actions: int) -> Array:
-    """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as ``(ticks, ...)``."""
+    """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as
+    ``(ticks, ...)``."""
     return rows.reshape(-1, *rows.shape[2:])[np.asarray(rows_of(actions))]

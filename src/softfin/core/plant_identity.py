@@ -1,8 +1,10 @@
-"""Identity of plants: `identity` names a plant in files, `jit_argument` makes it an argument of compiled programs.
+"""Identity of plants: `identity` names a plant in files, `jit_argument` makes it an argument of
+compiled programs.
 
-softfin's own plants are pytrees of arrays and plain values, which are compared as such. Of a user's simulator only what
-it computes is known: a gain may be an attribute, a constant of its module, a closure or a file. So its `init` and
-`advance` are traced and lowered, which takes milliseconds, and the programs are compared.
+softfin's own plants are pytrees of arrays and plain values, which are compared as such. Of a user's
+simulator only what it computes is known: a gain may be an attribute, a constant of its module, a
+closure or a file. So its `init` and `advance` are traced and lowered, which takes milliseconds, and
+the programs are compared.
 """
 
 import hashlib
@@ -32,11 +34,12 @@ CALLBACK = re.compile(r"custom_call @\w*python\w*callback")
 def identity(plant: Plant, computed: bool = False) -> str:
     """The type of a plant and a hash of what it computes: equal for equal plants in every process.
 
-    Of softfin's own it is a hash of what was loaded; with `computed` also of what XLA made of that, whose last bits
-    follow its options. Runs that go on where they stopped compare that, and files had it in earlier versions.
-    The hash of a user's simulator also depends on the version of JAX, which writes the lowered program; it is named
-    then. A simulator may state its identity itself, in an attribute `identity`; one that does not must be traceable
-    and not call back into Python, else PlantError is raised.
+    Of softfin's own it is a hash of what was loaded; with `computed` also of what XLA made of that,
+    whose last bits follow its options. Runs that go on where they stopped compare that, and files
+    had it in earlier versions. The hash of a user's simulator also depends on the version of JAX,
+    which writes the lowered program; it is named then. A simulator may state its identity itself,
+    in an attribute `identity`; one that does not must be traceable and not call back into Python,
+    else PlantError is raised.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)
@@ -51,22 +54,25 @@ def identity(plant: Plant, computed: bool = False) -> str:
     program = _program(plant, arrays, static)
     if CALLBACK.search(program):
         raise PlantError(
-            f"plant {name}: calls back into Python, so its parameters cannot be seen in its program; give it an "
-            "attribute `identity`, a string that holds them"
+            f"plant {name}: calls back into Python, so its parameters cannot be seen in its "
+            "program; give it an attribute `identity`, a string that holds them"
         )
     return f"{name} {_digest(arrays, program)} (jax {jax.__version__})"
 
 
 def is_of(stated: str | None, plant: Plant) -> bool:
-    """Whether the identity that a file states, of this version or an earlier one, is that of a plant."""
+    """Whether the identity that a file states, of this version or an earlier one, is that of a
+    plant."""
     return stated in (identity(plant), identity(plant, computed=True))
 
 
 def jit_argument(plant: Plant) -> Plant:
-    """The plant as a pytree whose arrays are traced, and whose program, once compiled, serves equal plants alone.
+    """The plant as a pytree whose arrays are traced, and whose program, once compiled, serves equal
+    plants alone.
 
-    For `equinox.filter_jit`. A user's simulator is traced at each call of this function: a compiled program holds it as
-    it was then, and is used again only for a plant that still computes the same.
+    For `equinox.filter_jit`. A user's simulator is traced at each call of this function: a compiled
+    program holds it as it was then, and is used again only for a plant that still computes the
+    same.
     """
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
@@ -92,7 +98,9 @@ class _Program:
 
 
 def _of_simulator(name: str) -> Any:
-    return property(lambda traced: getattr(eqx.combine(traced.arrays, traced.program.static), name, None))
+    return property(
+        lambda traced: getattr(eqx.combine(traced.arrays, traced.program.static), name, None)
+    )
 
 
 class TracedPlant(eqx.Module):
@@ -124,11 +132,14 @@ class TracedEnsemble(TracedPlant):
 
 def _is_own(plant: Plant, static: PyTree[Any]) -> bool:
     module = type(plant).__module__
-    return module.startswith("softfin.") and all(isinstance(leaf, PLAIN) for leaf in jax.tree.leaves(static))
+    return module.startswith("softfin.") and all(
+        isinstance(leaf, PLAIN) for leaf in jax.tree.leaves(static)
+    )
 
 
 def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
-    """Everything that a plant does, as a lowered program; its arrays are arguments, other constants stand in it.
+    """Everything that a plant does, as a lowered program; its arrays are arguments, other constants
+    stand in it.
 
     For one platform whatever the machine has, so that the text is the same on all.
     """
@@ -140,8 +151,11 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
         held = [] if own is None else [own(state, command, jnp.int32(ACTION_TICKS[0]))]
         if isinstance(whole, EnsemblePlant):
             member = whole.member(jnp.int32(0))
-            held += [whole.advance_members(state, command, 1), whole.distance(state),
-                     member.advance(member.init(key), command, 1)]  # fmt: skip
+            held += [
+                whole.advance_members(state, command, 1),
+                whole.distance(state),
+                member.advance(member.init(key), command, 1),
+            ]
         if isinstance(whole, TrueForcePlant):
             held.append(whole.true_force(state))
         return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])] + held
@@ -155,15 +169,16 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
         # It is the user's code that runs here, and it may fail in any way.
         reason = one_line(error)
         raise PlantError(
-            f"plant {type(plant).__qualname__}: cannot be traced ({type(error).__name__}: {reason}); "
-            "softfin.testing.check_plant says what a plant must do"
+            f"plant {type(plant).__qualname__}: cannot be traced ({type(error).__name__}: "
+            f"{reason}); softfin.testing.check_plant says what a plant must do"
         ) from error
 
 
 def _digest(arrays: PyTree[Any], text: str) -> str:
     digest = hashlib.sha256()
     for leaf in jax.tree.leaves(arrays):
-        # Types and shapes stand in a simulator's program, and go with the kind of softfin's own plants.
+        # Types and shapes stand in a simulator's program, and go with the kind of softfin's own
+        # plants.
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
     digest.update(text.encode())

@@ -1,7 +1,7 @@
 """Where JAX keeps compiled programs between runs: settings of JAX's own persistent cache.
 
-The settings are environment variables that JAX reads when it is imported, so no import of softfin changes JAX. Only
-softfin's programs call `use_program_cache`. Variables that are already set win.
+The settings are environment variables that JAX reads when it is imported, so no import of softfin
+changes JAX. Only softfin's programs call `use_program_cache`. Variables that are already set win.
 """
 
 import os
@@ -16,7 +16,8 @@ MAX_CACHE_BYTES = 2**30
 
 JAX_SETTINGS = {
     "JAX_COMPILATION_CACHE_MAX_SIZE": str(MAX_CACHE_BYTES),
-    # Small programs, too: an evaluation in the tank has 45 of them, which take 30 ms each to compile.
+    # Small programs, too: an evaluation in the tank has 45 of them, which take 30 ms each to
+    # compile.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     # On a GPU, XLA would write files of its own, which JAX neither counts nor deletes.
     "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES": "none",
@@ -24,7 +25,8 @@ JAX_SETTINGS = {
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled programs, or None if the cache is off or the user has no home."""
+    """Return the folder of compiled programs, or None if the cache is off or the user has no
+    home."""
     if jax_folder := os.environ.get(JAX_VARIABLE):
         return Path(jax_folder)
     chosen = os.environ.get(SOFTFIN_VARIABLE, "")

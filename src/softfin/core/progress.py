@@ -8,7 +8,8 @@ class Progress(Protocol):
     """Function that long work calls now and then; a command line draws bars with it."""
 
     def __call__(self, stage: str, fraction: float, note: str, /) -> None:
-        """Report the `fraction` of a stage that is done (0 .. 1), and its newest figures as a `note`."""
+        """Report the `fraction` of a stage that is done (0 .. 1), and its newest figures as a
+        `note`."""
 
 
 def silent(stage: str, fraction: float, note: str, /) -> None:

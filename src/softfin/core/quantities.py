@@ -1,7 +1,8 @@
-"""The three records that everything passes on: Command, Reading, Log. SI units, float32 arrays, time before channel.
+"""The three records that everything passes on: Command, Reading, Log. SI units, float32 arrays,
+time before channel.
 
-Axes: thrust that pushes the robot forward is +x. At angle theta the fin points along (-cos theta, +sin theta) from its
-shaft. Forces are those of the fin on its mount.
+Axes: thrust that pushes the robot forward is +x. At angle theta the fin points along (-cos theta,
++sin theta) from its shaft. Forces are those of the fin on its mount.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,8 @@ RATE_HZ = 100
 TICK_S = 1 / RATE_HZ
 
 DAY = 24 * 3600 * RATE_HZ
-"""Ticks. A plant counts them in 32 bits and tells its time in single precision: Unix time fits into neither."""
+"""Ticks. A plant counts them in 32 bits and tells its time in single precision: Unix time fits into
+neither."""
 
 
 def tick_at(time_s: float) -> int:
@@ -34,7 +36,8 @@ else:
     class AnyArray(Protocol):
         """Array of float32: a JAX array in a compiled program, a NumPy one in files and figures.
 
-        Told by what it has: what runs on a robot must neither wait for JAX, which takes a second, nor need it.
+        Told by what it has: what runs on a robot must neither wait for JAX, which takes a second,
+        nor need it.
         """
 
         @property
@@ -69,7 +72,8 @@ class Reading(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A recording: row k is what was read at ``reading.time[k]`` and the command that was issued right then.
+    """A recording: row k is what was read at ``reading.time[k]`` and the command that was issued
+    right then.
 
     The command of row k therefore shows for the first time in the reading of row k + 1.
     """
@@ -85,16 +89,19 @@ MOST_VELOCITY_RAD_S = 50.0
 """Eight turns a second: no fin in water comes near it."""
 
 REST_TOLERANCE_RAD = 0.03
-"""Distance from angle 0 at which a shaft is at rest there; random commands hardly come closer to the end of a range."""
+"""Distance from angle 0 at which a shaft is at rest there; random commands hardly come closer to
+the end of a range."""
 
 REST_FIX = (
-    "count all angles, those of the limits too, from where the fin rests; on a rig turn the fin there and run "
-    "softfin rig zero --arm, in logs subtract it from the angle and its command"
+    "count all angles, those of the limits too, from where the fin rests; on a rig turn the fin "
+    "there and run softfin rig zero --arm, in logs subtract it from the angle and its command"
 )
-"""Remedy for a range of angles without angle 0, at which every experiment, episode and log begins and ends."""
+"""Remedy for a range of angles without angle 0, at which every experiment, episode and log begins
+and ends."""
 
 ALLOWED_LIMITS = (
-    f"a fin's are finite, with -{MOST_ANGLE_RAD:.3f} <= angle_min < angle_max <= {MOST_ANGLE_RAD:.3f} rad and "
+    f"a fin's are finite, with -{MOST_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
+    f"{MOST_ANGLE_RAD:.3f} rad and "
     f"0 <= velocity_min < velocity_max <= {MOST_VELOCITY_RAD_S:g} rad/s"
 )
 
@@ -110,7 +117,9 @@ class Limits(NamedTuple):
     def to_dict(self) -> dict[str, float]:
         """Convert for JSON, under names with units."""
         named = self._asdict().items()
-        return {f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named}
+        return {
+            f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named
+        }
 
     @classmethod
     def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
@@ -134,22 +143,34 @@ class Limits(NamedTuple):
         return self.angle_min <= 0 <= self.angle_max
 
     def problem(self, one_velocity: bool = False) -> str | None:
-        """Describe what is wrong with these limits and what is allowed; None where a fin may have them.
+        """Describe what is wrong with these limits and what is allowed; None where a fin may have
+        them.
 
-        With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt, but not trained for.
+        With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt,
+        but not trained for.
         """
         named = self.to_dict()
         for name, value in named.items():
-            low, high = (0, MOST_VELOCITY_RAD_S) if "velocity" in name else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
+            low, high = (
+                (0, MOST_VELOCITY_RAD_S)
+                if "velocity" in name
+                else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
+            )
             # Not a number is not within anything.
             if not low <= value <= high:
                 return f"limits: {name} is {value:g}; {ALLOWED_LIMITS}"
-        velocities = self.velocity_min < self.velocity_max or (one_velocity and self.velocity_min == self.velocity_max)
+        velocities = self.velocity_min < self.velocity_max or (
+            one_velocity and self.velocity_min == self.velocity_max
+        )
         if not (self.angle_min < self.angle_max and velocities):
-            return f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; {ALLOWED_LIMITS}"
+            return (
+                f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; "
+                f"{ALLOWED_LIMITS}"
+            )
         if not self.contains_rest:
             return (
-                f"limits: angle_min_rad is {self.angle_min:g}, angle_max_rad is {self.angle_max:g}; angle 0, at which "
+                f"limits: angle_min_rad is {self.angle_min:g}, angle_max_rad is "
+                f"{self.angle_max:g}; angle 0, at which "
                 f"a fin rests, must be within them; {REST_FIX}"
             )
         return None
@@ -157,7 +178,8 @@ class Limits(NamedTuple):
 
 def command_of(limits: Limits, action: Any) -> Command:
     """Map an action in [-1, 1]^2, two numbers or an array of any library, onto the limits."""
-    angle, velocity = (action[0] + 1) / 2, (action[1] + 1) / 2
+    angle = (action[0] + 1) / 2
+    velocity = (action[1] + 1) / 2
     return Command(
         limits.angle_min + angle * (limits.angle_max - limits.angle_min),
         limits.velocity_min + velocity * (limits.velocity_max - limits.velocity_min),
@@ -165,9 +187,11 @@ def command_of(limits: Limits, action: Any) -> Command:
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
-    """Return the range of the commands in logs, which are the limits of a surrogate that learns from them.
+    """Return the range of the commands in logs, which are the limits of a surrogate that learns
+    from them.
 
-    A range that ends close to angle 0 ends there: random commands never quite reach it, but the fin rests there.
+    A range that ends close to angle 0 ends there: random commands never quite reach it, but the fin
+    rests there.
     """
     angles = [np.asarray(log.command.angle, np.float32) for log in logs]
     velocities = [np.asarray(log.command.velocity, np.float32) for log in logs]

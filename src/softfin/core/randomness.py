@@ -1,7 +1,8 @@
-"""One seed a run, split by name: the same seed and name give the same numbers, whatever else the run draws.
+"""One seed a run, split by name: the same seed and name give the same numbers, whatever else the
+run draws.
 
-The library of CMA-ES by itself seeds NumPy's generator of the whole process and draws from it, and obeys a file
-``cma_signals.in`` where one lies in the working directory; `cma_es` does neither.
+The library of CMA-ES by itself seeds NumPy's generator of the whole process and draws from it, and
+obeys a file ``cma_signals.in`` where one lies in the working directory; `cma_es` does neither.
 """
 
 import zlib
@@ -22,8 +23,11 @@ def generator_of(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed % 2**32, zlib.crc32(name.encode())])
 
 
-def cma_es(start: Float[np.ndarray, "n"], step: float, random: np.random.Generator, **options: Any) -> Any:
-    """CMA-ES (Hansen 2016, arXiv:1604.00772) from `start` with that step: ``ask`` for points, ``tell`` losses.
+def cma_es(
+    start: Float[np.ndarray, "n"], step: float, random: np.random.Generator, **options: Any
+) -> Any:
+    """CMA-ES (Hansen 2016, arXiv:1604.00772) from `start` with that step: ``ask`` for points,
+    ``tell`` losses.
 
     Further options are those of ``cma.CMAOptions``, such as `popsize`, `bounds` and `maxiter`.
     """

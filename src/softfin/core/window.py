@@ -1,9 +1,10 @@
-"""The evaluation window: controllers are rewarded and scored by the mean force over 200 samples (paper, Sec. IV-B).
+"""The evaluation window: controllers are rewarded and scored by the mean force over 200 samples
+(paper, Sec. IV-B).
 
     mean = sum(f) / 200        error = |mean - reference|
 
-Everything that computes such a mean, its error or an interval on a mean does it here; functions of forces take NumPy
-and JAX arrays.
+Everything that computes such a mean, its error or an interval on a mean does it here; functions of
+forces take NumPy and JAX arrays.
 """
 
 import math
@@ -19,7 +20,8 @@ from softfin.core.quantities import AnyArray
 CONFIDENCE = 0.95
 
 FEWEST = 3
-"""Samples from which on an interval of their mean is stated: that of two is 12.7 times as wide as they are apart."""
+"""Samples from which on an interval of their mean is stated: that of two is 12.7 times as wide as
+they are apart."""
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
@@ -29,16 +31,21 @@ def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any
     return xp.where(counts[:, None], forces, 0).sum(axis=0) / count
 
 
-def window_error(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]) -> Any:
+def window_error(
+    forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]
+) -> Any:
     """F_e = mean(F) - F_r over the last `count` samples [N]."""
     return window_mean(forces, count) - reference
 
 
-def sobolev(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean") -> Any:
-    """Sobolev term of the last `count` of `n` samples (paper Sec. III-C2) [N]: how much consecutive forces differ.
+def sobolev(
+    forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean"
+) -> Any:
+    """Sobolev term of the last `count` of `n` samples (paper Sec. III-C2) [N]: how much consecutive
+    forces differ.
 
-    The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the root of the window's length; the published
-    code's form `mean` is the root of the mean.
+    The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the root of the window's
+    length; the published code's form `mean` is the root of the mean.
     """
     xp: Any = forces.__array_namespace__()
     counts = xp.arange(len(forces) - 1) >= len(forces) - count
@@ -51,16 +58,21 @@ def sobolev(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Lite
 
 
 def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:
-    """Mean over every whole window, ``(*batch, windows, channels)``; the first is of the first `window` samples."""
+    """Mean over every whole window, ``(*batch, windows, channels)``; the first is of the first
+    `window` samples."""
     xp: Any = series.__array_namespace__()
-    # In float64 where there is one: the difference of two long cumulative sums loses its digits in float32.
+    # In float64 where there is one: the difference of two long cumulative sums loses its digits in
+    # float32.
     total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
     total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
     return (total[..., window:, :] - total[..., :-window, :]) / window
 
 
-def moving_error(series: Float[AnyArray, "*batch ticks channels"], reference: AnyArray, window: int = WINDOW) -> Any:
-    """Mean over every whole window of |moving average - reference|; `reference` is broadcast against the windows."""
+def moving_error(
+    series: Float[AnyArray, "*batch ticks channels"], reference: AnyArray, window: int = WINDOW
+) -> Any:
+    """Mean over every whole window of |moving average - reference|; `reference` is broadcast
+    against the windows."""
     return abs(moving_average(series, window) - reference).mean(axis=-2)
 
 
@@ -70,10 +82,14 @@ def window_means(
     """Means over windows side by side, which do not overlap; a rest at the end is left out."""
     count = series.shape[-2] // WINDOW
     windows = series[..., : count * WINDOW, :].astype(np.float64)
-    return np.asarray(windows.reshape(*series.shape[:-2], count, WINDOW, series.shape[-1]).mean(axis=-2))
+    return np.asarray(
+        windows.reshape(*series.shape[:-2], count, WINDOW, series.shape[-1]).mean(axis=-2)
+    )
 
 
-def interval(values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE) -> list[float] | None:
+def interval(
+    values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE
+) -> list[float] | None:
     """[low, high] of the mean over independent samples, by Student's t.
 
     None of fewer than `FEWEST`, or where all are equal: then they are not independent.
@@ -81,6 +97,8 @@ def interval(values: Float[np.ndarray, "samples"], confidence: float = CONFIDENC
     n = len(values)
     if n < FEWEST or np.ptp(values) == 0:
         return None
-    half = float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    half = (
+        float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
+    )
     mean = float(np.mean(values))
     return [mean - half, mean + half]

@@ -1,7 +1,7 @@
 """Collect a dataset: random commands to a plant, many logs in one program (paper Sec. III-A).
 
-A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws everything from the key
-``collect/PART/i``, so it does not depend on what is simulated beside it.
+A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws
+everything from the key ``collect/PART/i``, so it does not depend on what is simulated beside it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,7 +37,8 @@ class CollectConfig(Configuration):
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the commands and of all that is random in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)
-    """Most logs simulated side by side; more are faster, and each takes about 30 bytes a row while it runs."""
+    """Most logs simulated side by side; more are faster, and each takes about 30 bytes a row while
+    it runs."""
     excitation: ExcitationConfig = ExcitationConfig()
     """The random commands."""
 
@@ -53,8 +54,8 @@ def collect_logs(
 ) -> Dataset:
     """Record random motions of `plant` into the new dataset folder `out`.
 
-    `test_plants` are the plants of the test logs, by default `plant`. `metadata`, such as the plant's name, goes into
-    ``dataset.json``.
+    `test_plants` are the plants of the test logs, by default `plant`. `metadata`, such as the
+    plant's name, goes into ``dataset.json``.
     """
     plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
     keys = [key_of(config.seed, f"collect/train/{index}") for index in range(config.logs)]
@@ -66,7 +67,9 @@ def collect_logs(
         nonlocal finished_rows
         finished_rows += rows
         if progress:
-            progress("collect", finished_rows / total_rows, f"{finished_rows:,} of {total_rows:,} rows")
+            progress(
+                "collect", finished_rows / total_rows, f"{finished_rows:,} of {total_rows:,} rows"
+            )
 
     logs = simulate(plants, keys, config.rows, config.excitation, config.batch, report)
     description = {
@@ -81,7 +84,8 @@ def collect_logs(
 
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
-    """Count the time in float64; raises PlantError where the plant's own time or readings are not valid."""
+    """Count the time in float64; raises PlantError where the plant's own time or readings are not
+    valid."""
     for index, log in enumerate(logs):
         name = f"{part}/{index:0{DATASET_PARTS[part]}d}"
         for field, values in zip(log.reading._fields, log.reading, strict=True):
@@ -96,7 +100,7 @@ def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
         if late.size:
             row = late[0]
             raise PlantError(
-                f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, must be {time[row]:.2f} s; "
-                "time starts at 0 and each tick is 10 ms"
+                f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, must "
+                f"be {time[row]:.2f} s; time starts at 0 and each tick is 10 ms"
             )
         yield Log(log.command, log.reading._replace(time=time))

@@ -1,7 +1,7 @@
 """Conversion of recordings of any kind: each of their logs as a Parquet file or as a ROS 2 bag.
 
-Stamps and times stay what they were. A log has seven columns: what else a bag holds (torque, current, the force that
-was asked for, events) stays in the bag.
+Stamps and times stay what they were. A log has seven columns: what else a bag holds (torque,
+current, the force that was asked for, events) stays in the bag.
 """
 
 import io
@@ -20,22 +20,36 @@ from softfin.storage.log_file import write_log
 
 
 def convert(
-    source: Path, out: Path, config: ImportConfig | None = None, *, ignore_errors: bool = False, overwrite: bool = False
+    source: Path,
+    out: Path,
+    config: ImportConfig | None = None,
+    *,
+    ignore_errors: bool = False,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors, unless ignored."""
+    """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors,
+    unless ignored."""
     if out.suffix not in (".mcap", ".parquet"):
-        raise ConfigurationError(f"--out {out}: must end in .mcap or .parquet, which chooses what is written")
+        raise ConfigurationError(
+            f"--out {out}: must end in .mcap or .parquet, which chooses what is written"
+        )
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
     opened.check_issues(str(source), ignore_errors)
     count = len(opened.logs)
-    files = [out] if count == 1 else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
+    files = (
+        [out]
+        if count == 1
+        else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
+    )
     for file in files:
         artifacts.check_file(file, overwrite)
     for one, file in zip(opened.logs, files, strict=True):
         # On the clock that the recording was made on: opened logs begin at 0.
         reading = one.log.reading
-        log = one.log._replace(reading=reading._replace(time=one.start_s + np.asarray(reading.time, np.float64)))
+        log = one.log._replace(
+            reading=reading._replace(time=one.start_s + np.asarray(reading.time, np.float64))
+        )
         if out.suffix == ".parquet":
             write_log(file, log)
         else:
@@ -45,14 +59,24 @@ def convert(
 
 
 def encode_bag(log: Log, source: str) -> bytes:
-    """The bytes of a log's bag; raises LogError, under the name `source`, for a time before 1970."""
+    """The bytes of a log's bag; raises LogError, under the name `source`, for a time before
+    1970."""
     time = np.asarray(log.reading.time, np.float64)
     if len(time) and time.min() < 0:
-        raise LogError(f"{source}: time_s: {time.min():g} s; a bag has none before 0: add a constant to time_s")
+        raise LogError(
+            f"{source}: time_s: {time.min():g} s; a bag has none before 0: add a constant to time_s"
+        )
     sink = io.BytesIO()
     bag = BagWriter(sink)
-    columns = (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
-    for seconds, angle, velocity, *row in zip(time.tolist(), *(column.tolist() for column in columns), strict=True):
+    columns = (
+        *log.command,
+        log.reading.angle,
+        log.reading.velocity,
+        *np.asarray(log.reading.force).T,
+    )
+    for seconds, angle, velocity, *row in zip(
+        time.tolist(), *(column.tolist() for column in columns), strict=True
+    ):
         stamp = round(seconds * SECOND_NS)
         bag.write(COMMAND, stamp, (angle, velocity))
         bag.write(JOINT, stamp, (row[0], row[1]))

@@ -7,7 +7,8 @@ from typing import Any, Literal
 Severity = Literal["error", "warning", "note"]
 
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
-"""Gravest first. An error stops training, unless errors are ignored; a note only tells what was done."""
+"""Gravest first. An error stops training, unless errors are ignored; a note only tells what was
+done."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +33,9 @@ class Issue:
     def place(self) -> str:
         """Log, row and column as a message names them."""
         row = [] if self.row is None else [f"row {self.row}"]
-        return ", ".join([self.log, *row, *([] if self.column is None else [f"column {self.column}"])])
+        return ", ".join(
+            [self.log, *row, *([] if self.column is None else [f"column {self.column}"])]
+        )
 
 
 def counted(number: int, noun: str) -> str:
@@ -41,15 +44,18 @@ def counted(number: int, noun: str) -> str:
 
 
 def merge_issues(issues: Iterable[Issue]) -> list[Issue]:
-    """Join issues of one kind and column over all logs, gravest first; the first one's message stands.
+    """Join issues of one kind and column over all logs, gravest first; the first one's message
+    stands.
 
-    Notes are joined where they are alike, because what was done to one log does not hold for the other.
+    Notes are joined where they are alike, because what was done to one log does not hold for the
+    other.
     """
     kinds: dict[Any, list[Issue]] = {}
     for issue in issues:
         message = issue.message if issue.severity == "note" else ""
         kinds.setdefault((issue.severity, issue.name, issue.column, message), []).append(issue)
     merged = [
-        dataclasses.replace(same[0], logs=tuple(dict.fromkeys(one.log for one in same))) for same in kinds.values()
+        dataclasses.replace(same[0], logs=tuple(dict.fromkeys(one.log for one in same)))
+        for same in kinds.values()
     ]
     return sorted(merged, key=lambda issue: SEVERITIES.index(issue.severity))

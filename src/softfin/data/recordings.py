@@ -1,4 +1,5 @@
-"""Recordings of any kind, a file or a folder of them, opened as logs at 100 Hz with all that is wrong with them.
+"""Recordings of any kind, a file or a folder of them, opened as logs at 100 Hz with all that is
+wrong with them.
 
 `softfin inspect`, `softfin import-logs` and `softfin fit` share this.
 """
@@ -25,7 +26,8 @@ from softfin.storage.paths import find_recordings, is_bag
 
 @dataclasses.dataclass(frozen=True)
 class OpenedLogs:
-    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` tell whether they may be used."""
+    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` tell whether they may
+    be used."""
 
     logs: tuple[NamedLog, ...]
     inspection: Inspection
@@ -47,20 +49,31 @@ class OpenedLogs:
     def check_train(self, source: str) -> None:
         """Raise LogError where all logs are test logs."""
         if not self.train:
-            raise LogError(f"{source}: no training logs: all of its {len(self.logs)} logs are test logs; see --test")
+            raise LogError(
+                f"{source}: no training logs: all of its {len(self.logs)} logs are test logs; see "
+                "--test"
+            )
 
     def check_issues(self, source: str, ignore_errors: bool) -> None:
-        """Raise LogError with the first error and the count of the others, unless errors are ignored."""
+        """Raise LogError with the first error and the count of the others, unless errors are
+        ignored."""
         errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
         if not errors or ignore_errors:
             return
-        more = f"; and {len(errors) - 1} more: softfin inspect lists them" if len(errors) > 1 else ""
+        more = (
+            f"; and {len(errors) - 1} more: softfin inspect lists them" if len(errors) > 1 else ""
+        )
         parts = [f"{errors[0].place}: {errors[0].message}", *filter(None, [errors[0].fix])]
-        raise LogError(f"{source}: {'; '.join(parts)}{more}; --ignore-errors takes these logs in spite of it")
+        raise LogError(
+            f"{source}: {'; '.join(parts)}{more}; --ignore-errors takes these logs in spite of it"
+        )
 
 
-def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress | None = None) -> OpenedLogs:
-    """Read and inspect everything at `path`; raises LogError or ArtifactError where it cannot be read at all."""
+def open_logs(
+    path: Path, config: ImportConfig | None = None, progress: Progress | None = None
+) -> OpenedLogs:
+    """Read and inspect everything at `path`; raises LogError or ArtifactError where it cannot be
+    read at all."""
     config = config or ImportConfig()
     # A dataset that changed since it was written is refused before anything is read.
     dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
@@ -94,7 +107,12 @@ def open_logs(path: Path, config: ImportConfig | None = None, progress: Progress
         "imported_from": {"path": path.name, "files": list(files.values()), "data_hash": data_hash},
         "options": config.model_dump(mode="json"),
         "logs": [
-            {"log": one.name, "part": one.part, "rows": len(one.log.reading.time), "start_s": one.start_s}
+            {
+                "log": one.name,
+                "part": one.part,
+                "rows": len(one.log.reading.time),
+                "start_s": one.start_s,
+            }
             for one in logs
         ],
         "issues": [dataclasses.asdict(issue) for issue in inspection.issues],
@@ -111,7 +129,9 @@ def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
 
     parts: dict[str, Part] = {name: "test" if is_test(name) else "train" for name in names}
     if pattern is not None and "test" not in parts.values():
-        raise ConfigurationError(f"--test {pattern}: matches none of the files: {', '.join(names[:6])}")
+        raise ConfigurationError(
+            f"--test {pattern}: matches none of the files: {', '.join(names[:6])}"
+        )
     return parts
 
 

@@ -1,4 +1,5 @@
-"""Simulate many plants under commands of their own: one compiled program over all, run piece by piece in time."""
+"""Simulate many plants under commands of their own: one compiled program over all, run piece by
+piece in time."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -24,15 +25,27 @@ Report = Callable[[int], None]
 
 
 def simulate(
-    plants: Sequence[Plant], keys: Sequence[PRNGKeyArray], rows: int, commands: Commands, batch: int, report: Report
+    plants: Sequence[Plant],
+    keys: Sequence[PRNGKeyArray],
+    rows: int,
+    commands: Commands,
+    batch: int,
+    report: Report,
 ) -> Iterator[Log]:
-    """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at once.
+    """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at
+    once.
 
     Plants that are pytrees alike but for their arrays run side by side, others one after another.
     """
     same = all(plant is plants[0] for plant in plants)
-    parts = [eqx.partition(jit_argument(plant), eqx.is_array) for plant in (plants[:1] if same else plants)]
-    kinds = [jax.tree.flatten((static, jax.tree.map(lambda x: (x.shape, x.dtype), arrays))) for arrays, static in parts]
+    parts = [
+        eqx.partition(jit_argument(plant), eqx.is_array)
+        for plant in (plants[:1] if same else plants)
+    ]
+    kinds = [
+        jax.tree.flatten((static, jax.tree.map(lambda x: (x.shape, x.dtype), arrays)))
+        for arrays, static in parts
+    ]
     if any(kind != kinds[0] for kind in kinds):
         for plant, key in zip(plants, keys, strict=True):
             yield from simulate([plant], [key], rows, commands, 1, report)
@@ -40,18 +53,22 @@ def simulate(
     count = len(plants)
     batch = math.ceil(count / math.ceil(count / batch)) if count else 0
     for start in range(0, count, batch or 1):
-        # The last batch is filled up with logs that are thrown away, so that one compiled program serves all.
+        # The last batch is filled up with logs that are thrown away, so that one compiled program
+        # serves all.
         index = [i % count for i in range(start, start + batch)]
-        (arrays, static), axis = parts[0], None
+        (arrays, static) = parts[0]
+        axis = None
         if not same:
-            axis, arrays = 0, jax.tree.map(lambda *leaves: jnp.stack(leaves), *[parts[i][0] for i in index])
+            axis = 0
+            arrays = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[parts[i][0] for i in index])
         fleet = _Fleet(arrays, static, axis)
         state, issued = _begin(fleet, jnp.stack([keys[i] for i in index]), rows + 1, commands)
         yield from _logs(fleet, state, issued, rows, min(batch, count - start), report)
 
 
 class _Fleet(NamedTuple):
-    """Plants that one program serves: what they share, and their arrays, stacked along `axis` or shared (None)."""
+    """Plants that one program serves: what they share, and their arrays, stacked along `axis` or
+    shared (None)."""
 
     arrays: PyTree[Any]
     static: PyTree[Any]
@@ -59,7 +76,9 @@ class _Fleet(NamedTuple):
 
 
 @jit("none")
-def _begin(fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands) -> tuple[State, Command]:
+def _begin(
+    fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands
+) -> tuple[State, Command]:
     """States and all commands of a batch."""
 
     def one(arrays: PyTree[Any], key: PRNGKeyArray) -> tuple[State, Command]:
@@ -78,19 +97,29 @@ def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Readi
     def one(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
         return roll(eqx.combine(arrays, fleet.static), state, issued)
 
-    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(fleet.arrays, state, issued)
+    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(
+        fleet.arrays, state, issued
+    )
     return rolled
 
 
-def _logs(fleet: _Fleet, state: State, commands: Command, rows: int, wanted: int, report: Report) -> list[Log]:
-    """Roll a batch through its commands ``(batch, rows + 1)``; row k keeps reading k and the command issued then."""
+def _logs(
+    fleet: _Fleet, state: State, commands: Command, rows: int, wanted: int, report: Report
+) -> list[Log]:
+    """Roll a batch through its commands ``(batch, rows + 1)``; row k keeps reading k and the
+    command issued then."""
     chunks = math.ceil(rows / CHUNK_ROWS)
     chunk = math.ceil(rows / chunks)
-    # Repeated beyond the end, so that all pieces are equally long and share one program; the extra rows are cut off.
-    issued = jax.tree.map(lambda x: jnp.pad(x, ((0, 0), (0, chunk * chunks - rows)), mode="edge"), commands)
+    # Repeated beyond the end, so that all pieces are equally long and share one program; the extra
+    # rows are cut off.
+    issued = jax.tree.map(
+        lambda x: jnp.pad(x, ((0, 0), (0, chunk * chunks - rows)), mode="edge"), commands
+    )
     pieces = []
     for start in range(0, rows, chunk):
-        state, piece = _advance(fleet, state, jax.tree.map(lambda x, start=start: x[:, start : start + chunk], issued))
+        state, piece = _advance(
+            fleet, state, jax.tree.map(lambda x, start=start: x[:, start : start + chunk], issued)
+        )
         pieces.append(jax.tree.map(lambda x: np.asarray(x[:wanted]), piece))
         report(wanted * min(chunk, rows - start))
     reading = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :rows], *pieces)

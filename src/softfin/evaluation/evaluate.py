@@ -1,4 +1,5 @@
-"""Evaluate a controller on a plant: experiment, scores over seeds, ``evaluation.json`` and figures as one folder."""
+"""Evaluate a controller on a plant: experiment, scores over seeds, ``evaluation.json`` and figures
+as one folder."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,13 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.randomness import key_of
 from softfin.core.window import CONFIDENCE, interval
-from softfin.evaluation.experiment import MIN_SECONDS, EvaluationTarget, ExperimentRecording, independent, run_together
+from softfin.evaluation.experiment import (
+    MIN_SECONDS,
+    EvaluationTarget,
+    ExperimentRecording,
+    independent,
+    run_together,
+)
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving_references import MovingScores, moving_together, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
@@ -46,32 +53,42 @@ class ExperimentsConfig(Configuration):
     )
     """Reference forces (x, y) [N]; the paper's six."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
-    """Length of each experiment [s], whole, from rest; the paper's 30. The first 2 s only fill the first window."""
+    """Length of each experiment [s], whole, from rest; the paper's 30. The first 2 s only fill the
+    first window."""
     seeds: int = pydantic.Field(default=5, ge=1)
     """Repetitions, each with its own randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """The run's seed, from which those of the repetitions, and whatever else is random, are drawn."""
+    """The run's seed, from which those of the repetitions, and whatever else is random, are
+    drawn."""
 
     def keys(self) -> Key[Array, "seeds"]:
         """The keys with which every repetition starts a plant."""
-        return jnp.stack([key_of(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)])
+        return jnp.stack(
+            [key_of(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
+        )
 
 
 class EvaluateConfig(ExperimentsConfig):
     """Experiments that a controller is scored by."""
 
     moving: tuple[MovingReference, ...] = ()
-    """Kinds of moving references: `evaluation.moving_references.SIGNALS`, laid out in the controller's range."""
+    """Kinds of moving references: `evaluation.moving_references.SIGNALS`, laid out in the
+    controller's range."""
     recorded: Recorded | None = None
-    """Another moving reference, as read from a file; its last force is held as long as the one before."""
+    """Another moving reference, as read from a file; its last force is held as long as the one
+    before."""
     strict: bool = False
-    """Whether a reference that the fin cannot make is refused; else the nearest one that it can make is tracked."""
+    """Whether a reference that the fin cannot make is refused; else the nearest one that it can
+    make is tracked."""
     trim: DisturbanceObserverConfig | None = None
-    """Force feedback around the controller, which subtracts its estimated steady-state error; None: none."""
+    """Force feedback around the controller, which subtracts its estimated steady-state error; None:
+    none."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
-    """References along each side of a lattice over the controller's range, for a map of the error; None draws none."""
+    """References along each side of a lattice over the controller's range, for a map of the error;
+    None draws none."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
-    """References drawn at random over all that the controller was trained for and the fin can make; None: none."""
+    """References drawn at random over all that the controller was trained for and the fin can make;
+    None: none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,7 +98,8 @@ class Evaluation:
     config: EvaluateConfig
     scores: Scores
     repetitions: int
-    """Number of independent repetitions: 1 for a plant without randomness, which does the same at every seed."""
+    """Number of independent repetitions: 1 for a plant without randomness, which does the same at
+    every seed."""
     recording: ExperimentRecording
     """Recording of the first seed alone: fields ``(references, 1, ticks)``, as NumPy arrays."""
     uncertainty: SurrogateUncertainty | None = None
@@ -96,7 +114,8 @@ class Evaluation:
     """Errors over random references, for JSON."""
 
     def summary(self) -> dict[str, Any]:
-        """Conditions, scores by reference and their mean; the first part of what `write_evaluation` writes."""
+        """Conditions, scores by reference and their mean; the first part of what `write_evaluation`
+        writes."""
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
         return {
             **artifacts.head("evaluation"),
@@ -116,16 +135,26 @@ class Evaluation:
             "references": [
                 {
                     "reference_n": list(reference),
-                    "tracked_reference_n": [round(float(x), 4) for x in self.recording.reference[i]],
+                    "tracked_reference_n": [
+                        round(float(x), 4) for x in self.recording.reference[i]
+                    ],
                     **_row(jax.tree.map(lambda field, i=i: field[i], self.scores)),
                     "still": bool((self.scores.late_travel[i] < STILL_RAD_S).all()),
-                    **({} if self.uncertainty is None else {"surrogate": self.uncertainty.to_dict(i)}),
+                    **(
+                        {}
+                        if self.uncertainty is None
+                        else {"surrogate": self.uncertainty.to_dict(i)}
+                    ),
                 }
                 for i, reference in enumerate(self.config.references)
             ],
             "mean": _row(jax.tree.map(lambda field: field.mean(axis=0), self.scores)),
             "warning": "; ".join([*self.warnings, *([uncertain] if uncertain else [])]) or None,
-            **({"moving": [row for moving in self.moving for row in moving.rows]} if self.moving else {}),
+            **(
+                {"moving": [row for moving in self.moving for row in moving.rows]}
+                if self.moving
+                else {}
+            ),
             **({} if self.error_map is None else {"error_map": self.error_map.to_dict()}),
             **({} if self.random is None else {"random": self.random}),
         }
@@ -148,64 +177,93 @@ def _row(scores: Scores) -> dict[str, Any]:
 def evaluate(controller: Controller, plant: EvaluationTarget, config: EvaluateConfig) -> Evaluation:
     """Run and score all experiments; errors are those against the tracked reference.
 
-    Raises CoverageError for a reference that the controller was not trained for, or with `config.strict` for one that
-    the fin cannot make.
+    Raises CoverageError for a reference that the controller was not trained for, or with
+    `config.strict` for one that the fin cannot make.
     """
-    resolved = [resolve_reference(controller, reference, config.strict) for reference in config.references]
+    resolved = [
+        resolve_reference(controller, reference, config.strict) for reference in config.references
+    ]
     tracked = np.array([reference for reference, _ in resolved], np.float32)
     if config.trim is not None:
         controller = DisturbanceObserver(controller, config.trim)
     plans = plan_moving(controller, config.moving, config.recorded, config.strict)
-    keys, seconds = config.keys(), config.seconds
+    keys = config.keys()
+    seconds = config.seconds
     experiments = [(tracked, seconds), *((plan.tracked, plan.seconds) for plan in plans)]
     constant, *moving = run_together(controller, plant, experiments, keys)
     evaluation = score_experiments(constant, plant, config)
     warnings = [warning for _, warning in resolved if warning is not None]
-    points, count = config.error_map, config.random
+    points = config.error_map
+    count = config.random
     return dataclasses.replace(
         evaluation,
         warnings=(*warnings, *(warning for plan in plans for warning in plan.warnings)),
         moving=tuple(plan.score(recording) for plan, recording in zip(plans, moving, strict=True)),
-        error_map=None if points is None else map_errors(controller, plant, points, seconds, keys[0]),
-        random=None if count is None else random_errors(controller, plant, count, config.seed, seconds, keys[0]),
+        error_map=None
+        if points is None
+        else map_errors(controller, plant, points, seconds, keys[0]),
+        random=None
+        if count is None
+        else random_errors(controller, plant, count, config.seed, seconds, keys[0]),
     )
 
 
-def score_experiments(recording: ExperimentRecording, plant: EvaluationTarget, config: EvaluateConfig) -> Evaluation:
+def score_experiments(
+    recording: ExperimentRecording, plant: EvaluationTarget, config: EvaluateConfig
+) -> Evaluation:
     """Score experiments of the configuration's references, whatever commanded the plant."""
     recording = independent(recording)
-    first, repetitions = recording.first(), recording.reading.angle.shape[1]
+    first = recording.first()
+    repetitions = recording.reading.angle.shape[1]
     return Evaluation(config, score(recording), repetitions, first, uncertainty_of(plant, first))
 
 
 def together(each: Sequence[Evaluation]) -> Evaluation:
-    """One evaluation whose repetitions are these, each the mean of its own; the recordings are the first's."""
+    """One evaluation whose repetitions are these, each the mean of its own; the recordings are the
+    first's."""
     means = [jax.tree.map(lambda field: field.mean(axis=1), e.scores) for e in each]
     scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
     estimates = [e.uncertainty for e in each if e.uncertainty is not None]
-    uncertainty = SurrogateUncertainty(
-        np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
-        np.max([estimate.furthest for estimate in estimates], axis=0),
-        np.mean([estimate.half_width for estimate in estimates], axis=0),
-    ) if estimates else None  # fmt: skip
+    uncertainty = (
+        SurrogateUncertainty(
+            np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
+            np.max([estimate.furthest for estimate in estimates], axis=0),
+            np.mean([estimate.half_width for estimate in estimates], axis=0),
+        )
+        if estimates
+        else None
+    )
     warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
     moving = tuple(map(moving_together, zip(*(e.moving for e in each), strict=True)))
-    return Evaluation(each[0].config, scores, len(each), each[0].recording, uncertainty, warnings, moving)
+    return Evaluation(
+        each[0].config, scores, len(each), each[0].recording, uncertainty, warnings, moving
+    )
 
 
 def write_evaluation(
-    evaluation: Evaluation, out: Path, metadata: Mapping[str, Any] | None = None, overwrite: bool = False
+    evaluation: Evaluation,
+    out: Path,
+    metadata: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns the JSON.
+    """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns
+    the JSON.
 
-    It holds `Evaluation.summary`, with the caller's `metadata` in ``conditions``, such as the controller and the plant;
-    ``configuration``, of a recorded reference its ``rows`` and ``seconds``; ``provenance``. docs/files.md has the keys.
+    It holds `Evaluation.summary`, with the caller's `metadata` in ``conditions``, such as the
+    controller and the plant; ``configuration``, of a recorded reference its ``rows`` and
+    ``seconds``; ``provenance``. docs/files.md has the keys.
     """
-    summary, config = evaluation.summary(), evaluation.config
+    summary = evaluation.summary()
+    config = evaluation.config
     summary["conditions"] |= dict(metadata or {})
-    summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"}) | {"recorded": None}
+    summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"}) | {
+        "recorded": None
+    }
     if config.recorded is not None:
-        summary["configuration"]["recorded"] = {"rows": len(config.recorded.time_s), "seconds": config.recorded.seconds}
+        summary["configuration"]["recorded"] = {
+            "rows": len(config.recorded.time_s),
+            "seconds": config.recorded.seconds,
+        }
     summary["provenance"] = artifacts.provenance(seed=config.seed)
 
     def write(folder: Path) -> None:

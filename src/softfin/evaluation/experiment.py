@@ -1,7 +1,8 @@
-"""The paper's experiment: from rest, a controller tracks a reference force on a plant, 3 actions a second (Sec. IV).
+"""The paper's experiment: from rest, a controller tracks a reference force on a plant, 3 actions a
+second (Sec. IV).
 
-Controller, plant and reference forces, constant or moving, go in, a recording of every 10 ms comes out; all references
-and seeds run side by side in one compiled program.
+Controller, plant and reference forces, constant or moving, go in, a recording of every 10 ms comes
+out; all references and seeds run side by side in one compiled program.
 """
 
 from collections.abc import Sequence
@@ -25,7 +26,8 @@ MIN_SECONDS = 3
 
 
 References: TypeAlias = Float[AnyArray, "references *ticks 2"]
-"""Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that tick's reading."""
+"""Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that
+tick's reading."""
 
 
 class ExperimentRecording(NamedTuple):
@@ -33,26 +35,32 @@ class ExperimentRecording(NamedTuple):
 
     reference: References
     command: Command
-    """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came about."""
+    """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came
+    about."""
     reading: Reading
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
     true_force: Float[AnyArray, "references seeds ticks 2"] | None = None
-    """Force on the mount without the errors of the sensor [N]; None if the plant has only readings."""
+    """Force on the mount without the errors of the sensor [N]; None if the plant has only
+    readings."""
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
-        """Force by which a controller is judged [N]: the true one if it is known, else the reading."""
+        """Force by which a controller is judged [N]: the true one if it is known, else the
+        reading."""
         return self.reading.force if self.true_force is None else self.true_force
 
     def first(self) -> "ExperimentRecording":
         """The first seed alone, its axis kept, as NumPy arrays."""
-        series = jax.tree.map(lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force))
+        series = jax.tree.map(
+            lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
+        )
         return ExperimentRecording(np.asarray(self.reference), *series)
 
 
 @runtime_checkable
 class RealTime(Protocol):
-    """A fin that no program can simulate, with the controller that it was given: experiments take their time."""
+    """A fin that no program can simulate, with the controller that it was given: experiments take
+    their time."""
 
     @property
     def limits(self) -> Limits:
@@ -71,49 +79,67 @@ EvaluationTarget: TypeAlias = Plant | RealTime
 
 
 def run(
-    controller: Controller, plant: EvaluationTarget, references: References, seconds: int, keys: Key[Array, "seeds"]
+    controller: Controller,
+    plant: EvaluationTarget,
+    references: References,
+    seconds: int,
+    keys: Key[Array, "seeds"],
 ) -> ExperimentRecording:
     """Run every reference with every key of the plant, each from rest, for whole seconds.
 
-    A reference is one force, or one a tick of which the controller observes that of the tick at which it acts.
+    A reference is one force, or one a tick of which the controller observes that of the tick at
+    which it acts.
     """
     asked = np.asarray(references, np.float32)
     if isinstance(plant, RealTime):
         return plant.experiments(asked, seconds, len(keys))
-    series = np.broadcast_to(asked[:, None] if asked.ndim == 2 else asked, (len(asked), seconds * RATE_HZ, 2))
+    series = np.broadcast_to(
+        asked[:, None] if asked.ndim == 2 else asked, (len(asked), seconds * RATE_HZ, 2)
+    )
     starts = np.cumsum([0, *ticks_of(seconds * len(ACTION_TICKS))])[:-1]
     recorded = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
     return ExperimentRecording(references, *recorded)
 
 
 def run_together(
-    controller: Controller, plant: EvaluationTarget, experiments: Sequence[tuple[np.ndarray, int]],
+    controller: Controller,
+    plant: EvaluationTarget,
+    experiments: Sequence[tuple[np.ndarray, int]],
     keys: Key[Array, "seeds"],
-) -> list[ExperimentRecording]:  # fmt: skip
-    """Run several sets of references, each for seconds of its own: in a simulated plant all in one program."""
+) -> list[ExperimentRecording]:
+    """Run several sets of references, each for seconds of its own: in a simulated plant all in one
+    program."""
     if isinstance(plant, RealTime) or len(experiments) == 1:
-        return [run(controller, plant, references, seconds, keys) for references, seconds in experiments]
+        return [
+            run(controller, plant, references, seconds, keys) for references, seconds in experiments
+        ]
     ticks = max(seconds for _, seconds in experiments) * RATE_HZ
     asked_series = []
     for references, _ in experiments:
         asked = np.asarray(references, np.float32)
         asked = asked[:, None] if asked.ndim == 2 else asked
         # Beyond its end the last force is held, and what comes of it is left out below.
-        asked_series.append(np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge"))
+        asked_series.append(
+            np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge")
+        )
     whole = run(controller, plant, np.concatenate(asked_series), ticks // RATE_HZ, keys)
     first = 0
     recordings = []
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
-        series = jax.tree.map(lambda x, part=part: x[part], (whole.command, whole.reading, whole.true_force))
+        series = jax.tree.map(
+            lambda x, part=part: x[part], (whole.command, whole.reading, whole.true_force)
+        )
         recordings.append(ExperimentRecording(references, *series))
         first += len(references)
     return recordings
 
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:
-    """Drop repetitions that are all alike, as those of a plant without randomness; raise PlantError unless finite."""
-    force, angle = np.asarray(recording.reading.force), np.asarray(recording.reading.angle)
+    """Drop repetitions that are all alike, as those of a plant without randomness; raise PlantError
+    unless finite."""
+    force = np.asarray(recording.reading.force)
+    angle = np.asarray(recording.reading.angle)
     finite = {"force": np.isfinite(force).all(axis=-1), "angle": np.isfinite(angle)}
     if recording.true_force is not None:
         finite["true force"] = np.isfinite(np.asarray(recording.true_force)).all(axis=-1)
@@ -125,9 +151,9 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
         asked = np.asarray(recording.reference)[index]
         x, y = asked if asked.ndim == 1 else asked[tick]
         raise PlantError(
-            f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: {name} is not finite after the "
-            f"command (angle {commanded:.3f} rad, velocity {velocity:.3f} rad/s); every reading and true force of a "
-            "plant must be finite"
+            f"reference ({x:g}, {y:g}) N, seed {seed}, {(tick + 1) / RATE_HZ:.2f} s: {name} is not "
+            f"finite after the command (angle {commanded:.3f} rad, velocity {velocity:.3f} rad/s); "
+            "every reading and true force of a plant must be finite"
         )
     return recording.first() if (force == force[:, :1]).all() else recording
 
@@ -138,19 +164,25 @@ Recorded: TypeAlias = tuple[Command, Reading, Array | None]
 
 @jit("low")
 def _program(
-    parties: tuple[Controller, Plant], references: Float[Array, "references actions 2"], keys: Key[Array, "seeds"]
+    parties: tuple[Controller, Plant],
+    references: Float[Array, "references actions 2"],
+    keys: Key[Array, "seeds"],
 ) -> Recorded:
-    """Run experiments; compiled once for controllers and plants that are alike but for their arrays."""
+    """Run experiments; compiled once for controllers and plants that are alike but for their
+    arrays."""
     controller, plant = parties
     actions = references.shape[1]
     Carry: TypeAlias = tuple[ControllerState, State, Measured]
 
     def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Recorded]:
         """Act on what was read while the action before was held."""
-        (memory, state, measured), (reference, ticks) = carry, now
+        (memory, state, measured) = carry
+        (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
-        measured = Measured(jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks))
+        measured = Measured(
+            jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks)
+        )
         held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
         return (memory, state, measured), (held, reading, true_force)
 

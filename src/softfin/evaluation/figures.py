@@ -19,15 +19,18 @@ from softfin.evaluation.scores import SETTLED_N
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
-TRAJECTORY_SECONDS, FORCE_SECONDS = 5, 10
+TRAJECTORY_SECONDS = 5
+FORCE_SECONDS = 10
 """Seconds from the start of an experiment that are drawn, as in the paper's evaluation figure."""
 
 ERROR_COLOURS = "Blues"
-"""Colour map of the errors: light where they are small; the same to the colour-blind, and in grey."""
+"""Colour map of the errors: light where they are small; the same to the colour-blind, and in
+grey."""
 
 
 def experiments_figure(recording: ExperimentRecording) -> Figure:
-    """Every reference of a recording, at its first seed: the fin's trajectory, and the force on both axes."""
+    """Every reference of a recording, at its first seed: the fin's trajectory, and the force on
+    both axes."""
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)
@@ -44,29 +47,51 @@ def experiments_figure(recording: ExperimentRecording) -> Figure:
     return figure
 
 
-def _draw_experiment(panel: SubFigure, recording: ExperimentRecording, index: int, limits: Any) -> None:
+def _draw_experiment(
+    panel: SubFigure, recording: ExperimentRecording, index: int, limits: Any
+) -> None:
     reference = recording.reference[index]
     grid = panel.add_gridspec(2, 2, width_ratios=(1, 1.7))
-    _draw_trajectory(panel.add_subplot(grid[:, 0], projection="polar"), recording.reading.angle[index, 0])
+    _draw_trajectory(
+        panel.add_subplot(grid[:, 0], projection="polar"), recording.reading.angle[index, 0]
+    )
     above = panel.add_subplot(grid[0, 1])
     below = panel.add_subplot(grid[1, 1], sharex=above)
     above.tick_params(labelbottom=False)
     force = np.asarray(recording.force[index, 0, : FORCE_SECONDS * RATE_HZ])
     time = np.arange(1, len(force) + 1) / RATE_HZ
-    late, average = time[WINDOW - 1 :], moving_average(force)
+    late = time[WINDOW - 1 :]
+    average = moving_average(force)
     for axis, axes in enumerate((above, below)):
         axes.plot(time, force[:, axis], color=BLUE, linewidth=0.6, alpha=0.75, label="force")
-        axes.plot(late, average[:, axis], "--", color=BLACK, linewidth=1.6, label="moving average over 2 s")
-        axes.axhline(float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9)
+        axes.plot(
+            late,
+            average[:, axis],
+            "--",
+            color=BLACK,
+            linewidth=1.6,
+            label="moving average over 2 s",
+        )
+        axes.axhline(
+            float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9
+        )
         low, high = limits[axis]
         # A sensor that is dead, or a fin that stands, draws a level line.
-        axes.set(ylabel=f"force {AXES[axis]} [N]", ylim=(low, high) if high > low else (low - 1, high + 1))
-    above.set_title(with_minus_signs(f"reference ({reference[0]:g}, {reference[1]:g}) N"), weight="bold")
-    below.set(xlabel="time [s]", xlim=(0, min(FORCE_SECONDS, recording.reading.angle.shape[-1] / RATE_HZ)))
+        axes.set(
+            ylabel=f"force {AXES[axis]} [N]",
+            ylim=(low, high) if high > low else (low - 1, high + 1),
+        )
+    above.set_title(
+        with_minus_signs(f"reference ({reference[0]:g}, {reference[1]:g}) N"), weight="bold"
+    )
+    below.set(
+        xlabel="time [s]", xlim=(0, min(FORCE_SECONDS, recording.reading.angle.shape[-1] / RATE_HZ))
+    )
 
 
 def _draw_trajectory(axes: Any, angle: Any) -> None:
-    """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at positive ones up (+y)."""
+    """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at
+    positive ones up (+y)."""
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
     axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
@@ -78,18 +103,26 @@ def _draw_trajectory(axes: Any, angle: Any) -> None:
 
 
 def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
-    """Every moving reference, at its first seed: the moving average beside it, the force, the fin's angle."""
+    """Every moving reference, at its first seed: the moving average beside it, the force, the fin's
+    angle."""
     each = [(moving, index) for moving in experiments for index in range(len(moving.rows))]
     columns = min(len(each), 2)
     rows = math.ceil(len(each) / columns)
     with styled():
         figure = new_figure(6.6 * columns, 0.5 + 5.2 * rows)
-        for panel, (moving, index) in zip(figure.subfigures(rows, columns, squeeze=False).flat, each, strict=False):
+        for panel, (moving, index) in zip(
+            figure.subfigures(rows, columns, squeeze=False).flat, each, strict=False
+        ):
             _draw_moving(panel, moving, index)
-        labelled = {label: handle for axes in figure.get_axes()[:3]
-                    for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}  # fmt: skip
+        labelled = {
+            label: handle
+            for axes in figure.get_axes()[:3]
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+        }
         # As many side by side as one panel is wide for.
-        figure.legend(labelled.values(), labelled.keys(), loc="outside lower center", ncols=3 * columns)
+        figure.legend(
+            labelled.values(), labelled.keys(), loc="outside lower center", ncols=3 * columns
+        )
     return figure
 
 
@@ -99,18 +132,33 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     force = np.asarray(recording.force[index, 0])
     *averages, forces, angles = panel.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1, 0.8))
     time = np.arange(1, len(force) + 1) / RATE_HZ
-    late, average, asked = time[WINDOW - 1 :], moving_average(force), moving_average(reference)
+    late = time[WINDOW - 1 :]
+    average = moving_average(force)
+    asked = moving_average(reference)
     # Without the force, whose peaks are several times the reference.
     for axis, axes in enumerate(averages):
         wanted = reference[:, axis]
         axes.fill_between(
-            time, wanted - SETTLED_N, wanted + SETTLED_N, step="pre", color=ORANGE, alpha=0.2, linewidth=0,
+            time,
+            wanted - SETTLED_N,
+            wanted + SETTLED_N,
+            step="pre",
+            color=ORANGE,
+            alpha=0.2,
+            linewidth=0,
             label=f"reference ± {SETTLED_N:g} N",
-        )  # fmt: skip
-        axes.plot(time, wanted, color=ORANGE, linewidth=1.6, drawstyle="steps-pre", label="reference")
+        )
+        axes.plot(
+            time, wanted, color=ORANGE, linewidth=1.6, drawstyle="steps-pre", label="reference"
+        )
         axes.plot(late, asked[:, axis], ":", color=ORANGE, label="its moving average")
         axes.plot(
-            late, average[:, axis], "--", color=BLACK, linewidth=1.6, label="moving average of the force over 2 s"
+            late,
+            average[:, axis],
+            "--",
+            color=BLACK,
+            linewidth=1.6,
+            label="moving average of the force over 2 s",
         )
         axes.set(ylabel=f"mean {AXES[axis]} [N]")
     for axis, colour in enumerate((BLUE, GREY)):
@@ -122,13 +170,19 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     row = moving.rows[index]
     errors = f"error {row['x']['error_n']:.2f}, {row['y']['error_n']:.2f} N"
     if row["settles"] is not None:
-        errors += f"; settles in {row['longest_settling_s']:.2f} s" if row["settles"] else "; never settles"
+        errors += (
+            f"; settles in {row['longest_settling_s']:.2f} s"
+            if row["settles"]
+            else "; never settles"
+        )
     averages[0].set_title(with_minus_signs(f"{row['described']}\n{errors}"), weight="bold")
 
 
 def error_map_figure(errors: ErrorMap) -> Figure:
-    """Heat maps of the error in x and y, with the paper's references and the forces that the fin can make."""
-    (left, bottom), (right, top) = errors.cell.low, errors.cell.high
+    """Heat maps of the error in x and y, with the paper's references and the forces that the fin
+    can make."""
+    (left, bottom) = errors.cell.low
+    (right, top) = errors.cell.high
     # By row of y and column of x; NaN where no reference is tracked.
     lattice = np.full((errors.points, errors.points, 2), np.nan)
     places = (errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points
@@ -140,31 +194,67 @@ def error_map_figure(errors: ErrorMap) -> Figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for index, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
             axes.grid(visible=False)
-            # Where the controller does not cover the reference, or the fin cannot make it: no colour of the map.
+            # Where the controller does not cover the reference, or the fin cannot make it: no
+            # colour of the map.
             axes.patch.set(facecolor="white", hatch="////", edgecolor="#CCCCCC")
             image = axes.imshow(
-                lattice[..., index], origin="lower", extent=(left, right, bottom, top), vmin=0, vmax=greatest,
-                cmap=ERROR_COLOURS, interpolation="nearest",
-            )  # fmt: skip
+                lattice[..., index],
+                origin="lower",
+                extent=(left, right, bottom, top),
+                vmin=0,
+                vmax=greatest,
+                cmap=ERROR_COLOURS,
+                interpolation="nearest",
+            )
             error = errors.error[:, index]
             # More numbers could not be read.
             if errors.points <= 11:
                 for (x, y), value in zip(errors.references, error, strict=True):
                     # Over a mark, on a patch of the map's own colour.
-                    patch = {"facecolor": colormaps[ERROR_COLOURS](value / greatest), "edgecolor": "none", "pad": 0.8}
-                    axes.text(x, y, f"{value:.2f}", ha="center", va="center", fontsize=7, bbox=patch,
-                              color="white" if value > 0.6 * greatest else BLACK)  # fmt: skip
+                    patch = {
+                        "facecolor": colormaps[ERROR_COLOURS](value / greatest),
+                        "edgecolor": "none",
+                        "pad": 0.8,
+                    }
+                    axes.text(
+                        x,
+                        y,
+                        f"{value:.2f}",
+                        ha="center",
+                        va="center",
+                        fontsize=7,
+                        bbox=patch,
+                        color="white" if value > 0.6 * greatest else BLACK,
+                    )
             x, y = np.array(PAPER_REFERENCES, float).T
-            axes.plot(x, y, "o", fillstyle="none", color=BLACK, markersize=16, markeredgewidth=1.4,
-                      label="the paper's references")  # fmt: skip
+            axes.plot(
+                x,
+                y,
+                "o",
+                fillstyle="none",
+                color=BLACK,
+                markersize=16,
+                markeredgewidth=1.4,
+                label="the paper's references",
+            )
             if errors.reachable is not None:
                 outline = np.concatenate([errors.reachable, errors.reachable[:1]])
-                axes.plot(*outline.T, color=BLACK, linestyle="--", linewidth=1.4, label="forces that the fin can make",
-                          path_effects=[withStroke(linewidth=3, foreground="white")])  # fmt: skip
-            axes.set_title(f"error {axis}: mean {error.mean():.2f} N, worst {error.max():.2f} N", weight="bold")
+                axes.plot(
+                    *outline.T,
+                    color=BLACK,
+                    linestyle="--",
+                    linewidth=1.4,
+                    label="forces that the fin can make",
+                    path_effects=[withStroke(linewidth=3, foreground="white")],
+                )
+            axes.set_title(
+                f"error {axis}: mean {error.mean():.2f} N, worst {error.max():.2f} N", weight="bold"
+            )
             axes.set(xlabel="reference force x [N]", aspect="equal")
         panels[0].set_ylabel("reference force y [N]")
-        figure.colorbar(image, ax=panels, label="mean |moving average \N{MINUS SIGN} reference| [N]", shrink=0.9)
+        figure.colorbar(
+            image, ax=panels, label="mean |moving average \N{MINUS SIGN} reference| [N]", shrink=0.9
+        )
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
@@ -172,7 +262,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
 
 def held_figure(recording: ExperimentRecording) -> Figure:
     """The moving average beside each reference, at the first seed: both axes in one panel."""
-    count, columns = len(recording.reference), min(len(recording.reference), 2)
+    count = len(recording.reference)
+    columns = min(len(recording.reference), 2)
     rows = math.ceil(count / columns)
     with styled():
         figure = new_figure(3.1 * columns, 0.6 + 1.3 * rows)
@@ -182,10 +273,21 @@ def held_figure(recording: ExperimentRecording) -> Figure:
         for index, axes in enumerate(panels.flat[:count]):
             average = moving_average(np.asarray(recording.force[index, 0]))
             time = np.arange(WINDOW, WINDOW + len(average)) / RATE_HZ
-            for axis, (colour, name) in enumerate(((BLUE, "thrust x, forward"), (ORANGE, "side force y"))):
+            for axis, (colour, name) in enumerate(
+                ((BLUE, "thrust x, forward"), (ORANGE, "side force y"))
+            ):
                 asked = float(recording.reference[index, axis])
-                axes.axhspan(asked - SETTLED_N, asked + SETTLED_N, color=colour, alpha=0.15, linewidth=0)
-                axes.axhline(asked, color=BLACK, linestyle="--", linewidth=1, zorder=3, label="asked for (reference)")
+                axes.axhspan(
+                    asked - SETTLED_N, asked + SETTLED_N, color=colour, alpha=0.15, linewidth=0
+                )
+                axes.axhline(
+                    asked,
+                    color=BLACK,
+                    linestyle="--",
+                    linewidth=1,
+                    zorder=3,
+                    label="asked for (reference)",
+                )
                 axes.plot(time, average[:, axis], color=colour, linewidth=1.8, label=name)
             x, y = recording.reference[index]
             axes.set_title(with_minus_signs(f"asked for: x {x:g} N, y {y:g} N"), weight="bold")

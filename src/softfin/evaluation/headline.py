@@ -25,7 +25,8 @@ class Headline(NamedTuple):
 
 
 def headline(results: Mapping[str, Any]) -> Headline | None:
-    """Choose the best controller of a run's ``results.json``, with force feedback if evaluated; None if there is none.
+    """Choose the best controller of a run's ``results.json``, with force feedback if evaluated;
+    None if there is none.
 
     A controller under which the fin stands still comes last, however small its error.
     """
@@ -37,11 +38,14 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
         return any(row["still"] for row in item[1]["references"]), greatest_error(item[1]["mean"])
 
     name, summary = min(evaluated.items(), key=still_or_error)
-    (still, _), rows = still_or_error((name, summary)), summary["references"]
+    (still, _) = still_or_error((name, summary))
+    rows = summary["references"]
     errors = {tuple(row["reference_n"]): greatest_error(row) for row in rows}
     too_far = {reference: error for reference, error in errors.items() if error > SETTLED_N}
     plain = results["controllers"][name] if results.get("trimmed") else None
-    held, count = (NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows)))
+    held, count = (
+        NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows))
+    )
     each = f"each of {count} forces" if len(rows) > 1 else "the force"
     if not too_far and not still:
         sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
@@ -49,7 +53,9 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
             before = max(map(greatest_error, plain["references"]))
             sentence += f"; without force feedback, within {within(before)} N"
     elif still:
-        sentence = "The fin stands still at some of the target forces: this controller does not work"
+        sentence = (
+            "The fin stands still at some of the target forces: this controller does not work"
+        )
     else:
         worst = max(too_far, key=lambda reference: too_far[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
@@ -57,12 +63,14 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
             f"The fin holds {held} of {count} forces within {SETTLED_N:g} N on average; it "
             f"misses {force} N by {too_far[worst]:.2f} N"
         )
-    seconds, window = summary["conditions"]["duration_s"], summary["conditions"]["window_samples"]
+    seconds = summary["conditions"]["duration_s"]
+    window = summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
     caption = (
-        f"The mean force over the last {window / rate:g} s (lines) and the target force (dashed, with "
-        f"{SETTLED_N:g} N on both sides), from rest for {seconds} s: controller {name}"
-        f"{', with force feedback' if plain is not None else ''}, the first of {summary['conditions']['seeds']} runs."
+        f"The mean force over the last {window / rate:g} s (lines) and the target force (dashed, "
+        f"with {SETTLED_N:g} N on both sides), from rest for {seconds} s: controller "
+        f"{name}{', with force feedback' if plain is not None else ''}, the first of "
+        f"{summary['conditions']['seeds']} runs."
     )
     return Headline(name, f"{sentence}.", caption, not too_far and not still)
 
@@ -78,8 +86,10 @@ def within(error_n: float) -> str:
 
 
 def over_seeds(scores: Mapping[str, Any], name: str, digits: int = 3) -> str:
-    """Text behind a mean over seeds: half its interval, the range of both of two seeds, nothing of one."""
-    interval, seeds = scores[f"{name}_interval_n"], scores.get(f"{name}_seeds_n") or []
+    """Text behind a mean over seeds: half its interval, the range of both of two seeds, nothing of
+    one."""
+    interval = scores[f"{name}_interval_n"]
+    seeds = scores.get(f"{name}_seeds_n") or []
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.{digits - 1}f}"
     return f"({min(seeds):.{digits}f} to {max(seeds):.{digits}f})" if len(set(seeds)) > 1 else ""

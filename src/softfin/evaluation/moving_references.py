@@ -1,6 +1,8 @@
-"""Experiments whose reference moves: steps, ramps, sines within a controller's range, or a recorded signal.
+"""Experiments whose reference moves: steps, ramps, sines within a controller's range, or a recorded
+signal.
 
-Controller, plant and signals go in; recordings, tracking errors and the responses to every step come out.
+Controller, plant and signals go in; recordings, tracking errors and the responses to every step
+come out.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -23,12 +25,14 @@ from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
 
-FORWARDS, UP = ((3, 3), (5, 3)), ((3, 1), (3, 5))
+FORWARDS = ((3, 3), (5, 3))
+UP = ((3, 1), (3, 5))
 """Start and end of a signal in a controller's range, in sixths of it on each axis."""
 
 
 def _sine(start_n: Force, to_n: Force) -> Sinusoid:
-    (a, b), (c, d) = start_n, to_n
+    (a, b) = start_n
+    (c, d) = to_n
     return Sinusoid(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
 
 
@@ -37,19 +41,25 @@ SIGNALS: dict[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int
     "ramp": (Ramp, (UP, FORWARDS), 20),
     "sine": (_sine, (UP, FORWARDS), 30),
 }
-"""Default signals by kind: from where to where in the range, and length of the experiment [s]; in the paper's range:
+"""Default signals by kind: from where to where in the range, and length of the experiment [s]; in
+the paper's range:
 
-======== ==============================================================================================================
+========
+==============================================================================================================
 ``step`` at 10 s: (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1), (3, 0) to (1, -1) N
-``ramp`` from 5 s to 15 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N
-``sine`` of 10 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N
-======== ==============================================================================================================
+``ramp`` from 5 s to 15 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N ``sine`` of 10 s: (2, -1) to (2,
+1), (2, 0) to (3, 0) N ========
+==============================================================================================================
 """
 
 
-def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = None) -> tuple[Signal, ...]:
-    """The default signals of a kind within a range; forces that the fin cannot make are moved to its reach."""
-    (x0, y0), (x1, y1) = cell.low, cell.high
+def signals_of(
+    kind: MovingReference, cell: Cell, reachable: Reachable | None = None
+) -> tuple[Signal, ...]:
+    """The default signals of a kind within a range; forces that the fin cannot make are moved to
+    its reach."""
+    (x0, y0) = cell.low
+    (x1, y1) = cell.high
 
     def at(x: int, y: int) -> Force:
         force = (x0 + x / 6 * (x1 - x0), y0 + y / 6 * (y1 - y0))
@@ -57,8 +67,8 @@ def signals_of(kind: MovingReference, cell: Cell, reachable: Reachable | None = 
             force = reachable.nearest_within((cell,), np.array([force]))[0].tolist()
         if not np.isfinite(force).all():
             raise CoverageError(
-                f"references that move within {cell}: this fin can make none of these forces; train the controller "
-                "within its reach (softfin map shows it)"
+                f"references that move within {cell}: this fin can make none of these forces; "
+                "train the controller within its reach (softfin map shows it)"
             )
         return round(force[0], 6), round(force[1], 6)
 
@@ -70,7 +80,8 @@ class MovingScores(NamedTuple):
     """Experiments of one length whose references move."""
 
     recording: ExperimentRecording
-    """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1, ticks)``."""
+    """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1,
+    ticks)``."""
     rows: list[dict[str, Any]]
     """Scores of each signal, for JSON."""
 
@@ -81,7 +92,8 @@ class MovingPlan(NamedTuple):
     signals: tuple[Signal, ...]
     seconds: int
     tracked: Float[np.ndarray, "signals ticks 2"]
-    """Tracked reference, one force a tick [N]: the signals, but for forces that the fin cannot make."""
+    """Tracked reference, one force a tick [N]: the signals, but for forces that the fin cannot
+    make."""
     warnings: tuple[str, ...] = ()
     """Sentences on forces that the fin cannot make."""
 
@@ -89,8 +101,11 @@ class MovingPlan(NamedTuple):
     def of(
         cls, controller: Controller, signals: tuple[Signal, ...], seconds: int, strict: bool = False
     ) -> "MovingPlan":
-        """Find the forces to track; raises CoverageError beyond the controller's range, with `strict` the fin's."""
-        pairs = [_resolve_signal(controller, signal, seconds * RATE_HZ, strict) for signal in signals]
+        """Find the forces to track; raises CoverageError beyond the controller's range, with
+        `strict` the fin's."""
+        pairs = [
+            _resolve_signal(controller, signal, seconds * RATE_HZ, strict) for signal in signals
+        ]
         warnings = tuple(warning for _, warning in pairs if warning is not None)
         return cls(signals, seconds, np.stack([series for series, _ in pairs]), warnings)
 
@@ -107,14 +122,18 @@ class MovingPlan(NamedTuple):
 
 
 def _row(
-    signal: Signal, tracked: Series, forces: np.ndarray, error: Float[np.ndarray, "seeds 2"],
+    signal: Signal,
+    tracked: Series,
+    forces: np.ndarray,
+    error: Float[np.ndarray, "seeds 2"],
     reading_error: Float[np.ndarray, "seeds 2"] | None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     responses = [step_responses(force, tracked) for force in forces]
     # Against the reference of that very instant, so the window's own delay counts too.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
     axes = {
-        axis: _errors("error", error[:, k]) | {"instantaneous_error_n": float(instantaneous[:, k].mean())}
+        axis: _errors("error", error[:, k])
+        | {"instantaneous_error_n": float(instantaneous[:, k].mean())}
         for k, axis in enumerate(AXES)
     }
     if reading_error is not None:
@@ -138,8 +157,12 @@ def _row(
 
 
 def moving_together(each: Sequence[MovingScores]) -> MovingScores:
-    """Scores of the same signals, each at one seed, as those of all these seeds; the recording is the first's."""
-    return MovingScores(each[0].recording, [_row_together(rows) for rows in zip(*(e.rows for e in each), strict=True)])
+    """Scores of the same signals, each at one seed, as those of all these seeds; the recording is
+    the first's."""
+    return MovingScores(
+        each[0].recording,
+        [_row_together(rows) for rows in zip(*(e.rows for e in each), strict=True)],
+    )
 
 
 def _row_together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -149,13 +172,23 @@ def _row_together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         axes[axis] = {"instantaneous_error_n": instantaneous}
         for name in ("error", "reading_error"):
             if f"{name}_n" in rows[0][axis]:
-                axes[axis] |= _errors(name, np.concatenate([row[axis][f"{name}_seeds_n"] for row in rows]))
+                axes[axis] |= _errors(
+                    name, np.concatenate([row[axis][f"{name}_seeds_n"] for row in rows])
+                )
     settles = None if rows[0]["settles"] is None else all(row["settles"] for row in rows)
-    return rows[0] | axes | {
-        "settles": settles,
-        "longest_settling_s": max(row["longest_settling_s"] for row in rows) if settles else None,
-        "steps": [list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)],
-    }  # fmt: skip
+    return (
+        rows[0]
+        | axes
+        | {
+            "settles": settles,
+            "longest_settling_s": max(row["longest_settling_s"] for row in rows)
+            if settles
+            else None,
+            "steps": [
+                list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)
+            ],
+        }
+    )
 
 
 def _errors(name: str, errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
@@ -166,8 +199,11 @@ def _errors(name: str, errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
     }
 
 
-def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: bool) -> tuple[Series, str | None]:
-    """The force to track at each tick, the nearest that the fin can make, and a warning where it is not the signal."""
+def _resolve_signal(
+    controller: Controller, signal: Signal, ticks: int, strict: bool
+) -> tuple[Series, str | None]:
+    """The force to track at each tick, the nearest that the fin can make, and a warning where it is
+    not the signal."""
     references = signal.sample(ticks)
     distinct, places = np.unique(references, axis=0, return_inverse=True)
     near = nearest_trackable(controller, distinct).astype(np.float32)[places.reshape(-1)]
@@ -175,9 +211,10 @@ def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: 
     if not distance.any():
         return references, None
     problem = (
-        f"{signal}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} of "
-        f"{len(references) / RATE_HZ:g} s, from {np.argmax(distance > 0) / RATE_HZ:g} s on, by up to "
-        f"{distance.max():.3f} N; the nearest forces that it can make in this controller's range are held "
+        f"{signal}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} "
+        f"of {len(references) / RATE_HZ:g} s, from {np.argmax(distance > 0) / RATE_HZ:g} s on, by "
+        f"up to {distance.max():.3f} N; the nearest forces that it can make in this controller's "
+        "range are held "
     )
     if strict:
         raise CoverageError(f"{problem}where --strict is left out")
@@ -185,11 +222,17 @@ def _resolve_signal(controller: Controller, signal: Signal, ticks: int, strict: 
 
 
 def plan_moving(
-    controller: Controller, kinds: Iterable[MovingReference], recorded: Recorded | None, strict: bool = False
+    controller: Controller,
+    kinds: Iterable[MovingReference],
+    recorded: Recorded | None,
+    strict: bool = False,
 ) -> list[MovingPlan]:
     """The default signals of each kind, and a recorded one, as `MovingPlan.of` finds them."""
-    cell, reachable = range_of(controller), reachable_of(controller)
-    groups = [(signals_of(kind, cell, reachable), SIGNALS[kind][2]) for kind in dict.fromkeys(kinds)]
+    cell = range_of(controller)
+    reachable = reachable_of(controller)
+    groups = [
+        (signals_of(kind, cell, reachable), SIGNALS[kind][2]) for kind in dict.fromkeys(kinds)
+    ]
     if recorded is not None:
         groups.append(((recorded,), max(recorded.seconds, MIN_SECONDS)))
     return [MovingPlan.of(controller, signals, seconds, strict) for signals, seconds in groups]

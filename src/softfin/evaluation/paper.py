@@ -1,7 +1,7 @@
 """The paper's own figures: Table II, as printed; of each row x error, x std, y error, y std [N].
 
-Its last row, "Overall mean", is not always the mean of the rows above it (the grid's y std is printed 0.201, its rows
-give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
+Its last row, "Overall mean", is not always the mean of the rows above it (the grid's y std is
+printed 0.201, its rows give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
 """
 
 PaperScores = tuple[float, float, float, float]
@@ -35,4 +35,7 @@ PAPER_PRINTED_MEANS: dict[str, PaperScores] = {
 
 def recomputed_means(controller: str) -> list[float]:
     """The means of the six rows of Table II."""
-    return [sum(column) / len(column) for column in zip(*PAPER_TABLE_II[controller].values(), strict=True)]
+    return [
+        sum(column) / len(column)
+        for column in zip(*PAPER_TABLE_II[controller].values(), strict=True)
+    ]

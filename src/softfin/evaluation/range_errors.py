@@ -1,6 +1,8 @@
-"""Errors over a controller's whole range: at a lattice of references, and at references drawn at random.
+"""Errors over a controller's whole range: at a lattice of references, and at references drawn at
+random.
 
-Controller and plant go in; all references run side by side in one compiled program, each from rest, at one seed.
+Controller and plant go in; all references run side by side in one compiled program, each from rest,
+at one seed.
 """
 
 from collections.abc import Sequence
@@ -41,7 +43,8 @@ class ErrorMap(NamedTuple):
     points: int
     """References along each side."""
     references: Forces
-    """References that the controller covers and the fin can make [N]; the others of ``points ** 2`` are left out."""
+    """References that the controller covers and the fin can make [N]; the others of ``points ** 2``
+    are left out."""
     error: Forces
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
@@ -69,26 +72,38 @@ class ErrorMap(NamedTuple):
 
 
 def range_of(controller: Controller) -> Cell:
-    """The bounding box of a controller's cells; the paper's range for one that has none and covers everything."""
+    """The bounding box of a controller's cells; the paper's range for one that has none and covers
+    everything."""
     return bounding_box(cells_of(controller) or (PAPER_RANGE,))
 
 
 def errors_at(
-    controller: Controller, plant: EvaluationTarget, references: Forces, seconds: int, key: PRNGKeyArray
+    controller: Controller,
+    plant: EvaluationTarget,
+    references: Forces,
+    seconds: int,
+    key: PRNGKeyArray,
 ) -> Forces:
     """Mean |moving average - reference| of each reference [N]."""
-    recording = run(controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key]))
+    recording = run(
+        controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key])
+    )
     return score(independent(recording)).error[:, 0]
 
 
 def map_errors(
     controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
 ) -> ErrorMap:
-    """Errors over a lattice of the controller's range; raises CoverageError where no reference of it can be tracked."""
-    cell, reachable = range_of(controller), reachable_of(controller)
+    """Errors over a lattice of the controller's range; raises CoverageError where no reference of
+    it can be tracked."""
+    cell = range_of(controller)
+    reachable = reachable_of(controller)
     outline = None if reachable is None else reachable.corners()
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
-        raise CoverageError(f"an error map over {cell}: the controller's range has no area; train it for a wider cell")
+        raise CoverageError(
+            f"an error map over {cell}: the controller's range has no area; train it for a wider "
+            "cell"
+        )
 
     def covers(reference: Force) -> bool:
         try:
@@ -97,27 +112,37 @@ def map_errors(
             return False
         return True
 
-    covered = np.array([reference for reference in cell.lattice(points) if covers(reference)]).reshape(-1, 2)
+    covered = np.array(
+        [reference for reference in cell.lattice(points) if covers(reference)]
+    ).reshape(-1, 2)
     references = covered if reachable is None else covered[reachable.contains(covered)]
     if not len(references):
         raise CoverageError(
-            f"an error map of {points} x {points} references over {cell}: the controller covers {len(covered)} of them "
-            "and the fin can make none of those; ask for more points, or train the controller within the fin's reach "
-            "(softfin map shows it)"
+            f"an error map of {points} x {points} references over {cell}: the controller covers "
+            f"{len(covered)} of them and the fin can make none of those; ask for more points, or "
+            "train the controller within the fin's reach (softfin map shows it)"
         )
     error = errors_at(controller, plant, references, seconds, key)
     return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
 
 
 def random_errors(
-    controller: Controller, plant: EvaluationTarget, count: int, seed: int, seconds: int, key: PRNGKeyArray
+    controller: Controller,
+    plant: EvaluationTarget,
+    count: int,
+    seed: int,
+    seconds: int,
+    key: PRNGKeyArray,
 ) -> dict[str, Any]:
-    """Errors at references drawn from `seed` over the controller's cells and the fin's reach, for JSON.
+    """Errors at references drawn from `seed` over the controller's cells and the fin's reach, for
+    JSON.
 
     The 95th percentile is over the references.
     """
     cells = cells_of(controller) or (PAPER_RANGE,)
-    references = draw_references(cells, reachable_of(controller), count, generator_of(seed, "evaluate/random"))
+    references = draw_references(
+        cells, reachable_of(controller), count, generator_of(seed, "evaluate/random")
+    )
     errors = errors_at(controller, plant, references, seconds, key)
     axes = {
         axis: {
@@ -134,21 +159,28 @@ def random_errors(
 def draw_references(
     cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
 ) -> Forces:
-    """Forces uniform over the part of the cells that the fin can make; raises CoverageError where it makes hardly any.
+    """Forces uniform over the part of the cells that the fin can make; raises CoverageError where
+    it makes hardly any.
 
-    Cells of no area, single references or lines, are drawn from with equal probability if no other has any.
+    Cells of no area, single references or lines, are drawn from with equal probability if no other
+    has any.
     """
-    low, high = (np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high"))
+    low, high = (
+        np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high")
+    )
     area = np.prod(high - low, axis=1)
     probability = area / area.sum() if area.any() else np.full(len(cells), 1 / len(cells))
     accepted = np.zeros((0, 2))
     for _ in range(ROUNDS):
         chosen = generator.choice(len(cells), count, p=probability)
         forces = generator.uniform(low[chosen], high[chosen])
-        accepted = np.concatenate([accepted, forces if reachable is None else forces[reachable.contains(forces)]])
+        accepted = np.concatenate(
+            [accepted, forces if reachable is None else forces[reachable.contains(forces)]]
+        )
         if len(accepted) >= count:
             return accepted[:count]
     raise CoverageError(
-        f"random = {count}: of {count * ROUNDS} references drawn over the controller's cells this fin can make "
-        f"{len(accepted)}; train the controller within the fin's reach (softfin map shows it)"
+        f"random = {count}: of {count * ROUNDS} references drawn over the controller's cells this "
+        f"fin can make {len(accepted)}; train the controller within the fin's reach (softfin map "
+        "shows it)"
     )

@@ -1,18 +1,25 @@
-"""The scores of Table II and of responses to steps: a recording goes in, errors by reference, seed and axis come out.
+"""The scores of Table II and of responses to steps: a recording goes in, errors by reference, seed
+and axis come out.
 
-The force f is the true one if the plant knows it, as the virtual tank does. The sensor's reading must not judge a
-controller with force feedback: feedback integrates that reading to the reference, so drift and mounting errors of the
-sensor would not be seen. On a real rig there is only the reading.
+The force f is the true one if the plant knows it, as the virtual tank does. The sensor's reading
+must not judge a controller with force feedback: feedback integrates that reading to the reference,
+so drift and mounting errors of the sensor would not be seen. On a real rig there is only the
+reading.
 
-With m the moving average of f over the 200 samples up to each instant, where those are all recorded, and r the
-reference, which is averaged over the same samples where it moves (`softfin.core.window`):
+With m the moving average of f over the 200 samples up to each instant, where those are all
+recorded, and r the reference, which is averaged over the same samples where it moves
+(`softfin.core.window`):
 
-    error = mean |m - r|        std = standard deviation of m        raw std = standard deviation of f
+    error = mean |m - r|
+    std = standard deviation of m
+    raw std = standard deviation of f
 
-Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at most 2.0 s.
+Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at
+most 2.0 s.
 
-How far scores in a surrogate can be trusted is `uncertainty_of`: an ensemble is run over the recorded commands once
-more, for its distance from its data and its intervals; other plants have neither.
+How far scores in a surrogate can be trusted is `uncertainty_of`: an ensemble is run over the
+recorded commands once more, for its distance from its data and its intervals; other plants have
+neither.
 """
 
 from itertools import pairwise
@@ -32,13 +39,15 @@ from softfin.core.window import moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
 
 STILL_RAD_S = 0.1
-"""A shaft that travels less than this in the second half of the experiment stands still; a working one does > 1."""
+"""A shaft that travels less than this in the second half of the experiment stands still; a working
+one does > 1."""
 
 SETTLED_N = 0.2
 """Distance on both axes within which the force has settled at the reference [N]."""
 
 RARELY = 0.01
-"""Fraction of samples beyond the data up to which there is no warning: ten times that of the data themselves."""
+"""Fraction of samples beyond the data up to which there is no warning: ten times that of the data
+themselves."""
 
 Force = Float[np.ndarray, "ticks 2"]
 
@@ -47,7 +56,8 @@ class Scores(NamedTuple):
     """Scores of each experiment, in float64."""
 
     error: Float[np.ndarray, "references seeds 2"]
-    """Mean |moving average - reference| (x, y) [N] of the true force, or of the reading if there is only that."""
+    """Mean |moving average - reference| (x, y) [N] of the true force, or of the reading if there is
+    only that."""
     std: Float[np.ndarray, "references seeds 2"]
     """Standard deviation of the moving average [N]."""
     raw_std: Float[np.ndarray, "references seeds 2"]
@@ -57,7 +67,8 @@ class Scores(NamedTuple):
     shaft_travel: Float[np.ndarray, "references seeds"]
     """Path of the shaft a second [rad/s]."""
     late_travel: Float[np.ndarray, "references seeds"]
-    """Path of the shaft a second in the second half [rad/s]; below `STILL_RAD_S` it stands still."""
+    """Path of the shaft a second in the second half [rad/s]; below `STILL_RAD_S` it stands
+    still."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
     """Error of the sensor's reading [N]; None if `error` is that already."""
 
@@ -87,41 +98,61 @@ def judged_force(recording: ExperimentRecording) -> str:
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
-    """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds to it."""
+    """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds
+    to it."""
     ends = np.cumsum(ticks_of(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
 
 
 def steps_of(reference: Force) -> list[tuple[int, int]]:
-    """(first tick, one past the last) after each step between two forces that are both held for 2 s or more."""
+    """(first tick, one past the last) after each step between two forces that are both held for 2 s
+    or more."""
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
-    held = [(start, stop) for start, stop in pairwise([0, *changes.tolist(), len(reference)]) if stop - start >= WINDOW]
+    held = [
+        (start, stop)
+        for start, stop in pairwise([0, *changes.tolist(), len(reference)])
+        if stop - start >= WINDOW
+    ]
     starts = {stop for _, stop in held}
     return [(start, stop) for start, stop in held if start in starts]
 
 
 def step_responses(force: Force, reference: Force) -> list[dict[str, Any]]:
-    """Responses of the moving average to every step of a reference, up to its next change or the end, for JSON.
+    """Responses of the moving average to every step of a reference, up to its next change or the
+    end, for JSON.
 
-    ``rise_x_s`` is the time from 10% to 90% of the step [s], ``overshoot_x_percent`` how far the force goes beyond the
-    new reference in parts of the step, ``settling_s`` the time until both axes are within `SETTLED_N` of the new
-    reference and stay there [s]; None where an axis does not step, or the force never comes that far.
+    ``rise_x_s`` is the time from 10% to 90% of the step [s], ``overshoot_x_percent`` how far the
+    force goes beyond the new reference in parts of the step, ``settling_s`` the time until both
+    axes are within `SETTLED_N` of the new reference and stay there [s]; None where an axis does not
+    step, or the force never comes that far.
     """
-    average, asked = moving_average(force), np.asarray(reference, np.float64)
+    average = moving_average(force)
+    asked = np.asarray(reference, np.float64)
     return [_response(average, asked, first, stop) for first, stop in steps_of(reference)]
 
 
-def _response(average: Float[np.ndarray, "windows 2"], reference: Force, first: int, stop: int) -> dict[str, Any]:
-    start, to = reference[first - 1], reference[first]
+def _response(
+    average: Float[np.ndarray, "windows 2"], reference: Force, first: int, stop: int
+) -> dict[str, Any]:
+    start = reference[first - 1]
+    to = reference[first]
     # Window k ends with tick k + WINDOW - 1, and the force before was held long enough for one.
     after = average[first - WINDOW + 1 : stop - WINDOW + 1]
-    response: dict[str, Any] = {"at_s": first / RATE_HZ, "start_n": start.tolist(), "to_n": to.tolist()}
-    response |= {f"rise_{axis}_s": None for axis in AXES} | {f"overshoot_{axis}_percent": None for axis in AXES}
+    response: dict[str, Any] = {
+        "at_s": first / RATE_HZ,
+        "start_n": start.tolist(),
+        "to_n": to.tolist(),
+    }
+    response |= {f"rise_{axis}_s": None for axis in AXES} | {
+        f"overshoot_{axis}_percent": None for axis in AXES
+    }
     for i in np.flatnonzero(start != to).tolist():
         part = (after[:, i] - start[i]) / (to[i] - start[i])
         low, high = (np.flatnonzero(part >= level) for level in (0.1, 0.9))
-        response[f"rise_{AXES[i]}_s"] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
+        response[f"rise_{AXES[i]}_s"] = (
+            (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
+        )
         response[f"overshoot_{AXES[i]}_percent"] = 100 * max(float(part.max()) - 1, 0.0)
     outside = np.flatnonzero(np.abs(after - to).max(axis=1) > SETTLED_N)
     settled = 0 if not outside.size else int(outside[-1]) + 2
@@ -132,7 +163,8 @@ class SurrogateUncertainty(NamedTuple):
     """Uncertainty of a surrogate's forces, for each reference."""
 
     out_of_distribution_fraction: Float[np.ndarray, "references"]
-    """Fraction of the samples at a distance of more than 1: further than all but 1 of 1000 training moments."""
+    """Fraction of the samples at a distance of more than 1: further than all but 1 of 1000 training
+    moments."""
     furthest: Float[np.ndarray, "references"]
     """Greatest distance."""
     half_width: Float[np.ndarray, "references 2"]
@@ -143,33 +175,45 @@ class SurrogateUncertainty(NamedTuple):
         return {
             "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),
             "furthest": float(self.furthest[index]),
-            **{f"half_width_{axis}_n": float(self.half_width[index, i]) for i, axis in enumerate(AXES)},
+            **{
+                f"half_width_{axis}_n": float(self.half_width[index, i])
+                for i, axis in enumerate(AXES)
+            },
         }
 
     def warning(self) -> str | None:
         """A sentence on how much lies beyond the data; None where hardly anything does."""
         fraction = self.out_of_distribution_fraction.mean()
         text = (
-            f"{fraction:.1%} of the samples lie beyond what the surrogate was fitted to (distance up to "
-            f"{self.furthest.max():.1f}, 1 is its edge): its forces there are extrapolated"
+            f"{fraction:.1%} of the samples lie beyond what the surrogate was fitted to (distance "
+            f"up to {self.furthest.max():.1f}, 1 is its edge): its forces there are extrapolated"
         )
         return text if fraction > RARELY else None
 
 
-def uncertainty_of(plant: EvaluationTarget, recording: ExperimentRecording) -> SurrogateUncertainty | None:
-    """Return the uncertainty in the first repetition of every reference; None for a plant that estimates none."""
+def uncertainty_of(
+    plant: EvaluationTarget, recording: ExperimentRecording
+) -> SurrogateUncertainty | None:
+    """Return the uncertainty in the first repetition of every reference; None for a plant that
+    estimates none."""
     if not isinstance(plant, EnsemblePlant):
         return None
     commands = Command(*(jnp.asarray(part[:, 0]) for part in recording.command))
-    distance, force = (np.asarray(part) for part in _run_members(cast(EnsemblePlant, jit_argument(plant)), commands))
+    distance, force = (
+        np.asarray(part)
+        for part in _run_members(cast(EnsemblePlant, jit_argument(plant)), commands)
+    )
     means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
     half_width = np.asarray(plant.interval.half_width(means))
-    return SurrogateUncertainty((distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1))
+    return SurrogateUncertainty(
+        (distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1)
+    )
 
 
 @eqx.filter_jit
 def _run_members(plant: EnsemblePlant, commands: Command) -> tuple[Array, Array]:
-    """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members, 2)``."""
+    """Distances ``(references, ticks)`` and the members' forces ``(references, ticks, members,
+    2)``."""
 
     def tick(state: State, command: Command) -> tuple[State, tuple[Array, Array]]:
         state, each = plant.advance_members(state, command, 1)

@@ -1,6 +1,7 @@
 """Plants and controllers as plain data for the page: weights in base64, configurations as JSON.
 
-The page's scripts compute what `softfin.tank`, `softfin.surrogate.streaming` and `softfin.control` do, from these data.
+The page's scripts compute what `softfin.tank`, `softfin.surrogate.streaming` and `softfin.control`
+do, from these data.
 """
 
 import base64
@@ -29,7 +30,10 @@ COLD_C = 5.0
 def encode(array: Any) -> dict[str, Any]:
     """Shape of an array, and its numbers in single precision as base64."""
     values = np.asarray(array, np.float32)
-    return {"shape": list(values.shape), "data": base64.b64encode(values.astype("<f4").tobytes()).decode()}
+    return {
+        "shape": list(values.shape),
+        "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
+    }
 
 
 def plant_data(name: str, plant: Plant) -> dict[str, Any]:
@@ -38,10 +42,14 @@ def plant_data(name: str, plant: Plant) -> dict[str, Any]:
         return tank_data(plant)
     if isinstance(plant, StreamingSurrogate):
         return surrogate_data(plant)
-    kind = f"a surrogate of the kind {plant.model!r}" if hasattr(plant, "model") else f"a {type(plant).__name__}"
+    kind = (
+        f"a surrogate of the kind {plant.model!r}"
+        if hasattr(plant, "model")
+        else f"a {type(plant).__name__}"
+    )
     raise PlantError(
-        f"plant {name}: {kind} cannot run in the page, which moves virtual tanks and streaming surrogates; give "
-        "--plant tank, or one that softfin fit made with --model streaming"
+        f"plant {name}: {kind} cannot run in the page, which moves virtual tanks and streaming "
+        "surrogates; give --plant tank, or one that softfin fit made with --model streaming"
     )
 
 
@@ -60,7 +68,8 @@ def tank_data(tank: Tank) -> dict[str, Any]:
 
 
 def outline(tank: Tank) -> dict[str, Any]:
-    """Length [m] of a tank's fin, and the thickness [m] of its plates, mount first: what is drawn."""
+    """Length [m] of a tank's fin, and the thickness [m] of its plates, mount first: what is
+    drawn."""
     return {
         "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
         "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),
@@ -75,13 +84,17 @@ def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
         "members": surrogate.size,
         "scales": description["scales"],
         "interval": description["interval"],
-        "arrays": {name: encode(array) for name, array in (arrays | named({"rest": surrogate.rest})).items()},
+        "arrays": {
+            name: encode(array)
+            for name, array in (arrays | named({"rest": surrogate.rest})).items()
+        },
     }
 
 
 def controller_data(controller: LoadedController) -> dict[str, Any]:
     """Data of a controller of any kind, and the configuration of its optional force feedback."""
-    step, reachable = controller.step, controller.reachable
+    step = controller.step
+    reachable = controller.reachable
     data: dict[str, Any] = {
         "kind": controller.kind,
         "limits": controller.limits.to_dict(),
@@ -103,7 +116,8 @@ def controller_data(controller: LoadedController) -> dict[str, Any]:
 
 
 def _table(table: GaitTable) -> dict[str, Any]:
-    low, high = np.asarray(table.low, float), np.asarray(table.high, float)
+    low = np.asarray(table.low, float)
+    high = np.asarray(table.high, float)
     return {"low": low.tolist(), "high": high.tolist(), "actions": encode(table.actions)}
 
 

@@ -1,4 +1,5 @@
-"""The page as one HTML file: template, scripts in their order, and the data of controllers and plants."""
+"""The page as one HTML file: template, scripts in their order, and the data of controllers and
+plants."""
 
 import importlib.resources
 import json
@@ -27,20 +28,33 @@ def read_script(*names: str) -> str:
 
 
 def write_page(
-    path: Path, title: str, controllers: Sequence[Mapping[str, Any]], plants: Sequence[Mapping[str, Any]]
+    path: Path,
+    title: str,
+    controllers: Sequence[Mapping[str, Any]],
+    plants: Sequence[Mapping[str, Any]],
 ) -> None:
     """Write the page: nothing is fetched, so it opens by a double click."""
-    template = importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
-    contents = json.dumps({"controllers": controllers, "plants": plants}, separators=(",", ":"), allow_nan=False)
-    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(template).render(
-        title=title,
-        controllers=controllers,
-        plants=plants,
-        surrogate=any(plant["kind"] == "surrogate" for plant in plants),
-        grid=any(controller["kind"] == "grid" for controller in controllers),
-        cold_c=f"{COLD_C:g}",
-        # No text within may close the element.
-        contents=Markup(contents.replace("<", "\\u003c")),
-        script=Markup(with_canvas(f'"use strict";\n/* canvas.js */\n{read_script(*SIMULATION, *DRAWN)}')),
-    )  # fmt: skip
+    template = (
+        importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
+    )
+    contents = json.dumps(
+        {"controllers": controllers, "plants": plants}, separators=(",", ":"), allow_nan=False
+    )
+    page = (
+        jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+        .from_string(template)
+        .render(
+            title=title,
+            controllers=controllers,
+            plants=plants,
+            surrogate=any(plant["kind"] == "surrogate" for plant in plants),
+            grid=any(controller["kind"] == "grid" for controller in controllers),
+            cold_c=f"{COLD_C:g}",
+            # No text within may close the element.
+            contents=Markup(contents.replace("<", "\\u003c")),
+            script=Markup(
+                with_canvas(f'"use strict";\n/* canvas.js */\n{read_script(*SIMULATION, *DRAWN)}')
+            ),
+        )
+    )
     artifacts.write_file(path, page)

@@ -1,4 +1,5 @@
-"""The figure of a force map: the mean forces that a fin can make, and the Sobolev terms of their gaits."""
+"""The figure of a force map: the mean forces that a fin can make, and the Sobolev terms of their
+gaits."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,34 +13,63 @@ from softfin.storage.figures import BLACK, GREY, new_figure, styled
 
 
 def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
-    """Draw one panel: colour is the Sobolev term (form `mean`, both axes) of the gait at each reachable node.
+    """Draw one panel: colour is the Sobolev term (form `mean`, both axes) of the gait at each
+    reachable node.
 
     A node counts as held where its gait's force error is within the tolerance.
     """
     gaits, reachable = force_map
     nodes = gaits.table.references()
-    cost, held = gaits.smoothness.sum(axis=-1), gaits.force_error() <= tolerance_n
+    cost = gaits.smoothness.sum(axis=-1)
+    held = gaits.force_error() <= tolerance_n
     outline = np.concatenate([reachable.corners(), reachable.corners()[:1]])
     # Round levels over all values, with some breadth where all are the same.
-    levels = MaxNLocator(12).tick_values(float(cost.min()), max(float(cost.max()), float(cost.min()) + 0.01))
+    levels = MaxNLocator(12).tick_values(
+        float(cost.min()), max(float(cost.max()), float(cost.min()) + 0.01)
+    )
     with styled():
         figure = new_figure(6.4, 5.2)
         axes = figure.subplots()
         colours = axes.contourf(nodes[..., 0], nodes[..., 1], cost, levels=levels, cmap="Blues")
-        # Nodes beyond reach hold the gait of the nearest force: what lies outside the outline is no result.
+        # Nodes beyond reach hold the gait of the nearest force: what lies outside the outline is no
+        # result.
         colours.set_clip_path(Polygon(outline, transform=axes.transData))
         axes.plot(*outline.T, color=BLACK, linewidth=1.6, label="edge of what the fin can make")
         halo = [withStroke(linewidth=3, foreground="white")]
-        axes.plot(*nodes[held].T, "o", color=BLACK, markersize=2.5, path_effects=halo, label="a gait makes this force")
+        axes.plot(
+            *nodes[held].T,
+            "o",
+            color=BLACK,
+            markersize=2.5,
+            path_effects=halo,
+            label="a gait makes this force",
+        )
         if not held.all():
-            axes.plot(*nodes[~held].T, "x", color=GREY, markersize=4, label="no gait found makes this force")
+            axes.plot(
+                *nodes[~held].T,
+                "x",
+                color=GREY,
+                markersize=4,
+                label="no gait found makes this force",
+            )
         x, y = np.array(PAPER_REFERENCES, float).T
-        axes.plot(x, y, "o", fillstyle="none", color=BLACK, markersize=11, markeredgewidth=1.4, path_effects=halo,
-                  label="the paper's references")  # fmt: skip
+        axes.plot(
+            x,
+            y,
+            "o",
+            fillstyle="none",
+            color=BLACK,
+            markersize=11,
+            markeredgewidth=1.4,
+            path_effects=halo,
+            label="the paper's references",
+        )
         left, bottom = np.minimum(nodes[0, 0], outline.min(axis=0)) - 0.2
         right, top = np.maximum(nodes[-1, -1], outline.max(axis=0)) + 0.2
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         axes.set(xlabel="mean force x [N]", ylabel="mean force y [N]")
-        figure.colorbar(colours, ax=axes, label="Sobolev term of the gait, x and y together [N]", shrink=0.9)
+        figure.colorbar(
+            colours, ax=axes, label="Sobolev term of the gait, x and y together [N]", shrink=0.9
+        )
         figure.legend(loc="outside lower center", ncols=2)
     return figure

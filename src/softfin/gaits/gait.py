@@ -1,7 +1,9 @@
-"""Gaits on a lattice of reference forces, blended in between; and the force map, which holds what they make. No JAX.
+"""Gaits on a lattice of reference forces, blended in between; and the force map, which holds what
+they make. No JAX.
 
-A gait is six actions, repeated: on the 33/33/34 clock they fill the window of the moving average exactly, so in the
-steady state a gait leaves no ripple in it. Its actions ``(6, 2)`` are in [-1, 1], (angle, velocity) over the limits.
+A gait is six actions, repeated: on the 33/33/34 clock they fill the window of the moving average
+exactly, so in the steady state a gait leaves no ripple in it. Its actions ``(6, 2)`` are in [-1,
+1], (angle, velocity) over the limits.
 """
 
 import math
@@ -35,8 +37,12 @@ class GaitTable(NamedTuple):
 
     @classmethod
     def over(cls, cell: Cell, spacing_n: float) -> "GaitTable":
-        """An empty table with nodes at most `spacing_n` apart, the corners of the cell among them."""
-        x, y = (max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1) for a, b in zip(cell.low, cell.high, strict=True))
+        """An empty table with nodes at most `spacing_n` apart, the corners of the cell among
+        them."""
+        x, y = (
+            max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1)
+            for a, b in zip(cell.low, cell.high, strict=True)
+        )
         return cls.empty(cell.low, cell.high, (x, y))
 
     def halved(self, times: int = 1) -> "GaitTable":
@@ -50,22 +56,32 @@ class GaitTable(NamedTuple):
         return self.actions.shape[0], self.actions.shape[1]
 
     def gait(self, reference: Any, operations: Operations | None = None) -> Any:
-        """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of its edge."""
+        """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of
+        its edge."""
         ops = operations or operations_of(reference, self.actions)
-        rows, table = self.actions.shape[1], ops.constant(self.actions.reshape(-1, CYCLE_ACTIONS, 2))
+        rows = self.actions.shape[1]
+        table = ops.constant(self.actions.reshape(-1, CYCLE_ACTIONS, 2))
         x, i = self._place(ops, reference[0], 0)
         y, j = self._place(ops, reference[1], 1)
         node = i * rows + j
         blend = (1 - x) * (1 - y) * ops.row(table, node) + (1 - x) * y * ops.row(table, node + 1)
-        return blend + x * (1 - y) * ops.row(table, node + rows) + x * y * ops.row(table, node + rows + 1)
+        return (
+            blend
+            + x * (1 - y) * ops.row(table, node + rows)
+            + x * y * ops.row(table, node + rows + 1)
+        )
 
     def references(self) -> Float[np.ndarray, "x y 2"]:
         """References of the nodes [N]."""
-        axes = [np.linspace(float(self.low[i]), float(self.high[i]), self.actions.shape[i]) for i in range(2)]
+        axes = [
+            np.linspace(float(self.low[i]), float(self.high[i]), self.actions.shape[i])
+            for i in range(2)
+        ]
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
 
     def _place(self, ops: Operations, force: Number, axis: int) -> tuple[Number, Number]:
-        """Return, along one axis, the node before a force and the distance from it in units of the spacing."""
+        """Return, along one axis, the node before a force and the distance from it in units of the
+        spacing."""
         last = self.actions.shape[axis] - 1
         # A box for a single reference has no width, and all its nodes are the same.
         width = self.high[axis] - self.low[axis] + 1e-9
@@ -109,22 +125,51 @@ class ForceMap(NamedTuple):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the gaits and their forces as named arrays."""
         gaits = self.gaits
-        return {"actions": np.asarray(gaits.table.actions), "force_n": gaits.force, "smoothness_n": gaits.smoothness}
+        return {
+            "actions": np.asarray(gaits.table.actions),
+            "force_n": gaits.force,
+            "smoothness_n": gaits.smoothness,
+        }
 
     @classmethod
-    def from_dict(cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> "ForceMap":
-        """Build a map from what `to_dict` and `arrays` gave; raises KeyError, TypeError or ValueError otherwise."""
+    def from_dict(
+        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
+    ) -> "ForceMap":
+        """Build a map from what `to_dict` and `arrays` gave; raises KeyError, TypeError or
+        ValueError otherwise."""
         lattice = description["lattice"]
         nodes = tuple(int(count) for count in lattice["nodes"])
-        actions, force, smoothness = (np.asarray(arrays[n], np.float32) for n in ("actions", "force_n", "smoothness_n"))
+        actions, force, smoothness = (
+            np.asarray(arrays[n], np.float32) for n in ("actions", "force_n", "smoothness_n")
+        )
         low, high = (np.asarray(lattice[name], np.float32) for name in ("low_n", "high_n"))
-        if low.shape != (2,) or high.shape != (2,) or not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
-            raise ValueError(f"lattice from {low.tolist()} to {high.tolist()} N; it must be two corners, low <= high")
+        if (
+            low.shape != (2,)
+            or high.shape != (2,)
+            or not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all()
+        ):
+            raise ValueError(
+                f"lattice from {low.tolist()} to {high.tolist()} N; it must be two corners, low <= "
+                "high"
+            )
         shapes = (*nodes, CYCLE_ACTIONS, 2), (*nodes, 2), (*nodes, 2)
-        if len(nodes) != 2 or min(nodes) < 2 or (actions.shape, force.shape, smoothness.shape) != shapes:
-            raise ValueError(f"gaits {actions.shape} do not fit a lattice of {nodes} nodes, two or more a side")
+        if (
+            len(nodes) != 2
+            or min(nodes) < 2
+            or (actions.shape, force.shape, smoothness.shape) != shapes
+        ):
+            raise ValueError(
+                f"gaits {actions.shape} do not fit a lattice of {nodes} nodes, two or more a side"
+            )
         # Actions were rounded to float32.
-        if not (np.isfinite(force).all() and np.isfinite(smoothness).all() and (abs(actions) <= 1 + 1e-5).all()):
-            raise ValueError("gaits or forces are not finite, or gaits are not within [-1, 1], the limits of the plant")
+        if not (
+            np.isfinite(force).all()
+            and np.isfinite(smoothness).all()
+            and (abs(actions) <= 1 + 1e-5).all()
+        ):
+            raise ValueError(
+                "gaits or forces are not finite, or gaits are not within [-1, 1], the limits of "
+                "the plant"
+            )
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
         return cls(found, Reachable.from_dict(description["reachable"]))

@@ -2,8 +2,8 @@
 
     |F| = K f^2 (1 - cos A),  K = 8 rho C_d S r_c^2 pi^2,  about the direction of the wanted force
 
-is `forceToAmplitude` of the WrenchDriver in the ROS 1 package ``tut_arrows`` of Tallinn University of Technology, with
-its coefficients.
+is `forceToAmplitude` of the WrenchDriver in the ROS 1 package ``tut_arrows`` of Tallinn University
+of Technology, with its coefficients.
 """
 
 import numpy as np
@@ -32,15 +32,23 @@ class InverseConfig(Configuration):
     @model_validator(mode="after")
     def _ordered(self) -> "InverseConfig":
         if self.amplitude_min_rad > self.amplitude_max_rad:
-            raise ValueError(f"amplitude_min_rad must not be above amplitude_max_rad = {self.amplitude_max_rad:g}")
+            raise ValueError(
+                "amplitude_min_rad must not be above amplitude_max_rad = "
+                f"{self.amplitude_max_rad:g}"
+            )
         return self
 
     @property
     def constant(self) -> float:
         """The model's constant K [N s2]."""
-        return 8 * self.density_kg_m3 * self.drag_coefficient * self.area_m2 * self.arm_m**2 * np.pi**2
+        return (
+            8 * self.density_kg_m3 * self.drag_coefficient * self.area_m2 * self.arm_m**2 * np.pi**2
+        )
 
 
-def amplitude_of(force_n: Float[np.ndarray, "n"], frequency_hz: float, constant: float) -> Float[np.ndarray, "n"]:
-    """Return the amplitude for the size of each force [rad]; pi where no amplitude gives as much."""
+def amplitude_of(
+    force_n: Float[np.ndarray, "n"], frequency_hz: float, constant: float
+) -> Float[np.ndarray, "n"]:
+    """Return the amplitude for the size of each force [rad]; pi where no amplitude gives as
+    much."""
     return np.asarray(np.arccos(np.maximum(1 - force_n / (constant * frequency_hz**2), -1.0)))

@@ -1,13 +1,15 @@
-"""The search for gaits: those of a whole lattice of reference forces at once, in one compiled program.
+"""The search for gaits: those of a whole lattice of reference forces at once, in one compiled
+program.
 
-Mean force and Sobolev term of a gait are smooth functions of its twelve numbers, and the plant gives their derivatives.
-Two of the twelve directions change the force; Gauss-Newton steps along these bring it to the reference, while the other
-ten lower the Sobolev term and keep each gait near those of its neighbours, so that gaits in between may be blended
-(null-space projection, as for redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
+Mean force and Sobolev term of a gait are smooth functions of its twelve numbers, and the plant
+gives their derivatives. Two of the twelve directions change the force; Gauss-Newton steps along
+these bring it to the reference, while the other ten lower the Sobolev term and keep each gait near
+those of its neighbours, so that gaits in between may be blended (null-space projection, as for
+redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
 
-The search begins with one family of strokes, so that neighbours are alike from the first. Then the lattice is halved:
-nodes in between begin as the blends of their neighbours and take the shortest steps to their own references, which
-takes off what blending leaves.
+The search begins with one family of strokes, so that neighbours are alike from the first. Then the
+lattice is halved: nodes in between begin as the blends of their neighbours and take the shortest
+steps to their own references, which takes off what blending leaves.
 """
 
 from collections.abc import Callable
@@ -52,7 +54,8 @@ class GaitConfig(Configuration):
     """Configuration of the search for gaits."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must settle before."""
+    """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must
+    settle before."""
     steps: PositiveInt = 8
     """Gauss-Newton steps; the last `EXACT` of them look at the force alone."""
     smoothness: NonNegativeFloat = 0.05
@@ -69,29 +72,41 @@ EXACT = 2
 STUCK_N = 0.05
 """A node further from its force than this begins again where a neighbour is."""
 
-FORCE_STEP, FREE_STEP = 0.6, 0.25
+FORCE_STEP = 0.6
+FREE_STEP = 0.25
 """Longest steps in the atanh of the actions, along the force and across."""
 
-SWEEPS, UNLIKE_N, LARGE_N = 10, 0.5, 0.1
-"""Rounds of choosing the gaits of the start; the cost of a difference of 1 (rms, in the atanh of the actions) from the
-neighbours [N], and in the first choice that of the greatest amplitude: large strokes make some forces a second time."""
+SWEEPS = 10
+UNLIKE_N = 0.5
+LARGE_N = 0.1
+"""Rounds of choosing the gaits of the start; the cost of a difference of 1 (rms, in the atanh of
+the actions) from the neighbours [N], and in the first choice that of the greatest amplitude: large
+strokes make some forces a second time."""
 
 FINER = 5
-"""Strokes per step of the survey's centres and amplitudes, between which its forces are interpolated."""
+"""Strokes per step of the survey's centres and amplitudes, between which its forces are
+interpolated."""
 
 ENOUGH_N = 0.02
 """Force error that does not matter before the last steps [N]."""
 
 
 def find_gaits(
-    plant: Plant, survey: Survey, table: GaitTable, config: GaitConfig, report: Report = lambda *_: None
+    plant: Plant,
+    survey: Survey,
+    table: GaitTable,
+    config: GaitConfig,
+    report: Report = lambda *_: None,
 ) -> GaitSearchResult:
-    """Find a gait for every node of an empty table, beginning with the gaits of a survey of the same plant.
+    """Find a gait for every node of an empty table, beginning with the gaits of a survey of the
+    same plant.
 
-    The table that is returned has half the spacing, as often as the configuration says. A node beyond the fin's reach
-    gets the nearest force that the fin can make.
+    The table that is returned has half the spacing, as often as the configuration says. A node
+    beyond the fin's reach gets the nearest force that the fin can make.
     """
-    plant, total, done = jit_argument(plant), config.steps + EXACT * config.halvings, 0
+    plant = jit_argument(plant)
+    total = config.steps + EXACT * config.halvings
+    done = 0
 
     def told(nodes: GaitSensitivity, target: Forces) -> None:
         nonlocal done
@@ -102,20 +117,29 @@ def find_gaits(
     nodes = _search(plant, survey, table, config, told)
     for _ in range(config.halvings):
         nodes, table = _between(plant, survey, nodes, _filled(table, nodes), config, told)
-    force, smoothness = (np.asarray(each).reshape(*table.nodes, 2) for each in (nodes.out[:, :2], nodes.smoothness))
+    force, smoothness = (
+        np.asarray(each).reshape(*table.nodes, 2) for each in (nodes.out[:, :2], nodes.smoothness)
+    )
     return GaitSearchResult(_filled(table, nodes), force, smoothness)
 
 
 def _filled(table: GaitTable, nodes: GaitSensitivity) -> GaitTable:
-    return table._replace(actions=np.tanh(np.asarray(nodes.pre_tanh)).reshape(*table.nodes, CYCLE_ACTIONS, 2))
+    return table._replace(
+        actions=np.tanh(np.asarray(nodes.pre_tanh)).reshape(*table.nodes, CYCLE_ACTIONS, 2)
+    )
 
 
 def _search(
-    plant: Plant, survey: Survey, table: GaitTable, config: GaitConfig, told: Callable[[GaitSensitivity, Forces], None]
+    plant: Plant,
+    survey: Survey,
+    table: GaitTable,
+    config: GaitConfig,
+    told: Callable[[GaitSensitivity, Forces], None],
 ) -> GaitSensitivity:
     """Find gaits for the nodes of a table from the strokes of the survey."""
     # The key is no constant of the module: making it starts JAX, which an import must not.
-    shape, key = table.nodes, key_of(0, "gaits")
+    shape = table.nodes
+    key = key_of(0, "gaits")
     target = jnp.asarray(survey.reachable.nearest(table.references().reshape(-1, 2)), jnp.float32)
     nodes = gait_sensitivity(plant, _start(survey, target, shape), config.cycles, key)
     scale: AnyArray = np.ones(len(target), np.float32)
@@ -131,11 +155,16 @@ def _search(
 
 
 def _between(
-    plant: Plant, survey: Survey, nodes: GaitSensitivity, table: GaitTable, config: GaitConfig,
+    plant: Plant,
+    survey: Survey,
+    nodes: GaitSensitivity,
+    table: GaitTable,
+    config: GaitConfig,
     told: Callable[[GaitSensitivity, Forces], None],
-) -> tuple[GaitSensitivity, GaitTable]:  # fmt: skip
+) -> tuple[GaitSensitivity, GaitTable]:
     """Add nodes halfway between those of a table, which begin as blends."""
-    finer, key = table.halved(), key_of(0, "gaits")
+    finer = table.halved()
+    key = key_of(0, "gaits")
     new = np.ones(finer.nodes, bool)
     new[::2, ::2] = False
     references = finer.references()[new]
@@ -145,12 +174,15 @@ def _between(
     scale: AnyArray = np.ones(len(target), np.float32)
     for _ in range(EXACT):
         moved = _stepped(added, target, scale, (len(target), 1), config, True)
-        added, scale = _better(added, gait_sensitivity(plant, moved, config.cycles, key), target, scale, 0.0)
+        added, scale = _better(
+            added, gait_sensitivity(plant, moved, config.cycles, key), target, scale, 0.0
+        )
         told(added, target)
 
     def placed(old: AnyArray, added: AnyArray) -> AnyArray:
         every = np.empty((new.size, *old.shape[1:]), np.float32)
-        every[new.reshape(-1)], every[~new.reshape(-1)] = added, old
+        every[new.reshape(-1)] = added
+        every[~new.reshape(-1)] = old
         return every
 
     every: GaitSensitivity = jax.tree.map(placed, nodes, added)
@@ -158,12 +190,16 @@ def _between(
 
 
 def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
-    """Choose the family of strokes that comes nearest; of it, strokes that come near and are like their neighbours.
+    """Choose the family of strokes that comes nearest; of it, strokes that come near and are like
+    their neighbours.
 
     Centre and amplitude vary within a family, one waveform at one velocity.
     """
     starts = []
-    finer = [np.linspace(values[0], values[-1], FINER * (len(values) - 1) + 1) for values in (CENTRES, AMPLITUDES)]
+    finer = [
+        np.linspace(values[0], values[-1], FINER * (len(values) - 1) + 1)
+        for values in (CENTRES, AMPLITUDES)
+    ]
     places = np.array(list(product(*finer)))
     for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
         interpolated = RegularGridInterpolator((CENTRES, AMPLITUDES), force, method="cubic")(places)
@@ -180,7 +216,12 @@ def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
 
 @eqx.filter_jit
 def _stepped(
-    nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape, config: GaitConfig, exact: bool
+    nodes: GaitSensitivity,
+    target: Forces,
+    scale: Scales,
+    shape: Shape,
+    config: GaitConfig,
+    exact: bool,
 ) -> PreTanh:
     """Take one step of every node."""
     across = nodes.slope[:, :2]
@@ -204,7 +245,8 @@ def _stepped(
 def _better(
     nodes: GaitSensitivity, trial: GaitSensitivity, target: Forces, scale: Scales, smoothness: float
 ) -> tuple[GaitSensitivity, Scales]:
-    """Keep the better one of each node and its trial; the next step is longer after a gain, shorter after none."""
+    """Keep the better one of each node and its trial; the next step is longer after a gain, shorter
+    after none."""
 
     def merit(nodes: GaitSensitivity) -> Scales:
         error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
@@ -212,15 +254,21 @@ def _better(
 
     # Leaning towards a neighbour may cost a little.
     better = merit(trial) < merit(nodes) + (ENOUGH_N if smoothness else 0)
-    chosen = jax.tree.map(lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes)
+    chosen = jax.tree.map(
+        lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes
+    )
     return chosen, jnp.where(better, jnp.minimum(1, 2 * scale), 0.4 * scale)
 
 
-def _restarted(nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape) -> tuple[GaitSensitivity, Scales]:
+def _restarted(
+    nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape
+) -> tuple[GaitSensitivity, Scales]:
     """Let nodes that are stuck begin again where the best of their neighbours is."""
     error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
-    beside = np.stack([padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]]).reshape(4, -1)
+    beside = np.stack(
+        [padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]]
+    ).reshape(4, -1)
     moved = (error > STUCK_N) & (beside.min(axis=0) < STUCK_N)
     steps = np.array([shape[1], -shape[1], 1, -1])[beside.argmin(axis=0)]
     source = np.arange(error.size) + np.where(moved, steps, 0)

@@ -1,7 +1,8 @@
-"""Gaits simulated in a plant: mean force, Sobolev term, their gradients; and the survey of what a plant can make.
+"""Gaits simulated in a plant: mean force, Sobolev term, their gradients; and the survey of what a
+plant can make.
 
-The survey estimates the reachable mean forces: it simulates a grid of gaits, then pushes the boundary outwards by
-gradient ascent.
+The survey estimates the reachable mean forces: it simulates a grid of gaits, then pushes the
+boundary outwards by gradient ascent.
 """
 
 from collections.abc import Callable
@@ -38,16 +39,20 @@ MAX_SEARCHED_ACTION = 0.97
 """Actions are moved through atanh, which has no value at 1."""
 
 SIDE_BY_SIDE = 32
-"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the program."""
+"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the
+program."""
 
 WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5)])
 """Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
 
-VELOCITIES, CENTRES, AMPLITUDES = (1.0, 0.3, -0.3), np.linspace(-1, 1, 11), np.linspace(0.05, 0.9, 7)
+VELOCITIES = (1.0, 0.3, -0.3)
+CENTRES = np.linspace(-1, 1, 11)
+AMPLITUDES = np.linspace(0.05, 0.9, 7)
 """Parameters that every waveform is tried with, as actions."""
 
 FAMILIES = tuple(product(WAVEFORMS, VELOCITIES))
-"""Waveform and velocity of each family of gaits; within a family, neighbouring forces come from neighbouring gaits."""
+"""Waveform and velocity of each family of gaits; within a family, neighbouring forces come from
+neighbouring gaits."""
 
 NEAR = 0.2
 """Part of half the diagonal of all forces within which a gait counts as near to their middle."""
@@ -71,7 +76,9 @@ def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> G
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(WINDOW)))
 
 
-def steady_state_force(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> Float[Array, "ticks 2"]:
+def steady_state_force(
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray
+) -> Float[Array, "ticks 2"]:
     """Forces [N] of a gait that is repeated from rest."""
     actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
     commands = jax.vmap(lambda action: command_of(plant.limits, action))(actions)
@@ -92,34 +99,47 @@ class GaitSensitivity(NamedTuple):
 
 def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
     """Return the atanh of the actions."""
-    return np.asarray(np.arctanh(np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)).reshape(len(gaits), -1))
+    return np.asarray(
+        np.arctanh(np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)).reshape(
+            len(gaits), -1
+        )
+    )
 
 
-def gait_sensitivity(plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
+def gait_sensitivity(
+    plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray
+) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` as `jit_argument` makes it."""
     count = len(pre_tanh)
-    padded = np.resize(np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1]))
+    padded = np.resize(
+        np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1])
+    )
     parts = [_respond(plant, jnp.asarray(part), cycles, key) for part in padded]
     found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
     return found
 
 
 @eqx.filter_jit
-def _respond(plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray) -> GaitSensitivity:
+def _respond(
+    plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray
+) -> GaitSensitivity:
     def out(pre_tanh: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
         got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(CYCLE_ACTIONS, 2), cycles, key)
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
 
     def each(pre_tanh: Float[Array, "12"]) -> GaitSensitivity:
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
-        return GaitSensitivity(pre_tanh, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness)
+        return GaitSensitivity(
+            pre_tanh, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness
+        )
 
     found: GaitSensitivity = jax.vmap(each)(pre_tanh)
     return found
 
 
 def missing_gradient(plant: Plant) -> str | None:
-    """Explain why the force of a plant has no gradient with respect to its commands; None where it has one.
+    """Explain why the force of a plant has no gradient with respect to its commands; None where it
+    has one.
 
     Raises PlantError where the plant itself fails.
     """
@@ -130,7 +150,10 @@ def missing_gradient(plant: Plant) -> str | None:
         slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0)).slope[:, :2]
     except (TypeError, ValueError, NotImplementedError) as error:
         # What JAX raises where there is no derivative.
-        return f"JAX cannot differentiate it ({type(error).__name__}: {str(error).partition(chr(10))[0]})"
+        return (
+            f"JAX cannot differentiate it ({type(error).__name__}: "
+            f"{str(error).partition(chr(10))[0]})"
+        )
     if not np.isfinite(slope).all():
         return "its slope is not finite, as of a square root at 0"
     return None if slope.any() else "its slope is 0 throughout"
@@ -146,7 +169,8 @@ class SurveyConfig(Configuration):
     directions: int = Field(default=32, ge=8)
     """Corners of the region."""
     pushes: int = Field(default=8, ge=0)
-    """Gradient steps by which each corner is pushed outwards; 0 keeps the farthest of the tried ones."""
+    """Gradient steps by which each corner is pushed outwards; 0 keeps the farthest of the tried
+    ones."""
 
 
 class Survey(NamedTuple):
@@ -158,19 +182,26 @@ class Survey(NamedTuple):
 
 
 def strokes(
-    waveform: Float[np.ndarray, "6"], velocity: float, centre: Float[np.ndarray, "n"], amplitude: Float[np.ndarray, "n"]
+    waveform: Float[np.ndarray, "6"],
+    velocity: float,
+    centre: Float[np.ndarray, "n"],
+    amplitude: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 6 2"]:
     """Return gaits of one family."""
     angle = np.clip(centre[:, None] + amplitude[:, None] * waveform, -1, 1)
     return np.stack([angle, np.full_like(angle, velocity)], axis=-1).astype(np.float32)
 
 
-def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = lambda *_: None) -> Survey:
+def survey(
+    plant: Plant, config: SurveyConfig | None = None, report: Report = lambda *_: None
+) -> Survey:
     """Simulate all gaits in a plant and find the edge of the forces that it can make."""
-    config, plant = config or SurveyConfig(), jit_argument(plant)
+    config = config or SurveyConfig()
+    plant = jit_argument(plant)
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
     gaits = np.concatenate([strokes(*family, *places) for family in FAMILIES])
-    padded, forces = np.resize(gaits, (-(-len(gaits) // config.batch), config.batch, *gaits.shape[1:])), []
+    padded = np.resize(gaits, (-(-len(gaits) // config.batch), config.batch, *gaits.shape[1:]))
+    forces = []
     for index, part in enumerate(padded, start=1):
         forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles)))
         done = min(index * config.batch, len(gaits))
@@ -183,17 +214,25 @@ def survey(plant: Plant, config: SurveyConfig | None = None, report: Report = la
 
 @eqx.filter_jit
 def _mean_forces(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Float[Array, "n 2"]:
-    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key_of(0, "survey")).force)(gaits)
+    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key_of(0, "survey")).force)(
+        gaits
+    )
 
 
 def _pushed(
-    plant: Plant, gaits: Float[np.ndarray, "n 6 2"], force: Float[np.ndarray, "n 2"], config: SurveyConfig
+    plant: Plant,
+    gaits: Float[np.ndarray, "n 6 2"],
+    force: Float[np.ndarray, "n 2"],
+    config: SurveyConfig,
 ) -> Reachable:
-    """Push the farthest gait in each direction on; directions are seen from the middle of all forces.
+    """Push the farthest gait in each direction on; directions are seen from the middle of all
+    forces.
 
-    It ascends the gradient of the distance along the direction, in the atanh of the actions, by steps of fixed length.
+    It ascends the gradient of the distance along the direction, in the atanh of the actions, by
+    steps of fixed length.
     """
-    centre, outward = _middle(force), directions(config.directions)
+    centre = _middle(force)
+    outward = directions(config.directions)
     offset = force - centre
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
     pre_tanh = pre_tanh_of(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
@@ -206,17 +245,24 @@ def _pushed(
         # Of the distance along the direction, less `ASIDE` times that beside it.
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
-        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (np.linalg.norm(change, axis=1, keepdims=True) + 1e-6)
+        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (
+            np.linalg.norm(change, axis=1, keepdims=True) + 1e-6
+        )
     # The greatest distance in each direction, over the forces in the sector about it.
     offset = np.concatenate(forces) - centre
-    along, length = offset @ outward.T, np.linalg.norm(offset, axis=1)
+    along = offset @ outward.T
+    length = np.linalg.norm(offset, axis=1)
     radius = np.where(along >= np.cos(np.pi / len(outward)) * length[:, None], along, 0).max(axis=0)
     return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32))
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
-    """Return the middle of the box round all forces; where no gait comes near it, the force that comes nearest."""
-    low, high = force.min(axis=0), force.max(axis=0)
+    """Return the middle of the box round all forces; where no gait comes near it, the force that
+    comes nearest."""
+    low = force.min(axis=0)
+    high = force.max(axis=0)
     middle = (low + high) / 2
     apart = np.linalg.norm(force - middle, axis=1)
-    return np.asarray(middle if apart.min() <= NEAR * np.linalg.norm(high - low) / 2 else force[apart.argmin()])
+    return np.asarray(
+        middle if apart.min() <= NEAR * np.linalg.norm(high - low) / 2 else force[apart.argmin()]
+    )

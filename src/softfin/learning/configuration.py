@@ -1,4 +1,5 @@
-"""Configuration of a training run: its fields, the presets, the choice between them, and whether it fits a plant."""
+"""Configuration of a training run: its fields, the presets, the choice between them, and whether it
+fits a plant."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -33,21 +34,23 @@ class TrainConfig(Configuration):
     controller: PolicyLayout = "grid"
     """One policy for a whole range of references, or one for each cell of a grid."""
     steps: PositiveInt = 10_000
-    """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell, 30,000 single."""
+    """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell,
+    30,000 single."""
     cells: tuple[Cell, ...] = Field(PAPER_CELLS, min_length=1)
     """References [N] that each policy is trained for; one cell for `single`."""
     margin_n: NonNegativeFloat = 0.0
-    """Distance beyond their cells for which policies are trained, too [N]: a grid switches with a hysteresis."""
+    """Distance beyond their cells for which policies are trained, too [N]: a grid switches with a
+    hysteresis."""
     switching: SwitchingConfig = SwitchingConfig(margin_n=0.0)
-    """How a grid's policies take over from one another; beyond `margin_n`, its own margin gives a policy references
-    that it was not trained for, so the paper's grid has none of either."""
+    """How a grid's policies take over from one another; beyond `margin_n`, its own margin gives a
+    policy references that it was not trained for, so the paper's grid has none of either."""
     task: TaskConfig = TaskConfig()
     """The force-tracking task."""
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """Use of an ensemble: fins are the mean of all members or each is another member; the mean is evaluated. Only
-    ensembles of two members or more take `each`."""
+    """Use of an ensemble: fins are the mean of all members or each is another member; the mean is
+    evaluated. Only ensembles of two members or more take `each`."""
     algorithm: Algorithm = "ppo"
     """LSTM-PPO or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
@@ -55,21 +58,29 @@ class TrainConfig(Configuration):
     gradient: GradientConfig = GradientConfig()
     """Settings of gradient training."""
     num_evaluations: PositiveInt = 10
-    """Number of evaluations of the deterministic policies, evenly over the run; a checkpoint is written each time."""
+    """Number of evaluations of the deterministic policies, evenly over the run; a checkpoint is
+    written each time."""
     lattice: PositiveInt = 2
-    """Policies are evaluated at lattice x lattice references of each cell; these actions do not count as `steps`.
+    """Policies are evaluated at lattice x lattice references of each cell; these actions do not
+    count as `steps`.
 
-    The best policy is kept. The defaults avoid the paper's six references, which are the centres of its cells: a policy
-    must not be selected on the references that its errors are reported for."""
+    The best policy is kept. The defaults avoid the paper's six references, which are the centres of
+    its cells: a policy must not be selected on the references that its errors are reported for.
+    """
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainConfig":
         if self.controller == "single" and len(self.cells) != 1:
-            raise ValueError(f"a single controller has one cell, not {len(self.cells)}; give one, or controller=grid")
+            raise ValueError(
+                f"a single controller has one cell, not {len(self.cells)}; give one, or "
+                "controller=grid"
+            )
         check_apart(self.cells, "cells")
         if self.begins_as_gaits and not self.task.phase:
-            raise ValueError("task.phase is false, and a policy that begins as gaits observes the phase; leave it "
-                             "true, or give gradient.warm_start=false")  # fmt: skip
+            raise ValueError(
+                "task.phase is false, and a policy that begins as gaits observes the phase; leave "
+                "it true, or give gradient.warm_start=false"
+            )
         return self
 
     @property
@@ -92,10 +103,15 @@ class TrainConfig(Configuration):
         """The box round all references that policies are trained for."""
         return bounding_box(self.cells).expanded(self.margin_n)
 
-    def evaluation_references(self, reachable: Reachable | None) -> Float[np.ndarray, "cells references 2"]:
-        """The lattice of references of each cell [N], each as the nearest force that the fin can make."""
+    def evaluation_references(
+        self, reachable: Reachable | None
+    ) -> Float[np.ndarray, "cells references 2"]:
+        """The lattice of references of each cell [N], each as the nearest force that the fin can
+        make."""
         lattices = [cell.lattice(self.lattice) for cell in self.cells]
-        return np.asarray(lattices if reachable is None else reachable.nearest(lattices), np.float32)
+        return np.asarray(
+            lattices if reachable is None else reachable.nearest(lattices), np.float32
+        )
 
 
 GRID = TrainConfig()
@@ -112,71 +128,101 @@ SINGLE = TrainConfig(
 """The paper's single controller on its budget."""
 
 GRADIENT_SINGLE = SINGLE.changed(
-    ("algorithm=gradient", "steps=23040", "num_evaluations=5", "task.phase=true", "task.reward.target=window",
-     "task.reference_actions=24", "margin_n=0.1", "gradient.map.spacing_n=0.55")
-)  # fmt: skip
+    (
+        "algorithm=gradient",
+        "steps=23040",
+        "num_evaluations=5",
+        "task.phase=true",
+        "task.reward.target=window",
+        "task.reference_actions=24",
+        "margin_n=0.1",
+        "gradient.map.spacing_n=0.55",
+    )
+)
 """One controller by gradients through the plant: 40 updates."""
 
 GRADIENT_GRID = GRADIENT_SINGLE.merged(
     {
-        "controller": "grid", "cells": GRID.model_dump()["cells"], "steps": 2_880, "num_evaluations": 5,
-        "margin_n": 0.1, "switching": {"margin_n": 0.1},
+        "controller": "grid",
+        "cells": GRID.model_dump()["cells"],
+        "steps": 2_880,
+        "num_evaluations": 5,
+        "margin_n": 0.1,
+        "switching": {"margin_n": 0.1},
         "gradient": {"num_envs": 8, "learning_rate": 3e-4},
     },
     "grid",
-)  # fmt: skip
+)
 """A policy a cell by gradients through the plant: 20 updates."""
 
 HINDSIGHT = ("ppo.relabelling=1",)
 """Learn from each rollout for other references, too; not in the paper."""
 
-TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = MappingProxyType({
-    ("ppo", "single"): SINGLE, ("ppo", "grid"): GRID,
-    ("ppo-hindsight", "single"): SINGLE.changed(HINDSIGHT), ("ppo-hindsight", "grid"): GRID.changed(HINDSIGHT),
-    ("gradient", "single"): GRADIENT_SINGLE, ("gradient", "grid"): GRADIENT_GRID,
-})  # fmt: skip
+TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = MappingProxyType(
+    {
+        ("ppo", "single"): SINGLE,
+        ("ppo", "grid"): GRID,
+        ("ppo-hindsight", "single"): SINGLE.changed(HINDSIGHT),
+        ("ppo-hindsight", "grid"): GRID.changed(HINDSIGHT),
+        ("gradient", "single"): GRADIENT_SINGLE,
+        ("gradient", "grid"): GRADIENT_GRID,
+    }
+)
 """Configurations by algorithm and kind of controller."""
 
 
 def choose_preset(
     plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto"
 ) -> tuple[TrainConfig, str]:
-    """The preset for a plant, and why its algorithm was chosen; auto: gradients wherever the plant has them."""
+    """The preset for a plant, and why its algorithm was chosen; auto: gradients wherever the plant
+    has them."""
     if algorithm != "auto":
         return TRAIN_PRESETS[algorithm, controller], f"{algorithm}, as asked"
     missing = missing_gradient(plant)
     if missing is None:
         return TRAIN_PRESETS["gradient", controller], "gradient, as the plant has gradients"
-    return TRAIN_PRESETS["ppo-hindsight", controller], f"ppo-hindsight, because the plant has no gradient: {missing}"
+    return TRAIN_PRESETS[
+        "ppo-hindsight", controller
+    ], f"ppo-hindsight, because the plant has no gradient: {missing}"
 
 
-def check(plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None) -> None:
-    """Raise ConfigurationError where the budget is smaller than one rollout, or anything else does not fit."""
+def check(
+    plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None
+) -> None:
+    """Raise ConfigurationError where the budget is smaller than one rollout, or anything else does
+    not fit."""
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
-    learning, task = config.learning, config.task
+    learning = config.learning
+    task = config.task
     if config.num_updates == 0:
         raise ConfigurationError(
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
             f"({learning.num_envs} environments x {learning.num_steps} actions); give more steps"
         )
-    if (samples := task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)) < task.window_samples:
+    if (
+        samples := task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
+    ) < task.window_samples:
         raise ConfigurationError(
-            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples holds no whole window of "
-            f"{task.window_samples} to evaluate; give a longer episode or a smaller task.window_samples"
+            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples holds "
+            f"no whole window of {task.window_samples} to evaluate; give a longer episode or a "
+            "smaller task.window_samples"
         )
     if config.ensemble == "each" and (plant.size if isinstance(plant, EnsemblePlant) else 1) < 2:
         raise ConfigurationError(
-            "ensemble = each: the plant is not an ensemble of two members or more; leave it out, or fit a streaming "
-            "surrogate with --set members=5"
+            "ensemble = each: the plant is not an ensemble of two members or more; leave it out, "
+            "or fit a streaming surrogate with --set members=5"
         )
     if not config.begins_as_gaits or force_map is None:
         return
-    box, table, (least, greatest) = config.training_range, force_map.gaits.table, force_map.reachable.bounds()
-    low, high = np.maximum(box.low, least) + EDGE_ROUNDING_N, np.minimum(box.high, greatest) - EDGE_ROUNDING_N
+    box = config.training_range
+    table = force_map.gaits.table
+    (least, greatest) = force_map.reachable.bounds()
+    low = np.maximum(box.low, least) + EDGE_ROUNDING_N
+    high = np.minimum(box.high, greatest) - EDGE_ROUNDING_N
     if np.any(table.low > low) or np.any(table.high < high):
         between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
         raise ConfigurationError(
-            f"map of {between}: its gaits do not reach over the references to train for ({box}); map these too, or "
-            "all that the fin can make (softfin map without a box)"
+            f"map of {between}: its gaits do not reach over the references to train for ({box}); "
+            "map these too, or all that the fin can make (softfin map without a box)"
         )

@@ -1,4 +1,5 @@
-"""Trained policies as controllers' folders, with their scores and the figure of their errors over the training."""
+"""Trained policies as controllers' folders, with their scores and the figure of their errors over
+the training."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
@@ -29,7 +30,8 @@ REFINED = "refined"
 
 
 def write_learning(folder: Path) -> None:
-    """Draw ``learning.svg`` beside the logs of a run and of its jobs, a curve for every seed of each log."""
+    """Draw ``learning.svg`` beside the logs of a run and of its jobs, a curve for every seed of
+    each log."""
     runs: dict[str, list[Curve]] = {}
     for log in sorted(folder.rglob(LOG)):
         is_refined = REFINED in log.relative_to(folder).parts
@@ -44,9 +46,14 @@ def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
     """The error of each seed against the steps, where the policies were evaluated."""
     first, second = (f"/score_{axis}_n" for axis in AXES)
     scored = [entry for entry in entries if any(name.endswith(first) for name in entry)]
-    seeds = [name.removesuffix(first) for name in scored[0] if name.endswith(first)] if scored else []
+    seeds = (
+        [name.removesuffix(first) for name in scored[0] if name.endswith(first)] if scored else []
+    )
     steps = [entry["step"] for entry in scored]
-    return [(steps, [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored]) for seed in seeds]
+    return [
+        (steps, [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored])
+        for seed in seeds
+    ]
 
 
 def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
@@ -79,8 +86,10 @@ def save_controller(
     learnt: Mapping[str, Any] = UNKNOWN,
     overwrite: bool = False,
 ) -> None:
-    """Write the controller of one seed, whole or not at all; `learnt` tells what its plant has learnt from."""
-    config, index = trained.config, trained.seeds.index(seed)
+    """Write the controller of one seed, whole or not at all; `learnt` tells what its plant has
+    learnt from."""
+    config = trained.config
+    index = trained.seeds.index(seed)
     # Those of a grid have a leading axis of cells.
     one = (index, 0) if config.controller == "single" else (index,)
     policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
@@ -89,11 +98,15 @@ def save_controller(
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
         "reachable": None if reachable is None else reachable.to_dict(),
-        "switching": config.switching.model_dump(mode="json") if config.controller == "grid" else None,
+        "switching": config.switching.model_dump(mode="json")
+        if config.controller == "grid"
+        else None,
         **learnt,
         "policy": config.policy.model_dump(mode="json"),
         "memory": memory_of(policies),
-        "scores": _scores(config, config.evaluation_references(reachable), trained.evaluation, index),
+        "scores": _scores(
+            config, config.evaluation_references(reachable), trained.evaluation, index
+        ),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
@@ -105,15 +118,19 @@ def save_controller(
 
 
 def _scores(
-    config: TrainConfig, tracked: Float[np.ndarray, "cells references 2"], scored: PolicyEvaluation, index: int
+    config: TrainConfig,
+    tracked: Float[np.ndarray, "cells references 2"],
+    scored: PolicyEvaluation,
+    index: int,
 ) -> list[dict[str, Any]]:
     """List, for each cell, its references and the force errors in the plant that it was trained in.
 
-    Errors are against ``tracked_reference_n``, the nearest force that the fin can make, where its reach is known.
-    ``out_of_distribution_fraction`` is the share of actions that left the training data of the plant, where that is a
-    surrogate with such a measure.
+    Errors are against ``tracked_reference_n``, the nearest force that the fin can make, where its
+    reach is known. ``out_of_distribution_fraction`` is the share of actions that left the training
+    data of the plant, where that is a surrogate with such a measure.
     """
-    rows, outside = [], scored.out_of_distribution_fraction
+    rows = []
+    outside = scored.out_of_distribution_fraction
     for i, cell in enumerate(config.cells):
         for j, reference in enumerate(cell.lattice(config.lattice)):
             forces = {
@@ -122,6 +139,10 @@ def _scores(
                 "std_n": scored.std[index, i, j],
             }
             rounded = {name: [round(float(x), 4) for x in force] for name, force in forces.items()}
-            beyond = {} if outside is None else {"out_of_distribution_fraction": float(outside[index, i, j])}
+            beyond = (
+                {}
+                if outside is None
+                else {"out_of_distribution_fraction": float(outside[index, i, j])}
+            )
             rows.append({"cell": i, "reference_n": list(reference), **rounded, **beyond})
     return rows

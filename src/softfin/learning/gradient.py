@@ -1,11 +1,14 @@
-"""Gradient training: the force error of whole rollouts is differentiated through the plant into the policy.
+"""Gradient training: the force error of whole rollouts is differentiated through the plant into the
+policy.
 
-The policy begins as a table of gaits, to whose actions its networks add, so that gradients only have to correct errors.
-A gait's action depends on the reference and the phase alone, so it is defined in every state.
+The policy begins as a table of gaits, to whose actions its networks add, so that gradients only
+have to correct errors. A gait's action depends on the reference and the phase alone, so it is
+defined in every state.
 
-The rest is truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC) without its critic: an
-action acts on the fin for two or three seconds, and the window of the reward holds two, so a rollout of six seconds
-covers nearly all effects of an action. Pure; one agent, `vmap` adds agents.
+The rest is truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC)
+without its critic: an action acts on the fin for two or three seconds, and the window of the reward
+holds two, so a rollout of six seconds covers nearly all effects of an action. Pure; one agent,
+`vmap` adds agents.
 """
 
 from dataclasses import dataclass
@@ -24,7 +27,14 @@ from softfin.gaits.force_map import MapConfig
 from softfin.gaits.gait import GaitTable
 from softfin.learning.layers import cleared
 from softfin.learning.policy import Policy, PolicyConfig
-from softfin.learning.rollout import AgentState, EnvState, Metrics, clipped_adam, reset_truncated, start_episodes
+from softfin.learning.rollout import (
+    AgentState,
+    EnvState,
+    Metrics,
+    clipped_adam,
+    reset_truncated,
+    start_episodes,
+)
 from softfin.task.references import References
 from softfin.task.task import ForceTracking, RewardTerms
 
@@ -43,7 +53,8 @@ class GradientConfig(Configuration):
     max_grad_norm: PositiveFloat = 1.0
     """Norm to which longer gradients are scaled down."""
     rounding_n: PositiveFloat = 0.05
-    """Force errors below this are weighed as their squares [N]: near 0 the sign of an error is mostly noise."""
+    """Force errors below this are weighed as their squares [N]: near 0 the sign of an error is
+    mostly noise."""
     warm_start: bool = True
     """Whether the policy begins as a table of gaits, to whose actions it adds."""
     map: MapConfig = MapConfig()
@@ -69,16 +80,25 @@ class Gradient:
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
         """A new policy, fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
-        task, gaits = self.task.config, self.table
+        task = self.task.config
+        gaits = self.table
         if gaits is not None:
-            gaits = gaits._replace(low=gaits.low / task.force_scale_n, high=gaits.high / task.force_scale_n)
+            gaits = gaits._replace(
+                low=gaits.low / task.force_scale_n, high=gaits.high / task.force_scale_n
+            )
         policy = Policy.create(network_key, self.policy, task.observations, gaits=gaits)
-        env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
-        return AgentState(None, policy, self._optimiser().init(policy), env_state, key, jnp.int32(0))
+        env_state = start_episodes(
+            self.task, policy, references, environment_key, self.config.num_envs
+        )
+        return AgentState(
+            None, policy, self._optimiser().init(policy), env_state, key, jnp.int32(0)
+        )
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """A rollout without noise, and one step down the gradient of its loss."""
-        gradient, (env_state, metrics) = jax.grad(self.loss, has_aux=True)(agent.policy, agent.env_state)
+        gradient, (env_state, metrics) = jax.grad(self.loss, has_aux=True)(
+            agent.policy, agent.env_state
+        )
         change, optimiser = self._optimiser().update(gradient, agent.optimiser, agent.policy)
         metrics["gradient_norm"] = optax.tree.norm(gradient)
         return agent._replace(
@@ -88,24 +108,36 @@ class Gradient:
             num_updates=agent.num_updates + 1,
         ), metrics
 
-    def loss(self, policy: Policy, env_state: EnvState) -> tuple[Float[Array, ""], tuple[EnvState, Metrics]]:
+    def loss(
+        self, policy: Policy, env_state: EnvState
+    ) -> tuple[Float[Array, ""], tuple[EnvState, Metrics]]:
         """The negative reward, a mean over the rollout, with force errors rounded near 0 [N]."""
-        task, reward, rounding = self.task, self.task.config.reward, self.config.rounding_n
+        task = self.task
+        reward = self.task.config.reward
+        rounding = self.config.rounding_n
 
         def act(now: EnvState, ticks: Ticks) -> tuple[EnvState, tuple[Array, RewardTerms]]:
             memories = jax.vmap(cleared)(now.memories, now.is_first)
             memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(now.states))
             states, outcome = jax.vmap(partial(task.step, ticks=ticks))(now.states, action)
-            return EnvState(states, memories, jnp.zeros_like(now.is_first)), (outcome.reward, outcome.terms)
+            return EnvState(states, memories, jnp.zeros_like(now.is_first)), (
+                outcome.reward,
+                outcome.terms,
+            )
 
         ticks = jnp.asarray(ticks_of(self.config.num_steps))
         env_state, (rewards, terms) = jax.lax.scan(act, env_state, ticks)
         rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding
         loss = -reward.value(terms._replace(error=rounded)).mean()
         x, y = terms.error.mean(axis=(0, 1))
-        return loss, (env_state, {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y})
+        return loss, (
+            env_state,
+            {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y},
+        )
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config
-        rate = optax.cosine_decay_schedule(config.learning_rate, self.num_updates, config.final_learning_rate)
+        rate = optax.cosine_decay_schedule(
+            config.learning_rate, self.num_updates, config.final_learning_rate
+        )
         return clipped_adam(rate, config.max_grad_norm)

@@ -29,7 +29,8 @@ class LinearLayer(eqx.Module):
 
 
 class LSTMCell(eqx.Module):
-    """Hochreiter and Schmidhuber 1997 with forget gates; gates in the order input, forget, cell, output."""
+    """Hochreiter and Schmidhuber 1997 with forget gates; gates in the order input, forget, cell,
+    output."""
 
     kernel: Float[Array, "inputs gates"]
     recurrent: Float[Array, "units gates"]
@@ -39,7 +40,8 @@ class LSTMCell(eqx.Module):
     def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTMCell":
         """New weights; the forget gate starts open, so that early gradients reach far back."""
         first, second = jax.random.split(key)
-        kernel, recurrent = weights(first, (inputs, 4 * units)), weights(second, (units, 4 * units))
+        kernel = weights(first, (inputs, 4 * units))
+        recurrent = weights(second, (units, 4 * units))
         return cls(kernel, recurrent, jnp.zeros(4 * units).at[units : 2 * units].set(1.0))
 
     def init(self) -> PolicyMemory:
@@ -54,7 +56,8 @@ class LSTMCell(eqx.Module):
     def sequence(
         self, memory: PolicyMemory, x: Float[Array, "time inputs"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time units"]:
-        """The hidden state after each step, the memory cleared before every step that `is_first`."""
+        """The hidden state after each step, the memory cleared before every step that
+        `is_first`."""
 
         def step(memory: PolicyMemory, now: tuple[Array, Array]) -> tuple[PolicyMemory, Array]:
             gates, first = now
@@ -69,7 +72,9 @@ class LSTMCell(eqx.Module):
         return PolicyMemory(jax.nn.sigmoid(o) * jnp.tanh(cell), cell)
 
 
-def weights(key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0) -> Float[Array, "inputs outputs"]:
+def weights(
+    key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0
+) -> Float[Array, "inputs outputs"]:
     """Uniform random weights that keep the variance of their inputs, times gain^2."""
     bound = gain * (3 / shape[0]) ** 0.5
     return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
@@ -83,7 +88,8 @@ def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:
 class Normalisation(eqx.Module):
     """(x - mean) / deviation, number by number; nothing is changed before the first `updated`.
 
-    The statistics are leaves of the network and saved with its weights, but no gradient reaches them.
+    The statistics are leaves of the network and saved with its weights, but no gradient reaches
+    them.
     """
 
     mean: Float[Array, "*stack numbers"]
@@ -105,16 +111,22 @@ class Normalisation(eqx.Module):
         """The inverse function."""
         return jax.lax.stop_gradient(self.mean) + jax.lax.stop_gradient(self.scale) * x
 
-    def updated(self, x: Float[Array, "*batch numbers"], most: float | int = jnp.inf) -> "Normalisation":
-        """The normalisation with a batch of vectors counted, too; earlier ones weigh as at most `most` vectors.
+    def updated(
+        self, x: Float[Array, "*batch numbers"], most: float | int = jnp.inf
+    ) -> "Normalisation":
+        """The normalisation with a batch of vectors counted, too; earlier ones weigh as at most
+        `most` vectors.
 
         Merged as in Chan, Golub and LeVeque 1979.
         """
         rows = x.reshape(-1, x.shape[-1])
-        new, old = float(len(rows)), jnp.minimum(self.count, most)
+        new = float(len(rows))
+        old = jnp.minimum(self.count, most)
         total = old + new
         step = rows.mean(axis=0) - self.mean
-        variance = (old * self.std**2 + new * rows.var(axis=0)) / total + old * new * (step / total) ** 2
+        variance = (old * self.std**2 + new * rows.var(axis=0)) / total + old * new * (
+            step / total
+        ) ** 2
         return Normalisation(self.mean + step * new / total, jnp.sqrt(variance), total)
 
     @property

@@ -1,10 +1,11 @@
-"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs; both normalise.
+"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs; both
+normalise.
 
-Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), std). The deterministic action is
-tanh(mean). So every action is within the limits, and none is clipped.
+Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), std). The
+deterministic action is tanh(mean). So every action is within the limits, and none is clipped.
 
-A policy may begin as a table of gaits: its networks then learn what is added to the gait for the reference, before the
-tanh (residual policy learning: Silver et al. 2018; Johannink et al. 2019).
+A policy may begin as a table of gaits: its networks then learn what is added to the gait for the
+reference, before the tanh (residual policy learning: Silver et al. 2018; Johannink et al. 2019).
 """
 
 import math
@@ -53,14 +54,20 @@ class Policy(eqx.Module):
     normalisation: Normalisation
     """Normalisation of the observations."""
     gaits: GaitTable | None
-    """Gaits that the networks' outputs are added to, over references in units of the observation; not trained."""
+    """Gaits that the networks' outputs are added to, over references in units of the observation;
+    not trained."""
 
     @classmethod
     def create(
-        cls, key: PRNGKeyArray, config: PolicyConfig, observations: int, actions: int = 2,
+        cls,
+        key: PRNGKeyArray,
+        config: PolicyConfig,
+        observations: int,
+        actions: int = 2,
         gaits: GaitTable | None = None,
-    ) -> "Policy":  # fmt: skip
-        """New weights; at the start the mean action is nearly the gait's, or the middle, whatever is observed."""
+    ) -> "Policy":
+        """New weights; at the start the mean action is nearly the gait's, or the middle, whatever
+        is observed."""
         lstm, hidden, output = jax.random.split(key, 3)
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
@@ -69,7 +76,9 @@ class Policy(eqx.Module):
         )
         log_std = jnp.full(actions, jnp.log(config.init_std))
         table = jax.tree.map(jnp.asarray, gaits)
-        return cls(net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations), table)
+        return cls(
+            net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations), table
+        )
 
     def init(self) -> PolicyMemory:
         """Empty memory."""
@@ -90,9 +99,13 @@ class Policy(eqx.Module):
         return memory, self._mean(memory.hidden) + self._gait(observation)
 
     def sequence(
-        self, memory: PolicyMemory, observation: Float[Array, "time observations"], is_first: Bool[Array, "time"]
+        self,
+        memory: PolicyMemory,
+        observation: Float[Array, "time observations"],
+        is_first: Bool[Array, "time"],
     ) -> Float[Array, "time actions"]:
-        """The outputs of `step` over a sequence, the memory cleared before every step that `is_first`."""
+        """The outputs of `step` over a sequence, the memory cleared before every step that
+        `is_first`."""
         hidden = self.net.lstm.sequence(memory, self.normalisation(observation), is_first)
         return self._mean(hidden) + jax.vmap(self._gait)(observation)
 
@@ -100,10 +113,12 @@ class Policy(eqx.Module):
         return self.net.output(jnp.tanh(self.net.hidden(hidden)))
 
     def _gait(self, observation: Float[Array, "observations"]) -> Array:
-        """The action of the gait for the observed reference and phase, before the tanh; 0 without gaits."""
+        """The action of the gait for the observed reference and phase, before the tanh; 0 without
+        gaits."""
         if self.gaits is None:
             return jnp.zeros_like(self.log_std)
-        gaits, age = jax.lax.stop_gradient(self.gaits), jnp.argmax(PHASES @ observation[-PHASES.shape[1] :])
+        gaits = jax.lax.stop_gradient(self.gaits)
+        age = jnp.argmax(PHASES @ observation[-PHASES.shape[1] :])
         return jnp.asarray(gait_before_tanh(jax_operations(), gaits, observation[1:MEASURED], age))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
@@ -127,7 +142,8 @@ class Policy(eqx.Module):
 
 
 class Critic(eqx.Module):
-    """Value of a state, from the privileged observation: it needs no memory, and no robot needs it."""
+    """Value of a state, from the privileged observation: it needs no memory, and no robot needs
+    it."""
 
     layers: tuple[LinearLayer, LinearLayer, LinearLayer]
     inputs: Normalisation
@@ -140,7 +156,8 @@ class Critic(eqx.Module):
         """New weights for `privileged` inputs."""
         sizes = ((privileged, width), (width, width), (width, 1))
         first, second, last = (
-            LinearLayer.create(k, *size, 1.0) for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
+            LinearLayer.create(k, *size, 1.0)
+            for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
         )
         return cls((first, second, last), Normalisation.create(privileged), Normalisation.create(1))
 
@@ -148,19 +165,29 @@ class Critic(eqx.Module):
         """Value of each state."""
         return self.values.inverse(self._normalised(privileged)[..., None])[..., 0]
 
-    def loss(self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"]) -> Float[Array, ""]:
+    def loss(
+        self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"]
+    ) -> Float[Array, ""]:
         """Mean squared error, in the layers' unit."""
-        return jnp.mean((self._normalised(privileged) - self.values(target[..., None])[..., 0]) ** 2)
+        return jnp.mean(
+            (self._normalised(privileged) - self.values(target[..., None])[..., 0]) ** 2
+        )
 
     def update_statistics(
-        self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"], most: float | int
+        self,
+        privileged: Float[Array, "*batch privileged"],
+        target: Float[Array, "*batch"],
+        most: float | int,
     ) -> "Critic":
-        """The critic with inputs and values counted in its normalisations, earlier values as at most `most`.
+        """The critic with inputs and values counted in its normalisations, earlier values as at
+        most `most`.
 
-        The last layer is changed so that values in their new unit stay the same (van Hasselt et al. 2016); the new
-        normalisation of the inputs still changes the value of the same inputs a little.
+        The last layer is changed so that values in their new unit stay the same (van Hasselt et al.
+        2016); the new normalisation of the inputs still changes the value of the same inputs a
+        little.
         """
-        old, new = self.values, self.values.updated(target[..., None], most)
+        old = self.values
+        new = self.values.updated(target[..., None], most)
         first, second, last = self.layers
         last = LinearLayer(last.kernel * old.scale / new.scale, new(old.inverse(last.bias)))
         return Critic((first, second, last), self.inputs.updated(privileged), new)
@@ -181,7 +208,9 @@ def named(policy: Any) -> dict[str, Any]:
     """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
     paths, _ = jax.tree_util.tree_flatten_with_path(policy)
     names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
-    return {STORED_NAMES.get(name, name): leaf for name, (_, leaf) in zip(names, paths, strict=True)}
+    return {
+        STORED_NAMES.get(name, name): leaf for name, (_, leaf) in zip(names, paths, strict=True)
+    }
 
 
 STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
@@ -189,19 +218,32 @@ STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.
 
 
 def memory_of(policy: Policy) -> dict[str, int]:
-    """Memory of one policy or of a stack of them, for JSON: weights and optimiser, without critic and rollouts."""
+    """Memory of one policy or of a stack of them, for JSON: weights and optimiser, without critic
+    and rollouts."""
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
-    weights, size = sum(leaf.size for leaf in leaves) // count, sum(leaf.nbytes for leaf in leaves) // count
+    weights = sum(leaf.size for leaf in leaves) // count
+    size = sum(leaf.nbytes for leaf in leaves) // count
     # Adam keeps two numbers for each weight.
     optimiser = 2 * size
-    return {"policies": count, "weights": weights, "weights_bytes": size, "optimiser_bytes": optimiser,
-            "total_weights_bytes": count * size, "total_bytes": count * (size + optimiser)}  # fmt: skip
+    return {
+        "policies": count,
+        "weights": weights,
+        "weights_bytes": size,
+        "optimiser_bytes": optimiser,
+        "total_weights_bytes": count * size,
+        "total_bytes": count * (size + optimiser),
+    }
 
 
 def describe_memory(memory: Mapping[str, int]) -> str:
     """The numbers of `memory_of` in a line of text."""
-    each, stored, trained = (f"{memory[name] / 1e3:.0f} kB"
-                             for name in ("weights_bytes", "total_weights_bytes", "total_bytes"))  # fmt: skip
+    each, stored, trained = (
+        f"{memory[name] / 1e3:.0f} kB"
+        for name in ("weights_bytes", "total_weights_bytes", "total_bytes")
+    )
     count = f"{memory['policies']} policies" if memory["policies"] > 1 else "1 policy"
-    return f"memory: {count} of {memory['weights']:,} weights, {each} each, {stored} in all; {trained} while training"
+    return (
+        f"memory: {count} of {memory['weights']:,} weights, {each} each, {stored} in all; "
+        f"{trained} while training"
+    )

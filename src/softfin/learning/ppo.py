@@ -1,7 +1,9 @@
-"""LSTM-PPO (Schulman et al. 2017): collect, advantages, epochs of clipped updates. Pure; one agent, `vmap` adds more.
+"""LSTM-PPO (Schulman et al. 2017): collect, advantages, epochs of clipped updates. Pure; one agent,
+`vmap` adds more.
 
-The networks' inputs and values are normalised by their own running mean and deviation, and the policy that is kept is
-an average over the last updates. Every rollout is learnt from for other references, too, whose rewards are known.
+The networks' inputs and values are normalised by their own running mean and deviation, and the
+policy that is kept is an average over the last updates. Every rollout is learnt from for other
+references, too, whose rewards are known.
 """
 
 from dataclasses import dataclass
@@ -18,7 +20,14 @@ from softfin.control.policy import PolicyMemory
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.configuration import Configuration
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
-from softfin.learning.rollout import AgentState, Metrics, Rollout, clipped_adam, collect, start_episodes
+from softfin.learning.rollout import (
+    AgentState,
+    Metrics,
+    Rollout,
+    clipped_adam,
+    collect,
+    start_episodes,
+)
 from softfin.task.references import References
 from softfin.task.task import ForceTracking, RewardTerms
 
@@ -32,7 +41,8 @@ PerStep = Float[Array, "time environments"]
 
 
 class PPOConfig(Configuration):
-    """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, from each of which much is learnt."""
+    """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, from each of
+    which much is learnt."""
 
     num_envs: PositiveInt = 16
     """Fins that each policy moves side by side."""
@@ -41,10 +51,12 @@ class PPOConfig(Configuration):
     num_epochs: PositiveInt = 10
     """Passes over each rollout."""
     relabelling: NonNegativeFloat = 0.0
-    """Root mean square distance between a rollout's references and the other references that it is learnt from as well
-    (hindsight), in units of the rollout's root mean square force error; 0: none, as in the paper."""
+    """Root mean square distance between a rollout's references and the other references that it is
+    learnt from as well (hindsight), in units of the rollout's root mean square force error; 0:
+    none, as in the paper."""
     num_minibatches: PositiveInt = 8
-    """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins, and as many relabelled ones."""
+    """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins, and as many
+    relabelled ones."""
     learning_rate: PositiveFloat = 3e-3
     """Learning rate of Adam, at the start."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
@@ -58,9 +70,11 @@ class PPOConfig(Configuration):
     entropy_coef: NonNegativeFloat = 0.0
     """Weight of the entropy [1/nat], at the start."""
     final_entropy_coef: float = Field(default=0.0, ge=0, le=1)
-    """Weight of the entropy at the end, as a part of that at the start; in between it falls linearly."""
+    """Weight of the entropy at the end, as a part of that at the start; in between it falls
+    linearly."""
     averaging: NonNegativeFloat = 2.0
-    """Number of updates that the policy is averaged over which is evaluated and kept, about; 0 is the newest."""
+    """Number of updates that the policy is averaged over which is evaluated and kept, about; 0 is
+    the newest."""
     value_coef: PositiveFloat = 0.5
     """Weight of the critic's loss."""
     max_grad_norm: PositiveFloat = 0.5
@@ -70,8 +84,8 @@ class PPOConfig(Configuration):
     def _divides(self) -> "PPOConfig":
         if self.num_envs % self.num_minibatches:
             raise ValueError(
-                f"num_envs = {self.num_envs} do not make {self.num_minibatches} equal minibatches; give a multiple of "
-                "num_minibatches"
+                f"num_envs = {self.num_envs} do not make {self.num_minibatches} equal minibatches; "
+                "give a multiple of num_minibatches"
             )
         return self
 
@@ -92,7 +106,9 @@ class PPOConfig(Configuration):
 
     def entropy_coefs(self, updates: int) -> optax.Schedule:
         """Weight of the entropy in a run, by its updates."""
-        return optax.linear_schedule(self.entropy_coef, self.entropy_coef * self.final_entropy_coef, updates)
+        return optax.linear_schedule(
+            self.entropy_coef, self.entropy_coef * self.final_entropy_coef, updates
+        )
 
 
 class Batch(NamedTuple):
@@ -121,9 +137,15 @@ class PPO:
         privileged = jax.eval_shape(self.task.privileged_observation, state)
         actor_key, critic_key = jax.random.split(network_key)
         policy = Policy.create(actor_key, self.policy, self.task.config.observations)
-        networks = ActorCritic(policy, Critic.create(critic_key, len(privileged), self.policy.critic_width))
-        env_state = start_episodes(self.task, policy, references, environment_key, self.config.num_envs)
-        return AgentState(networks, policy, self._optimiser().init(networks), env_state, key, jnp.int32(0))
+        networks = ActorCritic(
+            policy, Critic.create(critic_key, len(privileged), self.policy.critic_width)
+        )
+        env_state = start_episodes(
+            self.task, policy, references, environment_key, self.config.num_envs
+        )
+        return AgentState(
+            networks, policy, self._optimiser().init(networks), env_state, key, jnp.int32(0)
+        )
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
         """Collect a rollout and learn from it."""
@@ -131,25 +153,32 @@ class PPO:
         networks = agent.networks
         collect_key, learn_key, key = jax.random.split(agent.key, 3)
         cycles = self.config.num_steps // len(ACTION_TICKS)
-        env_state, rollout = collect(self.task, networks.policy, agent.env_state, collect_key, cycles)
+        env_state, rollout = collect(
+            self.task, networks.policy, agent.env_state, collect_key, cycles
+        )
         batch, metrics = self.batch(networks.critic, rollout)
         recent = RECENT_UPDATES * self.config.steps_per_update
-        critic = networks.critic.update_statistics(rollout.privileged_observation, batch.target, recent)
+        critic = networks.critic.update_statistics(
+            rollout.privileged_observation, batch.target, recent
+        )
         learnt = self._learn(agent, ActorCritic(networks.policy, critic), rollout, learn_key)
         networks, averaged, optimiser, learning = learnt
         # After the learning, so that the probabilities there are those of the rollout.
         policy = networks.policy.update_statistics(rollout.observation)
-        networks, averaged = ActorCritic(policy, networks.critic), averaged.with_normalisation(policy.normalisation)
+        networks = ActorCritic(policy, networks.critic)
+        averaged = averaged.with_normalisation(policy.normalisation)
         agent = AgentState(networks, averaged, optimiser, env_state, key, agent.num_updates + 1)
         return agent, metrics | learning
 
     def batch(self, critic: Critic, rollout: Rollout) -> tuple[Batch, Metrics]:
         """Advantages and targets of a rollout.
 
-        With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever the discount.
+        With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever
+        the discount.
         """
         discount = self.config.discount
-        value, next_value = critic(rollout.privileged_observation), critic(rollout.next_privileged_observation)
+        value = critic(rollout.privileged_observation)
+        next_value = critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
         # The later part of an advantage counts as far as the actions there do (Munos et al. 2016).
         traces = self.config.gae_lambda * jnp.roll(rollout.weight, -1, axis=0)
@@ -164,10 +193,16 @@ class PPO:
         }
 
     def loss(
-        self, networks: ActorCritic, batch: Batch, start: PolicyMemory, entropy_coef: Float[Array, ""]
+        self,
+        networks: ActorCritic,
+        batch: Batch,
+        start: PolicyMemory,
+        entropy_coef: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Metrics]:
-        """Clipped surrogate objective, squared error of the critic, weighed entropy; whole sequences from `start`."""
-        config, rollout = self.config, batch.rollout
+        """Clipped surrogate objective, squared error of the critic, weighed entropy; whole
+        sequences from `start`."""
+        config = self.config
+        rollout = batch.rollout
         mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
         # Finite, so that a weight of 0 makes it 0.
@@ -176,20 +211,30 @@ class PPO:
         gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
         objective = jnp.mean(rollout.weight * gain)
         value_loss = networks.critic.loss(rollout.privileged_observation, batch.target)
-        loss = -objective + config.value_coef * value_loss - entropy_coef * networks.policy.action_entropy()
+        loss = (
+            -objective
+            + config.value_coef * value_loss
+            - entropy_coef * networks.policy.action_entropy()
+        )
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
         kl = jnp.mean(rollout.weight * (ratio - 1 - log_ratio))
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
     def relabelled(
-        self, policy: Policy, rollout: Rollout, start: PolicyMemory, references: References, key: PRNGKeyArray
+        self,
+        policy: Policy,
+        rollout: Rollout,
+        start: PolicyMemory,
+        references: References,
+        key: PRNGKeyArray,
     ) -> Rollout:
         """The rollout, and beside it the same actions as if other references had been asked for.
 
-        A reward is known for every reference (hindsight: Andrychowicz et al. 2017, for policy gradients Rauber et al.
-        2019). Actions weigh as often as the policy would choose them there, at most 1, and ratios are against the
-        policy there, so that clipping stays what it was (Hilton et al. 2022). The window is scored as if the other
-        reference had been asked for all along.
+        A reward is known for every reference (hindsight: Andrychowicz et al. 2017, for policy
+        gradients Rauber et al. 2019). Actions weigh as often as the policy would choose them there,
+        at most 1, and ratios are against the policy there, so that clipping stays what it was
+        (Hilton et al. 2022). The window is scored as if the other reference had been asked for all
+        along.
         """
         if not self.config.relabelling:
             return rollout
@@ -198,9 +243,13 @@ class PPO:
         reference = jax.vmap(References.nearest, in_axes=(0, 1), out_axes=1)(references, wanted)
         shift = reference - rollout.reference
         force_error = rollout.force_error - shift
-        change = RewardTerms(jnp.abs(force_error) - jnp.abs(rollout.force_error), jnp.zeros_like(force_error))
+        change = RewardTerms(
+            jnp.abs(force_error) - jnp.abs(rollout.force_error), jnp.zeros_like(force_error)
+        )
         observation = self.task.shifted(rollout.observation, shift)
-        log_prob = policy.log_prob(_replay(policy, start, observation, rollout.is_first), rollout.pre_tanh_action)
+        log_prob = policy.log_prob(
+            _replay(policy, start, observation, rollout.is_first), rollout.pre_tanh_action
+        )
         other = rollout._replace(
             observation=observation,
             log_prob=log_prob,
@@ -208,7 +257,9 @@ class PPO:
             reference=reference,
             force_error=force_error,
             privileged_observation=self.task.shifted(rollout.privileged_observation, shift),
-            next_privileged_observation=self.task.shifted(rollout.next_privileged_observation, shift),
+            next_privileged_observation=self.task.shifted(
+                rollout.next_privileged_observation, shift
+            ),
             weight=jnp.exp(jnp.minimum(log_prob - rollout.log_prob, 0)),
         )
         both: Rollout = jax.tree.map(lambda *x: jnp.concatenate(x, axis=1), rollout, other)
@@ -218,11 +269,14 @@ class PPO:
         self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
     ) -> tuple[ActorCritic, Policy, Any, Metrics]:
         """Epochs of minibatches; the networks, the averaged policy and the optimiser after them."""
-        config, optimiser, behaviour = self.config, self._optimiser(), agent.networks
+        config = self.config
+        optimiser = self._optimiser()
+        behaviour = agent.networks
         assert behaviour is not None
         entropy_coef = jnp.asarray(config.entropy_coefs(self.num_updates)(agent.num_updates))
         newest = 1 / max(1.0, config.averaging * config.gradients_per_update)
-        memories, references = agent.env_state.memories, agent.env_state.states.references
+        memories = agent.env_state.memories
+        references = agent.env_state.states.references
 
         def minibatch(
             batch: Batch, carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]
@@ -230,20 +284,32 @@ class PPO:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
             start = jax.tree.map(lambda x: x[chosen % config.num_envs], memories)
-            gradient, metrics = jax.grad(self.loss, has_aux=True)(networks, part, start, entropy_coef)
+            gradient, metrics = jax.grad(self.loss, has_aux=True)(
+                networks, part, start, entropy_coef
+            )
             change, state = optimiser.update(gradient, state, networks)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             networks = optax.apply_updates(networks, change)
-            return (networks, optax.incremental_update(networks.policy, averaged, newest), state), metrics
+            return (
+                networks,
+                optax.incremental_update(networks.policy, averaged, newest),
+                state,
+            ), metrics
 
         def epoch(carry: tuple[ActorCritic, Policy, Any], key: PRNGKeyArray) -> tuple[Any, Metrics]:
             order_key, relabel_key = jax.random.split(key)
             extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
-            order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(config.num_minibatches, -1)
-            return jax.lax.scan(partial(minibatch, self.batch(behaviour.critic, extended)[0]), carry, order)
+            order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(
+                config.num_minibatches, -1
+            )
+            return jax.lax.scan(
+                partial(minibatch, self.batch(behaviour.critic, extended)[0]), carry, order
+            )
 
         start = (networks, agent.policy, agent.optimiser)
-        (networks, averaged, state), metrics = jax.lax.scan(epoch, start, jax.random.split(key, config.num_epochs))
+        (networks, averaged, state), metrics = jax.lax.scan(
+            epoch, start, jax.random.split(key, config.num_epochs)
+        )
         metrics["std"] = jnp.exp(networks.policy.log_std)
         return networks, averaged, state, jax.tree.map(jnp.mean, metrics)
 
@@ -269,10 +335,11 @@ def advantages(
     discount: float,
     gae_lambda: PerStep | float,
 ) -> PerStep:
-    """A_t = d_t + discount lambda_t A_{t+1},  d_t = r_t + discount V'_t - V_t (Schulman et al. 2016).
+    """A_t = d_t + discount lambda_t A_{t+1},  d_t = r_t + discount V'_t - V_t (Schulman et al.
+    2016).
 
-    V' is the value of the state after the action, before any reset: the fin could have gone on, so a truncated episode
-    is bootstrapped with it, and only the sum stops there.
+    V' is the value of the state after the action, before any reset: the fin could have gone on, so
+    a truncated episode is bootstrapped with it, and only the sum stops there.
     """
     errors = reward + discount * next_value - value
 

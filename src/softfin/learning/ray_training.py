@@ -1,8 +1,10 @@
-"""Training on a Ray cluster (extra `ray`): a task for each seed, or for each cell if there is one seed.
+"""Training on a Ray cluster (extra `ray`): a task for each seed, or for each cell if there is one
+seed.
 
-Agents need no data of each other, so a task is a training run of its own, in a part of the run's folder. All machines
-must see that folder under the same path. Ray starts a task again if its worker dies, and the task resumes at its last
-checkpoint. The result of a task depends on its seed and cells alone, whichever worker does it.
+Agents need no data of each other, so a task is a training run of its own, in a part of the run's
+folder. All machines must see that folder under the same path. Ray starts a task again if its worker
+dies, and the task resumes at its last checkpoint. The result of a task depends on its seed and
+cells alone, whichever worker does it.
 """
 
 import os
@@ -28,8 +30,8 @@ from softfin.learning.train import find_map, train
 from softfin.storage.run_directory import RunDirectory
 
 STORE_BYTES = 256 * 2**20
-"""Memory for the objects of a cluster that is started here [bytes]: plants and policies are small. By default Ray takes
-a third of all memory."""
+"""Memory for the objects of a cluster that is started here [bytes]: plants and policies are small.
+By default Ray takes a third of all memory."""
 
 CONNECTION_S = 5.0
 """Longest wait for a cluster's address to accept a connection [s]."""
@@ -45,7 +47,8 @@ os.write(sys.stdout.fileno(), (started.address_info["gcs_address"] + "\\n").enco
 sys.stdin.read()
 ray.shutdown()
 """
-"""Program of a cluster of this machine alone, for as long as standard input stays open; it prints its address.
+"""Program of a cluster of this machine alone, for as long as standard input stays open; it prints
+its address.
 
 It runs in a process without JAX: Ray forks, and JAX's threads do not survive that.
 """
@@ -80,7 +83,8 @@ def train_on_ray(
     force_map: ForceMap | None = None,
     cluster: str | None = None,
 ) -> TrainingResult:
-    """Train as `softfin.learning.train.train` does, on the cluster at HOST:PORT or on one started for this run.
+    """Train as `softfin.learning.train.train` does, on the cluster at HOST:PORT or on one started
+    for this run.
 
     A task that fails is reported when all others are done, so that their checkpoints are kept.
 
@@ -95,13 +99,15 @@ def train_on_ray(
     with _connected(cluster) as ray:
         results = _run_tasks(ray, plant, tasks, run_directory, force_map, progress or silent)
     policies, evaluation = jax.tree.map(
-        lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]), *results
+        lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
+        *results,
     )
     return TrainingResult.of_plant(plant, config, seeds, policies, evaluation, force_map)
 
 
 def check_cluster(cluster: str | None) -> None:
-    """Raise ConfigurationError if Ray is not installed, or no program accepts connections at HOST:PORT.
+    """Raise ConfigurationError if Ray is not installed, or no program accepts connections at
+    HOST:PORT.
 
     Ray itself would wait for minutes.
     """
@@ -129,12 +135,14 @@ def _run_tasks(
     gpus_per_task = 1 if jax.default_backend() == "gpu" else 0
     if gpus_per_task and not ray.cluster_resources().get("GPU"):
         raise ConfigurationError(
-            "cluster: has no GPU, and this machine computes on one, so its tasks would never be scheduled; give a "
-            "--cluster with GPUs, or set JAX_PLATFORMS=cpu"
+            "cluster: has no GPU, and this machine computes on one, so its tasks would never be "
+            "scheduled; give a --cluster with GPUs, or set JAX_PLATFORMS=cpu"
         )
     remote = ray.remote(num_cpus=1, num_gpus=gpus_per_task, max_retries=MAX_RETRIES)(_run_task)
     shared = ray.put((plant, force_map))
-    running = {remote.remote(shared, task, run_directory.part(task.name)): task.name for task in tasks}
+    running = {
+        remote.remote(shared, task, run_directory.part(task.name)): task.name for task in tasks
+    }
     results: dict[str, BestPolicies] = {}
     errors: list[SoftfinError] = []
     while running:
@@ -146,8 +154,8 @@ def _run_tasks(
             outcome = RunError(f"{name}: its worker failed with {_describe(error)}")
         except ray.exceptions.RayError as error:
             outcome = RunError(
-                f"{name}: its worker died {MAX_RETRIES + 1} times ({_describe(error)}); what is finished is kept: check "
-                "memory and machines, then --resume"
+                f"{name}: its worker died {MAX_RETRIES + 1} times ({_describe(error)}); what is "
+                "finished is kept: check memory and machines, then --resume"
             )
         if isinstance(outcome, SoftfinError):
             errors.append(outcome)
@@ -174,7 +182,8 @@ def _run_task(
 
 @contextmanager
 def _connected(cluster: str | None) -> Iterator[Any]:
-    """Connect Ray to a cluster, or to one started on this machine; a connection of the caller's stays as it is."""
+    """Connect Ray to a cluster, or to one started on this machine; a connection of the caller's
+    stays as it is."""
     ray = _import_ray(is_own_cluster=cluster is None)
     if ray.is_initialized():
         yield ray
@@ -192,20 +201,26 @@ def _connected(cluster: str | None) -> Iterator[Any]:
 
 @contextmanager
 def _started() -> Iterator[str]:
-    """Start a cluster on this machine and yield its address; it ends with this process, however that ends."""
+    """Start a cluster on this machine and yield its address; it ends with this process, however
+    that ends."""
     command = [sys.executable, "-P", "-c", CLUSTER_PROGRAM, str(STORE_BYTES)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as head:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as head:
         assert head.stdout is not None
         address = head.stdout.readline().strip()
         if not address:
-            raise RunError("Ray does not start on this machine, for the reason above; --engine local works without it")
+            raise RunError(
+                "Ray does not start on this machine, for the reason above; --engine local works "
+                "without it"
+            )
         yield address
 
 
 def _cluster_error(cluster: str, reason: str) -> ConfigurationError:
     return ConfigurationError(
-        f"cluster {cluster}: {reason}; give --cluster HOST:PORT as `ray start --head` prints it, or none for this "
-        "machine alone"
+        f"cluster {cluster}: {reason}; give --cluster HOST:PORT as `ray start --head` prints it, "
+        "or none for this machine alone"
     )
 
 
@@ -218,9 +233,11 @@ def _describe(error: Exception) -> str:
 
 
 def _import_ray(is_own_cluster: bool) -> Any:
-    """Import Ray without usage statistics; a cluster of one's own takes work from this process and its children alone.
+    """Import Ray without usage statistics; a cluster of one's own takes work from this process and
+    its children alone.
 
-    Ray reads these settings when it is imported. Without the token it would write one to the user's home.
+    Ray reads these settings when it is imported. Without the token it would write one to the user's
+    home.
     """
     for name in ("RAY_USAGE_STATS_ENABLED", "RAY_ENABLE_UV_RUN_RUNTIME_ENV"):
         os.environ.setdefault(name, "0")
@@ -230,5 +247,7 @@ def _import_ray(is_own_cluster: bool) -> Any:
     try:
         import ray
     except ImportError:
-        raise ConfigurationError(f"--engine ray needs ray, which is not installed: {how_to_add('ray')}") from None
+        raise ConfigurationError(
+            f"--engine ray needs ray, which is not installed: {how_to_add('ray')}"
+        ) from None
     return ray

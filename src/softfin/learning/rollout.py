@@ -1,7 +1,8 @@
-"""A policy in its environments: an agent's state, rollouts with exploration noise, and episodes without to evaluate it.
+"""A policy in its environments: an agent's state, rollouts with exploration noise, and episodes
+without to evaluate it.
 
-Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions, and each action is
-one vmapped call of the plant.
+Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions,
+and each action is one vmapped call of the plant.
 """
 
 from functools import partial
@@ -24,7 +25,8 @@ from softfin.task.task import ForceTracking, TaskState
 
 
 class EnvState(NamedTuple):
-    """An agent's environments between two actions; every leaf has a leading axis of environments."""
+    """An agent's environments between two actions; every leaf has a leading axis of
+    environments."""
 
     states: TaskState
     memories: PolicyMemory
@@ -34,7 +36,8 @@ class EnvState(NamedTuple):
 
 
 class AgentState(NamedTuple):
-    """Everything that the training of one policy carries from update to update: its key and environments, too."""
+    """Everything that the training of one policy carries from update to update: its key and
+    environments, too."""
 
     networks: ActorCritic | None
     """Networks that act and learn; None where the policy itself does."""
@@ -48,12 +51,16 @@ class AgentState(NamedTuple):
 
 
 Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
-"""Scalars of an update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others of the algorithm."""
+"""Scalars of an update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others
+of the algorithm."""
 
 
 def clipped_adam(rate: optax.Schedule, max_norm: float) -> optax.GradientTransformation:
-    """Adam on gradients of at most this norm, over all weights as one vector, which compiles sooner than one by one."""
-    return optax.flatten(optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5)))
+    """Adam on gradients of at most this norm, over all weights as one vector, which compiles sooner
+    than one by one."""
+    return optax.flatten(
+        optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5))
+    )
 
 
 class Rollout(NamedTuple):
@@ -77,13 +84,15 @@ class Rollout(NamedTuple):
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
     weight: Float[Array, "*batch"]
-    """Weight of the transition: less than 1 where the policy would seldom act so, given this reference."""
+    """Weight of the transition: less than 1 where the policy would seldom act so, given this
+    reference."""
 
 
 def start_episodes(
     task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int
 ) -> EnvState:
-    """Fins at rest; their first episodes are shorter by whole cycles, so that later resets are spread over time."""
+    """Fins at rest; their first episodes are shorter by whole cycles, so that later resets are
+    spread over time."""
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycles = task.config.episode_actions // len(ACTION_TICKS)
     age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
@@ -94,27 +103,40 @@ def start_episodes(
 def collect(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
 ) -> tuple[EnvState, Rollout]:
-    """Take `cycles` x 3 actions in every environment; environments whose episodes are over are reset."""
+    """Take `cycles` x 3 actions in every environment; environments whose episodes are over are
+    reset."""
 
-    def cycle(env_state: EnvState, noise: Float[Array, "3 environments actions"]) -> tuple[EnvState, Rollout]:
+    def cycle(
+        env_state: EnvState, noise: Float[Array, "3 environments actions"]
+    ) -> tuple[EnvState, Rollout]:
         held = (noise, jnp.asarray(ACTION_TICKS))
-        env_state, steps = jax.lax.scan(lambda now, action: _act(task, policy, now, *action), env_state, held)
+        env_state, steps = jax.lax.scan(
+            lambda now, action: _act(task, policy, now, *action), env_state, held
+        )
         env_state = reset_truncated(task, env_state)
         return env_state, steps._replace(truncated=steps.truncated.at[-1].set(env_state.is_first))
 
-    noise = jax.random.normal(key, (cycles, len(ACTION_TICKS), len(env_state.is_first), len(policy.log_std)))
+    noise = jax.random.normal(
+        key, (cycles, len(ACTION_TICKS), len(env_state.is_first), len(policy.log_std))
+    )
     env_state, rollout = jax.lax.scan(cycle, env_state, noise)
     return env_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
 
 
 def _act(
-    task: ForceTracking, policy: Policy, env_state: EnvState, noise: Float[Array, "environments actions"], ticks: Ticks
+    task: ForceTracking,
+    policy: Policy,
+    env_state: EnvState,
+    noise: Float[Array, "environments actions"],
+    ticks: Ticks,
 ) -> tuple[EnvState, Rollout]:
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)
     pre_tanh_action = mean + jnp.exp(policy.log_std) * noise
-    states, outcome = jax.vmap(partial(task.step, ticks=ticks))(env_state.states, jnp.tanh(pre_tanh_action))
+    states, outcome = jax.vmap(partial(task.step, ticks=ticks))(
+        env_state.states, jnp.tanh(pre_tanh_action)
+    )
     nowhere = jnp.zeros_like(env_state.is_first)
     step = Rollout(
         observation=observation,
@@ -144,7 +166,8 @@ def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
 
 
 class PolicyEvaluation(NamedTuple):
-    """Errors of a policy without its exploration noise, from an episode per reference, as in the paper's Table II."""
+    """Errors of a policy without its exploration noise, from an episode per reference, as in the
+    paper's Table II."""
 
     error: Float[AnyArray, "*batch references 2"]
     """Mean over all whole windows of |moving average - reference| [N]."""
@@ -158,8 +181,11 @@ def evaluate_policy(
     task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray
 ) -> PolicyEvaluation:
     """Play one episode from rest for each reference, all side by side; the reference stays."""
-    count, window = len(references), task.config.window_samples
-    states = jax.vmap(task.reset)(jax.random.split(key, count), References(references, references, None))
+    count = len(references)
+    window = task.config.window_samples
+    states = jax.vmap(task.reset)(
+        jax.random.split(key, count), References(references, references, None)
+    )
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
     plant = task.plant if isinstance(task.plant, EnsemblePlant) else None
 
@@ -173,6 +199,7 @@ def evaluate_policy(
     actions = task.config.episode_actions
     _, (forces, distances) = jax.lax.scan(act, (states, memories), jnp.asarray(ticks_of(actions)))
     series = jnp.swapaxes(counted(forces, actions), 0, 1)
-    error, average = moving_error(series, references[:, None], window), moving_average(series, window)
+    error = moving_error(series, references[:, None], window)
+    average = moving_average(series, window)
     outside = None if plant is None else (distances > 1).mean(axis=0)
     return PolicyEvaluation(error, average.std(axis=-2), outside)

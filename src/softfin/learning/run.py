@@ -1,4 +1,5 @@
-"""The agents of a training run, side by side in one program: init, update, evaluation; over all devices of the machine.
+"""The agents of a training run, side by side in one program: init, update, evaluation; over all
+devices of the machine.
 
 Seeds x cells are the agents. Agents need no data of each other, so devices do not communicate.
 """
@@ -42,7 +43,8 @@ class RunState(NamedTuple):
 
 
 BestPolicies: TypeAlias = tuple[Policy, PolicyEvaluation]
-"""Each agent's policy of the smallest deterministic error, and its evaluation; leaves ``(seeds, cells, ...)``."""
+"""Each agent's policy of the smallest deterministic error, and its evaluation; leaves ``(seeds,
+cells, ...)``."""
 
 
 class TrainingResult(NamedTuple):
@@ -52,7 +54,8 @@ class TrainingResult(NamedTuple):
     limits: Limits
     seeds: tuple[int, ...]
     policies: Policy
-    """Leaves ``(seeds, cells, ...)``: the policy of each agent with the smallest deterministic error."""
+    """Leaves ``(seeds, cells, ...)``: the policy of each agent with the smallest deterministic
+    error."""
     evaluation: PolicyEvaluation
     """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
     force_map: ForceMap | None = None
@@ -74,9 +77,11 @@ class TrainingResult(NamedTuple):
 
 
 class OneMember(eqx.Module):
-    """Meets the Plant contract: every fin is another member of an ensemble, so that no policy exploits its errors.
+    """Meets the Plant contract: every fin is another member of an ensemble, so that no policy
+    exploits its errors.
 
-    The key draws the member, which stays for as long as the episode lasts; its index is part of the state.
+    The key draws the member, which stays for as long as the episode lasts; its index is part of the
+    state.
     """
 
     ensemble: EnsemblePlant
@@ -111,7 +116,11 @@ def _learner(config: TrainConfig, plant: Plant, table: GaitTable | None) -> PPO 
 
 @jit("none")
 def _init(
-    config: TrainConfig, plant: Plant, table: GaitTable | None, keys: Key[Array, "agents"], boxes: References
+    config: TrainConfig,
+    plant: Plant,
+    table: GaitTable | None,
+    keys: Key[Array, "agents"],
+    boxes: References,
 ) -> AgentState:
     return jax.vmap(_learner(config, plant, table).init)(keys, boxes)
 
@@ -122,7 +131,9 @@ def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[Agen
 
 
 @eqx.filter_jit
-def _evaluate(task: TaskConfig, plant: Plant, policies: Policy, references: Array) -> PolicyEvaluation:
+def _evaluate(
+    task: TaskConfig, plant: Plant, policies: Policy, references: Array
+) -> PolicyEvaluation:
     evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=key_of(0, "score"))
     return jax.vmap(evaluate)(policies, references)
 
@@ -130,20 +141,28 @@ def _evaluate(task: TaskConfig, plant: Plant, policies: Policy, references: Arra
 class TrainingRun:
     """One run over its agents."""
 
-    def __init__(self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None) -> None:
-        self.config, self.seeds, self.force_map = config, seeds, force_map
+    def __init__(
+        self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None
+    ) -> None:
+        self.config = config
+        self.seeds = seeds
+        self.force_map = force_map
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
         self.reachable = None if force_map is None else force_map.reachable
         self.plant = jit_argument(plant)
         # Jobs that differ by their cells and seeds alone share their programs.
         self.compiled = config.model_copy(update={"cells": ()})
-        self.references = jnp.asarray(np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1)))
+        self.references = jnp.asarray(
+            np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1))
+        )
 
     def start(self) -> RunState:
         """Return new agents, none of which has an evaluation yet."""
         # The key of an agent depends on its seed and cell alone, not on the agents beside it.
         keys = jnp.stack([key_of(seed, f"train/{cell}") for seed, cell in self.agents])
-        boxes = stack_references([cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable)
+        boxes = stack_references(
+            [cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable
+        )
         table = None
         if self.force_map is not None and self.config.begins_as_gaits:
             table = self.force_map.gaits.table
@@ -153,7 +172,8 @@ class TrainingRun:
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
 
     def over_devices(self, tree: Tree) -> Tree:
-        """A tree with a leading axis of agents, over as many of the machine's devices as have equal parts of them."""
+        """A tree with a leading axis of agents, over as many of the machine's devices as have equal
+        parts of them."""
         devices = jax.devices()
         used = max(count for count in range(1, len(devices) + 1) if len(self.agents) % count == 0)
         if used == 1:
@@ -163,16 +183,20 @@ class TrainingRun:
         return cast(Tree, jax.device_put(tree, parts))
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
-        """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is not finite."""
+        """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is
+        not finite."""
         agents, metrics = _update(self.compiled, self.plant, agents)
-        self._check_finite("the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), number)
+        self._check_finite(
+            "the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), number
+        )
         return agents, metrics
 
     def evaluate(self, policies: Policy, update: int) -> PolicyEvaluation:
-        """Evaluate every agent's policy without noise; raises RunError where the plant's forces are not finite.
+        """Evaluate every agent's policy without noise; raises RunError where the plant's forces are
+        not finite.
 
-        Noise of the sensed angle is for learning, too: the policy that is kept is the best one as `softfin evaluate`
-        evaluates it.
+        Noise of the sensed angle is for learning, too: the policy that is kept is the best one as
+        `softfin evaluate` evaluates it.
         """
         without_noise = self.config.task.sensing.model_copy(update={"noise_rad": 0.0})
         task = self.config.task.model_copy(update={"sensing": without_noise})
@@ -186,14 +210,22 @@ class TrainingRun:
         if bad.size:
             seed, cell = self.agents[bad[0]]
             raise RunError(
-                f"train: {what} is not finite in update {update} of {self.config.num_updates}, seed {seed}, cell "
-                f"{cell}; lower {self.config.algorithm}.learning_rate (the last good checkpoint is kept)"
+                f"train: {what} is not finite in update {update} of {self.config.num_updates}, "
+                f"seed {seed}, cell {cell}; lower {self.config.algorithm}.learning_rate (the last "
+                "good checkpoint is kept)"
             )
 
     def by_seed(self, metrics: Metrics) -> dict[str, float]:
         """Means over the cells, named ``seedN/...``."""
-        means = {name: np.reshape(values, (len(self.seeds), -1)).mean(axis=1) for name, values in metrics.items()}
-        return {f"seed{s}/{n}": float(values[i]) for n, values in means.items() for i, s in enumerate(self.seeds)}
+        means = {
+            name: np.reshape(values, (len(self.seeds), -1)).mean(axis=1)
+            for name, values in metrics.items()
+        }
+        return {
+            f"seed{s}/{n}": float(values[i])
+            for n, values in means.items()
+            for i, s in enumerate(self.seeds)
+        }
 
     def note(self, metrics: Metrics, state: RunState) -> str:
         """The newest figures, for a progress bar."""
@@ -205,25 +237,38 @@ class TrainingRun:
         """The best policies and their evaluation, by seed and cell; NumPy arrays."""
         shape = (len(self.seeds), len(self.config.cells))
         best: BestPolicies = jax.tree.map(
-            lambda x: np.asarray(x).reshape(*shape, *x.shape[1:]), (state.best, state.best_evaluation)
+            lambda x: np.asarray(x).reshape(*shape, *x.shape[1:]),
+            (state.best, state.best_evaluation),
         )
         return best
 
 
 def summary(evaluation: PolicyEvaluation) -> Metrics:
-    """Mean error of each agent over its references, and how often it left an ensemble's training data."""
-    errors = {f"score_{axis}_n": np.asarray(evaluation.error)[..., i].mean(axis=-1) for i, axis in enumerate(AXES)}
+    """Mean error of each agent over its references, and how often it left an ensemble's training
+    data."""
+    errors = {
+        f"score_{axis}_n": np.asarray(evaluation.error)[..., i].mean(axis=-1)
+        for i, axis in enumerate(AXES)
+    }
     outside = evaluation.out_of_distribution_fraction
-    return errors if outside is None else errors | {"score_out_of_distribution": np.asarray(outside).mean(axis=-1)}
+    return (
+        errors
+        if outside is None
+        else errors | {"score_out_of_distribution": np.asarray(outside).mean(axis=-1)}
+    )
 
 
 def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
-    """The state with each agent's policy as its best, where its mean error is less than before; NumPy arrays."""
-    new, old = (np.asarray(each.error).mean(axis=(1, 2)) for each in (evaluation, state.best_evaluation))
+    """The state with each agent's policy as its best, where its mean error is less than before;
+    NumPy arrays."""
+    new, old = (
+        np.asarray(each.error).mean(axis=(1, 2)) for each in (evaluation, state.best_evaluation)
+    )
     best, best_evaluation = jax.tree.map(
         lambda a, b: np.where((new < old).reshape(-1, *[1] * (a.ndim - 1)), a, b),
-        (state.agents.policy, evaluation), (state.best, state.best_evaluation),
-    )  # fmt: skip
+        (state.agents.policy, evaluation),
+        (state.best, state.best_evaluation),
+    )
     return state._replace(best=best, best_evaluation=best_evaluation)
 
 
@@ -238,4 +283,7 @@ def without_keys(tree: Tree) -> Tree:
 
 def with_keys(tree: Tree, like: Tree) -> Tree:
     """The tree with numbers as keys again, where `like` has keys."""
-    return cast(Tree, jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like))
+    return cast(
+        Tree,
+        jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like),
+    )

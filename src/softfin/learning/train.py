@@ -1,7 +1,8 @@
-"""Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell out.
+"""Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell
+out.
 
-All agents of a run learn side by side in one program. A resumed run ends with the same weights as one that was never
-stopped.
+All agents of a run learn side by side in one program. A resumed run ends with the same weights as
+one that was never stopped.
 """
 
 from collections.abc import Sequence
@@ -16,7 +17,14 @@ from softfin.gaits.force_map import empty_map, map_forces
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import TrainConfig, check
-from softfin.learning.run import TrainingResult, TrainingRun, keep_best, summary, with_keys, without_keys
+from softfin.learning.run import (
+    TrainingResult,
+    TrainingRun,
+    keep_best,
+    summary,
+    with_keys,
+    without_keys,
+)
 from softfin.storage.run_directory import RunDirectory
 
 
@@ -28,7 +36,8 @@ def train(
     progress: Progress | None = None,
     force_map: ForceMap | None = None,
 ) -> TrainingResult:
-    """Train a policy for every seed and cell; continue from the checkpoint in run_directory if there is one.
+    """Train a policy for every seed and cell; continue from the checkpoint in run_directory if
+    there is one.
 
     Without a `force_map` the fin is mapped first, if its policies begin as gaits.
 
@@ -59,12 +68,15 @@ def train(
             evaluation = run.evaluate(agents.policy, done)
             state = keep_best(state, evaluation)
             scalars |= run.by_seed(summary(evaluation))
-        # Before the checkpoint: a resumed run drops entries that are too many, but cannot make up for one.
+        # Before the checkpoint: a resumed run drops entries that are too many, but cannot make up
+        # for one.
         record.write(done * steps_per_update, **scalars)
         if done in due:
             run_directory.save(without_keys(state), {"updates": done})
         if progress is not None:
-            progress(f"train {config.controller}", done / config.num_updates, run.note(metrics, state))
+            progress(
+                f"train {config.controller}", done / config.num_updates, run.note(metrics, state)
+            )
     record.close()
     policies, evaluation = run.result(state)
     return TrainingResult.of_plant(plant, config, seeds, policies, evaluation, force_map)
@@ -73,7 +85,8 @@ def train(
 def find_map(
     plant: Plant, config: TrainConfig, run_directory: RunDirectory, progress: Progress | None
 ) -> ForceMap | None:
-    """Map the forces of a fin whose policies begin as gaits, or read the map of a stopped run; None of other runs."""
+    """Map the forces of a fin whose policies begin as gaits, or read the map of a stopped run; None
+    of other runs."""
     if not config.begins_as_gaits:
         return None
     settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")

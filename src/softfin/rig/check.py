@@ -1,4 +1,5 @@
-"""Check the rig, one part after the other: disk, sensor, drive, limits and the 100 Hz loop; nothing moves."""
+"""Check the rig, one part after the other: disk, sensor, drive, limits and the 100 Hz loop; nothing
+moves."""
 
 import shutil
 import tempfile
@@ -33,8 +34,13 @@ def check_rig(
     config: RigConfig, folder: Path, seconds: float = 3.0, clock: Clock | None = None
 ) -> Iterator[CheckResult]:
     """Yield the results as they come; the loop runs for so long without moving."""
-    drive, rig = config.drive, Rig(config, clock)
-    yield CheckResult("rig file", "well", f"fin {config.fin!r}, {drive.encoder_lines} lines, gear {drive.gear_ratio:g}")
+    drive = config.drive
+    rig = Rig(config, clock)
+    yield CheckResult(
+        "rig file",
+        "well",
+        f"fin {config.fin!r}, {drive.encoder_lines} lines, gear {drive.gear_ratio:g}",
+    )
     yield check_disk(folder)
     all_well = True
     for what, results in (
@@ -58,8 +64,12 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     sensor = rig.sensor
     sensor.open()
     product = sensor.settings.prodname if sensor.settings else "sensor"
-    yield CheckResult("force sensor", "well", f"{product}, {sensor.stream.times.rate_hz:.0f} records/s, filter delays "
-                      f"{sensor.stream.delay_s * 1e3:.1f} ms")  # fmt: skip
+    yield CheckResult(
+        "force sensor",
+        "well",
+        f"{product}, {sensor.stream.times.rate_hz:.0f} records/s, filter delays "
+        f"{sensor.stream.delay_s * 1e3:.1f} ms",
+    )
     mean, deviation = sensor.measured(1.0)
     force = ", ".join(f"{value:+.3f}" for value in mean[:3])
     noise = ", ".join(f"{value:.3f}" for value in deviation[:3])
@@ -77,13 +87,16 @@ def _check_force_zero(rig: Rig) -> CheckResult:
     except RigError as error:
         return CheckResult("force zero", "wrong", str(error))
     if zero is None:
-        text = "never set by softfin; with the fin at rest in the water, run: softfin rig zero --force"
+        text = (
+            "never set by softfin; with the fin at rest in the water, run: softfin rig zero --force"
+        )
         return CheckResult("force zero", "note", text)
     return CheckResult("force zero", "well", f"set on {zero.date}, kept since")
 
 
 def _check_drive(rig: Rig) -> Iterator[CheckResult]:
-    bus, config = rig.config.bus, rig.config.drive
+    bus = rig.config.bus
+    config = rig.config.drive
     where = f"{bus.interface} {bus.channel}, node {config.node}"
     try:
         rig.drive.open()
@@ -95,16 +108,24 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
     yield from check_currents(rig)
     yield from _check_own_stop(rig)
     inside = config.angle_min_rad <= angle <= config.angle_max_rad
-    yield CheckResult("angle", "well" if inside else "wrong", f"{angle:+.3f} rad, limits "
-                      f"{config.angle_min_rad:+.2f} .. {config.angle_max_rad:+.2f} rad")  # fmt: skip
+    yield CheckResult(
+        "angle",
+        "well" if inside else "wrong",
+        f"{angle:+.3f} rad, limits {config.angle_min_rad:+.2f} .. {config.angle_max_rad:+.2f} rad",
+    )
     is_known = rig.drive.referenced or not config.zero_needed
-    text = "known" if is_known else "not known since power-up; turn the fin to zero and run: softfin rig zero --arm"
+    text = (
+        "known"
+        if is_known
+        else "not known since power-up; turn the fin to zero and run: softfin rig zero --arm"
+    )
     yield CheckResult("zero", "well" if is_known else "wrong", text)
     yield from (CheckResult("drive status", "wrong", line) for line in rig.drive.complaints())
 
 
 def check_currents(rig: Rig) -> Iterator[CheckResult]:
-    """Compare the limits of the current with those that the drive keeps itself: beyond these they can never trip."""
+    """Compare the limits of the current with those that the drive keeps itself: beyond these they
+    can never trip."""
     safety = rig.config.safety
     for name, limit_a, entry in (
         ("current_peak_a", safety.current_peak_a, protocol.CURRENT_LIMIT),
@@ -113,10 +134,14 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
         held_ma = procedures.read_optional(rig.drive.connection, entry)
         if held_ma is None or limit_a is None:
             continue
-        # At a peak the drive limits the current to its own limit, so one that equals it is never exceeded.
+        # At a peak the drive limits the current to its own limit, so one that equals it is never
+        # exceeded.
         is_peak = entry is protocol.CURRENT_LIMIT
         if limit_a * 1000 > held_ma or (is_peak and limit_a * 1000 == held_ma):
-            text = f"{name} {limit_a:g} A can never trip: the drive itself keeps to {held_ma / 1000:g} A; lower it"
+            text = (
+                f"{name} {limit_a:g} A can never trip: the drive itself keeps to "
+                f"{held_ma / 1000:g} A; lower it"
+            )
             yield CheckResult("safety", "note", text)
 
 
@@ -131,8 +156,15 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
         yield CheckResult("own stop", "note", str(error))
         return
     if proof is not None:
-        after = f"{proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat the drive had stopped"
-        yield CheckResult("own stop", "well", f"{after}, proved {proof.date}; {protocol.LOSS_BEHAVIOUR} is {behaviour}")
+        after = (
+            f"{proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat the drive "
+            "had stopped"
+        )
+        yield CheckResult(
+            "own stop",
+            "well",
+            f"{after}, proved {proof.date}; {protocol.LOSS_BEHAVIOUR} is {behaviour}",
+        )
 
 
 def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
@@ -142,17 +174,28 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
     for _ in range(round(seconds * RATE_HZ)):
         pace.wait()
         complaints = complaints or rig.read().complaints
-    counted, late = rig.counters(), pace.to_dict()
+    counted = rig.counters()
+    late = pace.to_dict()
     if isinstance(rig.clock, SimulatedClock):
-        yield CheckResult("100 Hz loop", "note", "in simulated time nothing is late; softfin rig emulate --real-time "
-                          "shows what this computer can do")  # fmt: skip
+        yield CheckResult(
+            "100 Hz loop",
+            "note",
+            "in simulated time nothing is late; softfin rig emulate --real-time "
+            "shows what this computer can do",
+        )
     else:
         in_time = late["late_p99_ms"] <= 2.0 and not late["skipped_ticks"]
         advice = "" if in_time else "; end other programs, or use a quieter computer"
-        yield CheckResult("100 Hz loop", "well" if in_time else "wrong", f"99% of ticks within {late['late_p99_ms']:g} "
-                          f"ms, worst {late['late_max_ms']:g} ms{advice}")  # fmt: skip
+        yield CheckResult(
+            "100 Hz loop",
+            "well" if in_time else "wrong",
+            f"99% of ticks within {late['late_p99_ms']:g} "
+            f"ms, worst {late['late_max_ms']:g} ms{advice}",
+        )
     lost = counted["sensor_lost"]
-    text = complaints[0] if complaints else f"{lost} of {counted['sensor_records']} force records lost"
+    text = (
+        complaints[0] if complaints else f"{lost} of {counted['sensor_records']} force records lost"
+    )
     yield CheckResult("readings", "wrong" if complaints else "note" if lost else "well", text)
 
 
@@ -165,4 +208,6 @@ def check_disk(folder: Path) -> CheckResult:
     except OSError as error:
         return CheckResult("disk", "wrong", f"{here}: cannot be written ({error.strerror})")
     advice = "" if free >= NEEDED_MB else f"; make {NEEDED_MB} MB room"
-    return CheckResult("disk", "wrong" if advice else "well", f"{here}: {free:,.0f} MB free{advice}")
+    return CheckResult(
+        "disk", "wrong" if advice else "well", f"{here}: {free:,.0f} MB free{advice}"
+    )

@@ -1,4 +1,5 @@
-"""Configuration of a real fin, read from YAML: which drive on which bus, which sensor, and the safety limits."""
+"""Configuration of a real fin, read from YAML: which drive on which bus, which sensor, and the
+safety limits."""
 
 import math
 from pathlib import Path
@@ -24,16 +25,19 @@ class RealFinConfig(Configuration):
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
-    """Time for which the fin rests before each log or experiment, for the water to come to rest [s]."""
+    """Time for which the fin rests before each log or experiment, for the water to come to rest
+    [s]."""
 
 
 class EmulationConfig(Configuration):
-    """A rig whose drive and sensor are emulated in simulated time, within each program that uses it."""
+    """A rig whose drive and sensor are emulated in simulated time, within each program that uses
+    it."""
 
     seed: int = 0
     """Seed of the sensor's noise."""
     tank: dict[str, Any] = Field(default_factory=dict)
-    """The tank behind both, where it is not the usual one: as in the file of `softfin rig emulate --tank`."""
+    """The tank behind both, where it is not the usual one: as in the file of `softfin rig emulate
+    --tank`."""
 
 
 class RigConfig(RealFinConfig):
@@ -48,7 +52,8 @@ class RigConfig(RealFinConfig):
     safety: SafetyConfig
     """Safety limits; a rig's must include the current."""
     emulation: EmulationConfig | None = None
-    """Simulated time; None for a rig that is reached over its bus and network, be it real or emulated in real time."""
+    """Simulated time; None for a rig that is reached over its bus and network, be it real or
+    emulated in real time."""
     _file: Path | None = PrivateAttr(default=None)
 
     @property
@@ -60,22 +65,28 @@ class RigConfig(RealFinConfig):
     def _consistent(self) -> "RigConfig":
         if self.safety.current_peak_a is None:
             raise ValueError(
-                "safety.current_peak_a and current_sustained_a are missing: the motor's data sheet has them (the most "
-                "for a moment, the most that it bears for long) [A]"
+                "safety.current_peak_a and current_sustained_a are missing: the motor's data "
+                "sheet has them (the most for a moment, the most that it bears for long) [A]"
             )
-        for own, limit in (("acceleration_rad_s2", "acceleration_rad_s2"), ("fastest_rad_s", "velocity_rad_s")):
-            value, most = getattr(self.drive, own), getattr(self.safety, limit)
+        for own, limit in (
+            ("acceleration_rad_s2", "acceleration_rad_s2"),
+            ("fastest_rad_s", "velocity_rad_s"),
+        ):
+            value = getattr(self.drive, own)
+            most = getattr(self.safety, limit)
             if value > most:
                 raise ValueError(f"drive.{own} = {value:g} is above safety.{limit} = {most:g}")
         delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
-        # After a gap that is too long to be bridged, the filter takes twice its delay to fill, and the newest force is
-        # by its delay older than the gap. Less would stop the fin over a dozen lost records.
+        # After a gap that is too long to be bridged, the filter takes twice its delay to fill, and
+        # the newest force is by its delay older than the gap. Less would stop the fin over a dozen
+        # lost records.
         needed = 3 * delay + 2 * BRIDGED_S
         if self.safety.force_stale_s < needed:
             least = math.ceil(100 * needed) / 100
             raise ValueError(
-                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force's filter alone takes {delay:.3f} s, "
-                f"and three times that after lost records; use {least:.2f} or more, or a higher sensor.cutoff_hz"
+                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force's filter alone "
+                f"takes {delay:.3f} s, and three times that after lost records; use {least:.2f} or "
+                "more, or a higher sensor.cutoff_hz"
             )
         return self
 
@@ -88,7 +99,8 @@ class Ros2Config(RealFinConfig):
 
 
 def load_rig(path: Path | None = None) -> RigConfig:
-    """Read a rig's file, by default rig.yaml; raises RigError naming the key, the value and what is allowed."""
+    """Read a rig's file, by default rig.yaml; raises RigError naming the key, the value and what is
+    allowed."""
     file = path or RIG_FILE
     config = _load(file, RigConfig)
     config._file = file.resolve()
@@ -101,7 +113,11 @@ def load_ros2(path: Path | None = None) -> Ros2Config:
 
 
 def _load(path: Path, kind: type[Config]) -> Config:
-    check_readable(path, RigError, "; docs/rig.md has one with comments, and softfin rig emulate writes one of its own")
+    check_readable(
+        path,
+        RigError,
+        "; docs/rig.md has one with comments, and softfin rig emulate writes one of its own",
+    )
     try:
         return kind.build(read_yaml(path), str(path))
     except ConfigurationError as error:

@@ -1,6 +1,8 @@
-"""Examine the computer that softfin runs on: installation, devices, disk, and the rig where a file names one.
+"""Examine the computer that softfin runs on: installation, devices, disk, and the rig where a file
+names one.
 
-Nothing moves, nothing is written but files that are removed at once. The lines are made to be pasted into an issue.
+Nothing moves, nothing is written but files that are removed at once. The lines are made to be
+pasted into an issue.
 """
 
 import os
@@ -11,7 +13,14 @@ from pathlib import Path
 
 from softfin.core.errors import SoftfinError, one_line
 from softfin.core.program_cache import SOFTFIN_VARIABLE, cache_folder
-from softfin.installation import EXTRAS, how_to_add, missing_from, origin, requirements_of, version_of
+from softfin.installation import (
+    EXTRAS,
+    how_to_add,
+    missing_from,
+    origin,
+    requirements_of,
+    version_of,
+)
 from softfin.rig.check import CheckResult, check_disk, check_rig
 from softfin.rig.config import load_rig
 from softfin.storage.artifact import check_writable
@@ -31,7 +40,13 @@ SPARE_MEMORY_MB = 1300
 RIG_SECONDS = 1.0
 """Time for which the 100 Hz loop is tried [s]."""
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "XLA_FLAGS", "JAX_PLATFORMS")
+THREADS = (
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "XLA_FLAGS",
+    "JAX_PLATFORMS",
+)
 """Variables that set how many threads compute, and on what."""
 
 
@@ -48,8 +63,11 @@ def examine(rig: Path | None = None) -> Iterator[CheckResult]:
 
 def _examine(rig: Path | None) -> Iterator[CheckResult]:
     yield _softfin()
-    yield CheckResult("Python", "well", f"{platform.python_implementation()} {platform.python_version()}, "
-                      f"{sys.executable}")  # fmt: skip
+    yield CheckResult(
+        "Python",
+        "well",
+        f"{platform.python_implementation()} {platform.python_version()}, {sys.executable}",
+    )
     yield CheckResult("system", "well", platform.platform())
     yield _processor()
     yield from _memory()
@@ -67,19 +85,31 @@ def _examine(rig: Path | None) -> Iterator[CheckResult]:
 
 def _softfin() -> CheckResult:
     source = origin()
-    place = "installed from an index or folder that pip did not note" if source is None else source["url"]
+    place = (
+        "installed from an index or folder that pip did not note"
+        if source is None
+        else source["url"]
+    )
     in_place = source is not None and source.get("dir_info", {}).get("editable")
-    return CheckResult("softfin", "well", f"{version_of('softfin')}, {place}{', used in place' if in_place else ''}")
+    return CheckResult(
+        "softfin",
+        "well",
+        f"{version_of('softfin')}, {place}{', used in place' if in_place else ''}",
+    )
 
 
 def _processor() -> CheckResult:
     model = platform.processor() or platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+        model = next(
+            line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         pass
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     is_busy = load > cores
     advice = "; others use it: times and ticks at 100 Hz will suffer" if is_busy else ""
@@ -92,11 +122,19 @@ def _memory() -> Iterator[CheckResult]:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
         return
-    sizes = {line.partition(":")[0]: int(line.split()[1]) * 1024e-6 for line in lines if line.endswith("kB")}
+    sizes = {
+        line.partition(":")[0]: int(line.split()[1]) * 1024e-6
+        for line in lines
+        if line.endswith("kB")
+    }
     # Old systems do not tell what programs could get.
     free = sizes.get("MemAvailable", sizes["MemFree"])
     is_enough = free >= SPARE_MEMORY_MB
-    advice = "" if is_enough else f"; fitting a surrogate takes up to {SPARE_MEMORY_MB} MB: end other programs"
+    advice = (
+        ""
+        if is_enough
+        else f"; fitting a surrogate takes up to {SPARE_MEMORY_MB} MB: end other programs"
+    )
     text = f"{sizes['MemTotal']:,.0f} MB, {free:,.0f} MB available{advice}"
     yield CheckResult("memory", "well" if is_enough else "note", text)
 
@@ -104,15 +142,20 @@ def _memory() -> Iterator[CheckResult]:
 def _libraries() -> CheckResult:
     missing = missing_from(None)
     if missing:
-        return CheckResult("libraries", "wrong", f"not installed: {', '.join(missing)}; install softfin again")
+        return CheckResult(
+            "libraries", "wrong", f"not installed: {', '.join(missing)}; install softfin again"
+        )
     return CheckResult("libraries", "well", _versions(requirements_of(None)))
 
 
 def _extra(extra: str) -> CheckResult:
-    missing, shared = missing_from(extra), requirements_of("learn") if extra != "learn" else []
+    missing = missing_from(extra)
+    shared = requirements_of("learn") if extra != "learn" else []
     names = [name for name in requirements_of(extra) if name not in shared]
     if not names:
-        return CheckResult(f"[{extra}]", "note", "newer than the installation; install softfin again")
+        return CheckResult(
+            f"[{extra}]", "note", "newer than the installation; install softfin again"
+        )
     if not missing:
         return CheckResult(f"[{extra}]", "well", _versions(names))
     present = "not installed" if set(names) <= set(missing) else f"lacks {', '.join(missing)}"
@@ -125,18 +168,27 @@ def _versions(names: list[str]) -> str:
 
 def _devices() -> CheckResult:
     if version_of("jax") is None:
-        return CheckResult("JAX", "note", "not installed: this softfin runs controllers and does not train them")
+        return CheckResult(
+            "JAX", "note", "not installed: this softfin runs controllers and does not train them"
+        )
     try:
         import jax
 
         devices = jax.devices()
     except Exception as error:
-        # A plug-in of another version, a driver without its device: JAX and its plug-ins raise anything.
-        return CheckResult("JAX", "wrong", f"finds no device ({one_line(error)}); JAX_PLATFORMS=cpu uses the processor")
+        # A plug-in of another version, a driver without its device: JAX and its plug-ins raise
+        # anything.
+        return CheckResult(
+            "JAX",
+            "wrong",
+            f"finds no device ({one_line(error)}); JAX_PLATFORMS=cpu uses the processor",
+        )
     kinds = ", ".join(f"{device.platform}:{device.id} {device.device_kind}" for device in devices)
     kinds += f", jaxlib {version_of('jaxlib')}"
     if NVIDIA.exists() and devices[0].platform == "cpu" and "JAX_PLATFORMS" not in os.environ:
-        advice = "; the NVIDIA GPU is not used: pip install 'jax[cuda12]' brings what JAX needs for it"
+        advice = (
+            "; the NVIDIA GPU is not used: pip install 'jax[cuda12]' brings what JAX needs for it"
+        )
         return CheckResult("JAX", "note", f"{kinds}{advice}")
     return CheckResult("JAX", "well", kinds)
 
@@ -155,14 +207,20 @@ def _cache() -> CheckResult:
 
 def _can() -> CheckResult:
     if not INTERFACES.is_dir():
-        return CheckResult("CAN", "note", f"interfaces are listed on Linux only, this is {platform.system()}")
+        return CheckResult(
+            "CAN", "note", f"interfaces are listed on Linux only, this is {platform.system()}"
+        )
     states = {
         path.name: int((path / "flags").read_text(), 16) & 1
         for path in sorted(INTERFACES.iterdir())
         if (path / "type").is_file() and (path / "type").read_text().strip() == CAN_TYPE
     }
     if not states:
-        return CheckResult("CAN", "note", "no SocketCAN interface; a rig needs one, or another adapter of python-can")
+        return CheckResult(
+            "CAN",
+            "note",
+            "no SocketCAN interface; a rig needs one, or another adapter of python-can",
+        )
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
     down = next((name for name, is_up in states.items() if not is_up), None)
     if down is None:

@@ -1,8 +1,9 @@
-"""The anti-alias filter between a sensor's stream and the 100 Hz of the logs: linear phase, so its delay is exact.
+"""The anti-alias filter between a sensor's stream and the 100 Hz of the logs: linear phase, so its
+delay is exact.
 
-A windowed sinc (Kaiser's window and his formulas for its length and shape; Oppenheim and Schafer, Discrete-Time Signal
-Processing, ch. 7; `scipy.signal` would take a second to import in every command of a rig). Records that are missing for
-a moment are bridged by a straight line.
+A windowed sinc (Kaiser's window and his formulas for its length and shape; Oppenheim and Schafer,
+Discrete-Time Signal Processing, ch. 7; `scipy.signal` would take a second to import in every
+command of a rig). Records that are missing for a moment are bridged by a straight line.
 """
 
 import numpy as np
@@ -11,7 +12,8 @@ from jaxtyping import Float
 from softfin.core.quantities import RATE_HZ
 
 ATTENUATION_DB = 46.0
-"""Attenuation of the design; 44 dB are kept from 50 Hz on: less than 1/150 of what is there folds into the log."""
+"""Attenuation of the design; 44 dB are kept from 50 Hz on: less than 1/150 of what is there folds
+into the log."""
 
 BRIDGED_S = 0.01
 """Longest gap that is bridged; a signal below 50 Hz is close to straight for as long."""
@@ -19,11 +21,14 @@ BRIDGED_S = 0.01
 
 def design(rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " taps"]:
     """Taps whose gain is 1/2 at the cut-off; an odd number, symmetric, their sum is 1."""
-    # The transition reaches down to a third of the cut-off, or as far up as 50 Hz where that is nearer.
+    # The transition reaches down to a third of the cut-off, or as far up as 50 Hz where that is
+    # nearer.
     width = 2 * min(RATE_HZ / 2 - cutoff_hz, 2 / 3 * cutoff_hz) / rate_hz
     half = int(np.ceil((ATTENUATION_DB - 7.95) / (14.36 * width) / 2))
     beta = 0.5842 * (ATTENUATION_DB - 21) ** 0.4 + 0.07886 * (ATTENUATION_DB - 21)
-    taps = np.sinc(2 * cutoff_hz / rate_hz * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, beta)
+    taps = np.sinc(2 * cutoff_hz / rate_hz * np.arange(-half, half + 1)) * np.kaiser(
+        2 * half + 1, beta
+    )
     return np.asarray(taps / taps.sum())
 
 
@@ -62,7 +67,8 @@ class AntiAlias:
         self._write(values)
 
     def output(self) -> Float[np.ndarray, " channels"] | None:
-        """Return the output for the moment `delay` records before the newest; None where the filter is not full."""
+        """Return the output for the moment `delay` records before the newest; None where the filter
+        is not full."""
         oldest = (self.newest + 1) % len(self.taps)
         return self.taps @ self._ring[oldest : oldest + len(self.taps)] if self.full else None
 

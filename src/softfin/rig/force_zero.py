@@ -1,7 +1,8 @@
-"""The zero of the force sensor: set it and see that it was set, and find out later whether it is lost.
+"""The zero of the force sensor: set it and see that it was set, and find out later whether it is
+lost.
 
-The sensor forgets its zero with its supply. Its count of samples shows that: `zero_force` keeps the count in the rig's
-record, and whoever opens the rig compares.
+The sensor forgets its zero with its supply. Its count of samples shows that: `zero_force` keeps the
+count in the rig's record, and whoever opens the rig compares.
 """
 
 import datetime
@@ -22,13 +23,15 @@ ATTEMPTS = 3
 """Requests to set the zero, which is one datagram without an answer: it may be lost."""
 
 CLOCK_ERROR = 0.02
-"""Relative error of the time that the sensor's count shows: of its rate, which is measured over half a second."""
+"""Relative error of the time that the sensor's count shows: of its rate, which is measured over
+half a second."""
 
 CLOCK_ERROR_S = 2.0
 """Error of the date besides [s]."""
 
 MAX_DATE_LAG_S = 3600.0
-"""Time by which the date may be behind [s]. Beyond that, a count that rolled over cannot be told from a restart."""
+"""Time by which the date may be behind [s]. Beyond that, a count that rolled over cannot be told
+from a restart."""
 
 
 def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> dict[str, Any]:
@@ -39,21 +42,29 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> dict[
     before, deviation = sensor.measured(seconds)
     worst = max(deviation[:3])
     if worst > MOVING_N:
-        raise DeviceError(f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest")
+        raise DeviceError(
+            f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest"
+        )
     for _ in range(ATTEMPTS):
         sensor.bias()
         after, noise = sensor.measured(seconds)
-        is_zero = all(abs(force) < ZERO_N + deviation for force, deviation in zip(after[:3], noise[:3], strict=True))
+        is_zero = all(
+            abs(force) < ZERO_N + deviation
+            for force, deviation in zip(after[:3], noise[:3], strict=True)
+        )
         if is_zero:
             break
     else:
         force = ", ".join(f"{value:+.2f}" for value in after[:3])
         raise DeviceError(
-            f"force is ({force}) N after its zero was set {ATTEMPTS} times: each axis must be within {ZERO_N:g} N and "
-            "its noise; let the water rest, check the sensor's network and that no other program uses it"
+            f"force is ({force}) N after its zero was set {ATTEMPTS} times: each axis must be "
+            f"within {ZERO_N:g} N and its noise; let the water rest, check the sensor's network "
+            "and that no other program uses it"
         )
     zero = ForceZero(
-        date=datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC).isoformat(timespec="seconds"),
+        date=datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC).isoformat(
+            timespec="seconds"
+        ),
         sensor_serial=sensor.serial,
         ft_sequence=sensor.stream.watch.ft_sequence,
         wall_s=sensor.clock.wall(),
@@ -65,23 +76,24 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> dict[
 
 
 def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
-    """Return the recorded zero, None if there is none; raises RigError if an open sensor has lost it."""
+    """Return the recorded zero, None if there is none; raises RigError if an open sensor has lost
+    it."""
     zero = load_record(config.file).force_zero
     if zero is None:
         return None
     fix = "let the fin rest in the water and run: softfin rig zero --force"
     if zero.sensor_serial != sensor.serial:
         raise RigError(
-            f"force sensor {config.sensor.address}: serial number {sensor.serial}, but {zero.sensor_serial} was "
-            f"zeroed; connect that one, or {fix}"
+            f"force sensor {config.sensor.address}: serial number {sensor.serial}, but "
+            f"{zero.sensor_serial} was zeroed; connect that one, or {fix}"
         )
     watch = sensor.stream.watch
     # An emulated rig of a file stands still between two commands, and so does its sensor's count.
     elapsed_s = 0.0 if config.emulation is not None else sensor.clock.wall() - zero.wall_s
     if has_restarted(zero, watch.ft_sequence, elapsed_s, watch.ft_rate_hz):
         raise RigError(
-            f"force sensor {config.sensor.address}: restarted since its zero was set ({zero.date}), its zero is lost; "
-            f"{fix} (also if this computer's date was wrong)"
+            f"force sensor {config.sensor.address}: restarted since its zero was set "
+            f"({zero.date}), its zero is lost; {fix} (also if this computer's date was wrong)"
         )
     return zero
 
@@ -89,7 +101,8 @@ def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
 def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_hz: float) -> bool:
     """Whether the sensor's count has fewer samples than the time since its zero brings.
 
-    The count rolls over at 2^32, after 6 days at 7.8 kHz. More samples than expected are no restart, but a wrong date.
+    The count rolls over at 2^32, after 6 days at 7.8 kHz. More samples than expected are no
+    restart, but a wrong date.
     """
     expected = zero.ft_sequence + ft_rate_hz * elapsed_s
     missing = (expected - ft_sequence) % 2**32

@@ -1,8 +1,10 @@
-"""One program at a time uses a device: a lock between the programs of this computer and within each of them.
+"""One program at a time uses a device: a lock between the programs of this computer and within each
+of them.
 
-A second program on the same drive or sensor would take the stream away from the first, which then stops its fin and
-blames the cable. The lock is an advisory one (flock) on a file: the kernel releases it when the program ends, however
-it ends. The file stays, because removing it would let two programs lock two files of the same name.
+A second program on the same drive or sensor would take the stream away from the first, which then
+stops its fin and blames the cable. The lock is an advisory one (flock) on a file: the kernel
+releases it when the program ends, however it ends. The file stays, because removing it would let
+two programs lock two files of the same name.
 """
 
 import contextlib
@@ -20,7 +22,8 @@ LOCK_FOLDER = Path("/run/lock")
 
 
 class DeviceLock:
-    """The lock of one device; `device` names it in messages, `key` is the same in every program that uses it."""
+    """The lock of one device; `device` names it in messages, `key` is the same in every program
+    that uses it."""
 
     def __init__(self, device: str, *key: object) -> None:
         self._device = device
@@ -51,7 +54,8 @@ class DeviceLock:
 
     def release(self) -> None:
         """Let others use the device; any number of times, never raises."""
-        descriptor, self._descriptor = self._descriptor, None
+        descriptor = self._descriptor
+        self._descriptor = None
         if descriptor is not None:
             with contextlib.suppress(OSError):
                 os.close(descriptor)
@@ -87,9 +91,11 @@ def _folder() -> Path:
 
 
 def _open(path: Path) -> int:
-    """Open the file of a lock, which any user may have made, never through a link that somebody put there."""
+    """Open the file of a lock, which any user may have made, never through a link that somebody put
+    there."""
     try:
-        # Without O_CREAT: Linux refuses that for files of other users in a shared folder (fs.protected_regular).
+        # Without O_CREAT: Linux refuses that for files of other users in a shared folder
+        # (fs.protected_regular).
         return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     except FileNotFoundError:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)

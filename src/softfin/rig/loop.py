@@ -1,6 +1,8 @@
-"""A controller on a machine: three actions a second on the 33/33/34 clock, each on what was measured since the last.
+"""A controller on a machine: three actions a second on the 33/33/34 clock, each on what was
+measured since the last.
 
-References come live, from a person, a topic, the rows of a file or any function that returns the newest one.
+References come live, from a person, a topic, the rows of a file or any function that returns the
+newest one.
 """
 
 from bisect import bisect_right
@@ -18,10 +20,12 @@ from softfin.rig.safety import Trip
 from softfin.rig.session import Force, Session, in_one_line, mean_force
 
 References: TypeAlias = Callable[[float], Force]
-"""Function that returns the reference [N] at so many seconds since the start; called at each action."""
+"""Function that returns the reference [N] at so many seconds since the start; called at each
+action."""
 
 ResolveReference = Callable[[Force], tuple[Force, str | None]]
-"""A reference to the one that is tracked, and a warning where it is another; raises CoverageError."""
+"""A reference to the one that is tracked, and a warning where it is another; raises
+CoverageError."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,8 @@ def run_controller(
     The controller gets forces less `zero`, which `Session.rest` measured [N].
     """
     state = controller.init()
-    angle, force = (session.newest or session.tick()).angle, (0.0, 0.0)
+    angle = (session.newest or session.tick()).angle
+    force = (0.0, 0.0)
     ticks = 0
     for index in count() if actions is None else range(actions):
         try:
@@ -64,10 +69,14 @@ def run_controller(
 
 
 class LiveReference:
-    """The newest reference of a person or a topic, set from any thread; one that cannot be tracked changes nothing."""
+    """The newest reference of a person or a topic, set from any thread; one that cannot be tracked
+    changes nothing."""
 
-    def __init__(self, first: Force, resolve: ResolveReference, report: Callable[[str], None]) -> None:
-        self._resolve, self._report = resolve, report
+    def __init__(
+        self, first: Force, resolve: ResolveReference, report: Callable[[str], None]
+    ) -> None:
+        self._resolve = resolve
+        self._report = report
         self._force, warning = resolve(first)
         if warning:
             report(warning)
@@ -83,7 +92,10 @@ class LiveReference:
             # One assignment of a whole pair: no lock is needed.
             self._force, warning = self._resolve((x, y))
         except ValueError:
-            warning = f"{text!r}: not a reference; write X,Y in newton, as 2,-1; Enter alone stops the fin"
+            warning = (
+                f"{text!r}: not a reference; write X,Y in newton, as 2,-1; Enter alone stops the "
+                "fin"
+            )
         except SoftfinError as error:
             warning = f"{error}; the reference stays as it is"
         if warning:
@@ -91,9 +103,13 @@ class LiveReference:
 
 
 def recorded_reference(
-    time: Sequence[float], force: Sequence[Force], resolve: ResolveReference, report: Callable[[str], None]
+    time: Sequence[float],
+    force: Sequence[Force],
+    resolve: ResolveReference,
+    report: Callable[[str], None],
 ) -> References:
-    """Return references that are the rows of a file, each from its time on; all are resolved before anything moves."""
+    """Return references that are the rows of a file, each from its time on; all are resolved before
+    anything moves."""
     resolved = [resolve(each) for each in force]
     warnings = [warning for _, warning in resolved if warning is not None]
     if warnings:

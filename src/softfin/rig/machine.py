@@ -1,7 +1,8 @@
-"""The contract of a real fin that the 100 Hz loop drives: the rig, topics of ROS 2, or a machine of one's own.
+"""The contract of a real fin that the 100 Hz loop drives: the rig, topics of ROS 2, or a machine of
+one's own.
 
-All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread, that of the loop,
-calls everything but `stop`.
+All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread,
+that of the loop, calls everything but `stop`.
 """
 
 from collections.abc import Sequence
@@ -27,7 +28,8 @@ class Target(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The newest readings of the drive and of the force sensor, each with the time that it stands for."""
+    """The newest readings of the drive and of the force sensor, each with the time that it stands
+    for."""
 
     time: float
     """Time of the angle [s]; older than a tick where no newer reading came."""
@@ -44,9 +46,11 @@ class Sample(NamedTuple):
     wrench: Wrench
     """Filtered force and torque [N, N m]."""
     complaints: tuple[str, ...]
-    """Faults that the devices report, each one line that ends in the way out; empty when all is well."""
+    """Faults that the devices report, each one line that ends in the way out; empty when all is
+    well."""
     peak: Wrench | None = None
-    """Largest sizes of the unfiltered wrench since the sample before; None where only `wrench` is known."""
+    """Largest sizes of the unfiltered wrench since the sample before; None where only `wrench` is
+    known."""
 
 
 @runtime_checkable
@@ -63,45 +67,54 @@ class Machine(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the person beside it before it moves, each one line: how it is connected, what is odd."""
+        """Notes for the person beside it before it moves, each one line: how it is connected, what
+        is odd."""
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Reason why the motor may still be on after `stop`, with the way out; None where it is known to be off."""
+        """Reason why the motor may still be on after `stop`, with the way out; None where it is
+        known to be off."""
 
     def open(self) -> None:
-        """Connect and configure, without moving; on failure it is closed again and raises RigError or DeviceError."""
+        """Connect and configure, without moving; on failure it is closed again and raises RigError
+        or DeviceError."""
 
     def read(self) -> Sample:
         """Return the newest sample; called once a tick, waits a few milliseconds at most."""
 
     def enable(self) -> None:
-        """Power the motor, which holds where it is; raises DeviceError where the drive does not follow."""
+        """Power the motor, which holds where it is; raises DeviceError where the drive does not
+        follow."""
 
     def command(self, target: Target) -> None:
-        """Go there from now on; returns at once, raises where it is not enabled since the last `stop`."""
+        """Go there from now on; returns at once, raises where it is not enabled since the last
+        `stop`."""
 
     def stop(self) -> None:
-        """Brake as fast as the drive may, disable the motor; from any thread, any number of times; never raises."""
+        """Brake as fast as the drive may, disable the motor; from any thread, any number of times;
+        never raises."""
 
     def close(self) -> None:
         """Stop, and release both devices; any number of times, never raises."""
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted since `open`, by name: packets lost, late, doubled, heartbeats missed .."""
+        """Return what was counted since `open`, by name: packets lost, late, doubled, heartbeats
+        missed .."""
 
 
 def clock_of(machine: Any) -> Clock:
-    """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real one."""
+    """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real
+    one."""
     clock: Clock = getattr(machine, "clock", REAL)
     return clock
 
 
 def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the sensor's axes into softfin's; `frame` is +x and +y in the sensor's own axes, as ``y,-x``.
+    """Rotation from the sensor's axes into softfin's; `frame` is +x and +y in the sensor's own
+    axes, as ``y,-x``.
 
-    It is a rotation whatever the frame: where x and y are mirrored, as in ``y,x``, the sensor looks the other way, so
-    its z is reversed.
+    It is a rotation whatever the frame: where x and y are mirrored, as in ``y,x``, the sensor looks
+    the other way, so its z is reversed.
     """
     rows = np.zeros((2, 3))
     for row, axis in zip(rows, frame.split(","), strict=True):
@@ -109,7 +122,9 @@ def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
     return np.vstack([rows, np.cross(*rows)])
 
 
-def rotated(wrench: Sequence[float] | Float[np.ndarray, " 6"], turn: Float[np.ndarray, "3 3"]) -> Wrench:
+def rotated(
+    wrench: Sequence[float] | Float[np.ndarray, " 6"], turn: Float[np.ndarray, "3 3"]
+) -> Wrench:
     """Force and torque after a rotation."""
     fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist()
     return fx, fy, fz, tx, ty, tz

@@ -1,4 +1,5 @@
-"""The 100 Hz ticks: absolute deadlines on the monotonic clock, with lateness and skipped ticks counted."""
+"""The 100 Hz ticks: absolute deadlines on the monotonic clock, with lateness and skipped ticks
+counted."""
 
 import numpy as np
 
@@ -41,10 +42,14 @@ class Pace:
         return late
 
     def to_dict(self) -> dict[str, int | float]:
-        """Return counts, and the lateness that half and 99% of all ticks do not exceed, to 0.1 ms, for JSON."""
+        """Return counts, and the lateness that half and 99% of all ticks do not exceed, to 0.1 ms,
+        for JSON."""
         reached = np.cumsum(self._late)
         p50, p99 = (
-            min((int(np.searchsorted(reached, max(1.0, part * self.ticks))) + 1) * BIN_S, self._latest)
+            min(
+                (int(np.searchsorted(reached, max(1.0, part * self.ticks))) + 1) * BIN_S,
+                self._latest,
+            )
             for part in (0.5, 0.99)
         )
         milliseconds = {"late_p50_ms": p50, "late_p99_ms": p99, "late_max_ms": self._latest}

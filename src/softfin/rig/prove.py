@@ -1,7 +1,8 @@
-"""Proof that the drive stops by itself when softfin dies, tried at the powered motor and kept in the rig's record.
+"""Proof that the drive stops by itself when softfin dies, tried at the powered motor and kept in
+the rig's record.
 
-Nothing else stops a fin whose program is killed or hangs. Whether a drive does depends on its settings and its
-firmware, so no fin of a rig's file moves before it was seen.
+Nothing else stops a fin whose program is killed or hangs. Whether a drive does depends on its
+settings and its firmware, so no fin of a rig's file moves before it was seen.
 """
 
 import shlex
@@ -14,7 +15,8 @@ from softfin.rig.record import StopProof, date_and_time, load_record, save_recor
 
 
 def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
-    """Withhold the heartbeats of the open drive, its motor powered at rest; save the proof in the rig's record.
+    """Withhold the heartbeats of the open drive, its motor powered at rest; save the proof in the
+    rig's record.
 
     Raises DeviceError if the drive does not stop by itself; an earlier proof is then removed.
     """

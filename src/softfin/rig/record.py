@@ -1,7 +1,8 @@
 """The record of a rig, kept as JSON beside its file: rig.yaml has rig.record.json.
 
-The file says how a rig is set up; its record says what was measured on it: whether the drive stops by itself when
-softfin dies, and where the sensor's zero was set. A rig that is built in Python without a file has no record.
+The file says how a rig is set up; its record says what was measured on it: whether the drive stops
+by itself when softfin dies, and where the sensor's zero was set. A rig that is built in Python
+without a file has no record.
 """
 
 import json
@@ -38,7 +39,8 @@ class ForceZero(Configuration):
     sensor_serial: str | None
     """Serial number of the sensor's calibration; None if the sensor does not report it."""
     ft_sequence: int = Field(ge=0)
-    """Number of the sensor's record then, counted since its power-up: a smaller one later means that it restarted."""
+    """Number of the sensor's record then, counted since its power-up: a smaller one later means
+    that it restarted."""
     wall_s: float = Field(ge=0)
     """Time of day then [s since 1970]."""
 
@@ -63,7 +65,8 @@ def record_file(rig: Path) -> Path:
 
 
 def load_record(rig: Path | None) -> RigRecord:
-    """Load the record of a rig's file; an empty one if there is none. Raises RigError if it cannot be used."""
+    """Load the record of a rig's file; an empty one if there is none. Raises RigError if it cannot
+    be used."""
     if rig is None or not record_file(rig).exists():
         return RigRecord()
     file = record_file(rig)
@@ -71,11 +74,13 @@ def load_record(rig: Path | None) -> RigRecord:
         return RigRecord.build(json.loads(file.read_bytes()), str(file))
     except (OSError, ValueError, RecursionError, ConfigurationError) as error:
         raise RigError(
-            f"{file}: not the record of a rig ({error}); remove it, then prove and zero the rig again"
+            f"{file}: not the record of a rig ({error}); remove it, then prove and zero the rig "
+            "again"
         ) from None
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:
-    """Save the record of a rig's file; without a file there is nowhere to keep it. Raises RunError."""
+    """Save the record of a rig's file; without a file there is nowhere to keep it. Raises
+    RunError."""
     if rig is not None:
         artifacts.write_file(record_file(rig), record.model_dump_json(indent=2) + "\n")

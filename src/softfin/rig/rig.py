@@ -13,7 +13,8 @@ from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof
 
 ANSWER_S = 0.006
-"""Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer more."""
+"""Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer
+more."""
 
 BEAT_TICKS = 4
 """Ticks between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
@@ -30,8 +31,11 @@ class Rig:
             from softfin.rig.emulation.rig import kept_rig
 
             emulated = kept_rig(config)
-            clock, self._save = emulated.clock, emulated.save
-        self.config, self.clock, drive = config, clock or REAL, config.drive
+            clock = emulated.clock
+            self._save = emulated.save
+        self.config = config
+        self.clock = clock or REAL
+        drive = config.drive
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
         # A fault of the drive does not wait for the next tick.
@@ -46,7 +50,8 @@ class Rig:
         return (*self.sensor.notes(), *(note for note in lock_notes if note is not None))
 
     def check_ready(self) -> None:
-        """Raise RigError unless the drive, once opened, is proved to stop by itself when softfin dies."""
+        """Raise RigError unless the drive, once opened, is proved to stop by itself when softfin
+        dies."""
         check_proof(self.config, self.drive.serial)
 
     @property
@@ -59,7 +64,8 @@ class Rig:
 
         Raises RigError if the sensor has lost the zero that softfin set.
         """
-        # The drive first: where another program has it, nothing must take the sensor's stream away from that program.
+        # The drive first: where another program has it, nothing must take the sensor's stream away
+        # from that program.
         self.drive.open()
         try:
             self.sensor.open()
@@ -74,7 +80,8 @@ class Rig:
         if self._ticks % BEAT_TICKS == 0:
             self.drive.send_heartbeat()
         self._ticks += 1
-        drive, force = self.drive.sync_and_read(ANSWER_S), self.sensor.read()
+        drive = self.drive.sync_and_read(ANSWER_S)
+        force = self.sensor.read()
         return Sample(
             time=drive.time,
             angle=drive.angle,
@@ -87,7 +94,8 @@ class Rig:
 
     def enable(self) -> None:
         """Power the motor, which holds where it is."""
-        # The first tick with power must judge a fresh force, so the sensor's socket must not fill meanwhile.
+        # The first tick with power must judge a fresh force, so the sensor's socket must not fill
+        # meanwhile.
         self.drive.enable(meanwhile=self.sensor.keep_up)
 
     def command(self, target: Target) -> None:
@@ -99,19 +107,26 @@ class Rig:
         self.drive.stop()
 
     def close(self) -> None:
-        """Stop and release both; raises RunError where the state of an emulated rig cannot be written."""
+        """Stop and release both; raises RunError where the state of an emulated rig cannot be
+        written."""
         self.drive.close()
         self.sensor.close()
         self._save()
 
     def counters(self) -> dict[str, int]:
         """Return the counters of both devices."""
-        counted = {f"drive_{name.replace(' ', '_')}": count for name, count in self.drive.counters().items()}
+        counted = {
+            f"drive_{name.replace(' ', '_')}": count
+            for name, count in self.drive.counters().items()
+        }
         return counted | self.sensor.counters()
 
 
-def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> dict[str, Any]:
-    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest, or it is not set."""
+def zero_force(
+    config: RigConfig, seconds: float = 2.0, clock: Clock | None = None
+) -> dict[str, Any]:
+    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest, or
+    it is not set."""
     rig = Rig(config, clock)
     try:
         rig.sensor.open()
@@ -121,9 +136,12 @@ def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = No
 
 
 def zero_angle(
-    config: RigConfig, clock: Clock | None = None, confirm: Callable[[Rig], object] = lambda rig: None
+    config: RigConfig,
+    clock: Clock | None = None,
+    confirm: Callable[[Rig], object] = lambda rig: None,
 ) -> dict[str, Any]:
-    """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered, nothing moves.
+    """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered,
+    nothing moves.
 
     `confirm` is called once the drive is open, before its motor is powered.
     """
@@ -134,6 +152,9 @@ def zero_angle(
         confirm(rig)
         before = drive.sync_and_read(0.02).angle
         drive.home_here()
-        return {"angle_before_rad": round(before, 5), "angle_after_rad": round(drive.sync_and_read(0.02).angle, 5)}
+        return {
+            "angle_before_rad": round(before, 5),
+            "angle_after_rad": round(drive.sync_and_read(0.02).angle, 5),
+        }
     finally:
         rig.close()

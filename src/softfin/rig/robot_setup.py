@@ -27,17 +27,19 @@ class RobotSetup:
     """Warning about a machine that nobody has signed for."""
 
     def check_ready(self) -> None:
-        """Raise RigError where an open machine must not move yet; only a machine that has such a check is checked."""
+        """Raise RigError where an open machine must not move yet; only a machine that has such a
+        check is checked."""
         check = getattr(self.machine, "check_ready", None)
         if check is not None:
             check()
 
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
-        """Raise RigError where a controller is for another fin, or commands more than this machine takes."""
+        """Raise RigError where a controller is for another fin, or commands more than this machine
+        takes."""
         if None not in (fin, self.fin) and fin != self.fin:
             raise RigError(
-                f"{controller}: trained for the fin {fin!r}; this rig's is {self.fin!r}; train one for it, or correct "
-                "'fin' in the rig's file"
+                f"{controller}: trained for the fin {fin!r}; this rig's is {self.fin!r}; train one "
+                "for it, or correct 'fin' in the rig's file"
             )
         for quantity, unit in (("angle", "rad"), ("velocity", "rad/s")):
             (low, high), (lowest, highest) = (
@@ -46,13 +48,15 @@ class RobotSetup:
             )
             if low < lowest - 1e-3 or high > highest + 1e-3:
                 raise RigError(
-                    f"{controller}: commands a {quantity} of {low:.5g} .. {high:.5g} {unit}; {self.machine.name} takes "
-                    f"{lowest:.5g} .. {highest:.5g}; train it within these, or widen the rig's limits"
+                    f"{controller}: commands a {quantity} of {low:.5g} .. {high:.5g} {unit}; "
+                    f"{self.machine.name} takes {lowest:.5g} .. {highest:.5g}; train it within "
+                    "these, or widen the rig's limits"
                 )
 
 
 def find_robot(name: str) -> RobotSetup:
-    """Find a machine by name, ``rig``, ``ros2`` or one of these with ``:FILE``, without opening it; raises RigError."""
+    """Find a machine by name, ``rig``, ``ros2`` or one of these with ``:FILE``, without opening it;
+    raises RigError."""
     # Imported here: one kind of robot needs no libraries of the other.
     kind, _, file = name.partition(":")
     path = Path(file) if file else None
@@ -63,9 +67,15 @@ def find_robot(name: str) -> RobotSetup:
 
         rig = load_rig(path)
         # A real rig's configuration stays as it was before there were emulated ones.
-        values = rig.model_dump(mode="json", exclude={"emulation"} if rig.emulation is None else None)
+        values = rig.model_dump(
+            mode="json", exclude={"emulation"} if rig.emulation is None else None
+        )
         # An emulated rig has nothing to sign for.
-        warning = None if rig.emulation is not None or rig.file is None else load_form(rig.file).warning(rig)
+        warning = (
+            None
+            if rig.emulation is not None or rig.file is None
+            else load_form(rig.file).warning(rig)
+        )
         return RobotSetup(Rig(rig), rig.safety, rig.fin, rig.settle_s, values, warning)
     if kind == "ros2":
         from softfin.rig.config import load_ros2
@@ -73,8 +83,10 @@ def find_robot(name: str) -> RobotSetup:
 
         ros2 = load_ros2(path)
         machine = Ros2Machine(ros2.topics)
-        return RobotSetup(machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json"))
+        return RobotSetup(
+            machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json")
+        )
     raise RigError(
-        f"plant {name}: not a real fin; give {' or '.join(LIVE)}, or one of these with :FILE; softfin evaluate runs a "
-        "controller on a simulated one"
+        f"plant {name}: not a real fin; give {' or '.join(LIVE)}, or one of these with :FILE; "
+        "softfin evaluate runs a controller on a simulated one"
     )

@@ -1,7 +1,9 @@
-"""Safety limits, checked by the loop at every tick: whatever is beyond them stops the fin; nothing is clipped.
+"""Safety limits, checked by the loop at every tick: whatever is beyond them stops the fin; nothing
+is clipped.
 
-The guard is pure but for its memory of the last moments: samples and targets go in, a reason to stop comes out. The
-drive has limits of its own below it (position, following error, current, heartbeat), and a watchdog stands above.
+The guard is pure but for its memory of the last moments: samples and targets go in, a reason to
+stop comes out. The drive has limits of its own below it (position, following error, current,
+heartbeat), and a watchdog stands above.
 """
 
 import math
@@ -16,18 +18,21 @@ from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target
 
 OVERSHOOT_RAD = 0.15
-"""Angle beyond the range of commands that a fin may reach when it is stopped in the middle of a fast stroke [rad]."""
+"""Angle beyond the range of commands that a fin may reach when it is stopped in the middle of a
+fast stroke [rad]."""
 
 
 class SafetyConfig(Configuration):
-    """Safety limits; the defaults leave room to spare for a fin like the paper's (under 13 N and 7.3 rad/s)."""
+    """Safety limits; the defaults leave room to spare for a fin like the paper's (under 13 N and
+    7.3 rad/s)."""
 
     angle_margin_rad: float = Field(default=OVERSHOOT_RAD, ge=0)
     """Overshoot: angle by which the shaft may be beyond the range of commands [rad]."""
     velocity_rad_s: PositiveFloat = 10.0
     """Highest angular velocity of the shaft [rad/s]."""
     acceleration_rad_s2: PositiveFloat = 200.0
-    """Highest acceleration of the shaft, over 30 ms [rad/s2]; the drive's own ramp must not be steeper."""
+    """Highest acceleration of the shaft, over 30 ms [rad/s2]; the drive's own ramp must not be
+    steeper."""
     force_peak_n: PositiveFloat = 30.0
     """Largest force on any axis at any time [N]."""
     force_sustained_n: PositiveFloat = 15.0
@@ -37,7 +42,8 @@ class SafetyConfig(Configuration):
     torque_sustained_nm: PositiveFloat = 3.0
     """Largest size of the torque on average over `sustained_s` [N m]."""
     current_peak_a: PositiveFloat | None = None
-    """Largest current of the motor at any time [A]; required for a rig, None where the current is not measured."""
+    """Largest current of the motor at any time [A]; required for a rig, None where the current is
+    not measured."""
     current_sustained_a: PositiveFloat | None = None
     """Largest current of the motor on average over `sustained_s` [A]."""
     sustained_s: float = Field(default=0.5, ge=0.05, le=10)
@@ -47,8 +53,8 @@ class SafetyConfig(Configuration):
     force_stale_s: float = Field(default=0.15, ge=0.02, le=1)
     """Greatest age of the force that is acted on, of which its filter is a part [s]."""
     following_rad: PositiveFloat = 0.2
-    """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A fin that is blocked
-    within a stroke of less than twice this shows in the current alone."""
+    """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A
+    fin that is blocked within a stroke of less than twice this shows in the current alone."""
     following_s: float = Field(default=0.1, ge=0.02, le=2)
     """Longest time for which the following error may be larger [s]."""
     overrun_s: float = Field(default=0.05, ge=0.01, le=1)
@@ -56,17 +62,19 @@ class SafetyConfig(Configuration):
     watchdog_s: float = Field(default=0.15, ge=0.05, le=2)
     """Longest silence of the loop after which another thread stops the machine [s]."""
     training_margin: float | None = Field(default=0.5, ge=0)
-    """Distance by which angle, velocity and force may leave the surrogate's training range on average over 1 s, in
-    widths of that range; further out the controller is untested. None turns the check off."""
+    """Distance by which angle, velocity and force may leave the surrogate's training range on
+    average over 1 s, in widths of that range; further out the controller is untested. None turns
+    the check off."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "SafetyConfig":
         for name, unit in (("force", "n"), ("torque", "nm"), ("current", "a")):
-            peak, sustained = getattr(self, f"{name}_peak_{unit}"), getattr(self, f"{name}_sustained_{unit}")
+            peak = getattr(self, f"{name}_peak_{unit}")
+            sustained = getattr(self, f"{name}_sustained_{unit}")
             if (peak is None) != (sustained is None) or (peak is not None and sustained > peak):
                 raise ValueError(
-                    f"{name}_sustained_{unit} = {sustained} with {name}_peak_{unit} = {peak}: give both, the sustained "
-                    "one not above the peak"
+                    f"{name}_sustained_{unit} = {sustained} with {name}_peak_{unit} = {peak}: give "
+                    "both, the sustained one not above the peak"
                 )
         return self
 
@@ -90,24 +98,37 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
         ("velocity", "rad/s", target.velocity, limits.velocity_min, limits.velocity_max),
     ):
         if not math.isfinite(value):
-            return Trip("not_a_number", f"commanded {name} {value} {unit}: this fin takes finite numbers; the "
-                        "controller's weights or inputs are damaged: evaluate it in a surrogate first")  # fmt: skip
+            return Trip(
+                "not_a_number",
+                f"commanded {name} {value} {unit}: this fin takes finite numbers; the "
+                "controller's weights or inputs are damaged: evaluate it in a surrogate first",
+            )
         if not low - 1e-3 <= value <= high + 1e-3:
-            return Trip(f"command_{name}", f"commanded {name} {value:.3f} {unit}: this fin takes {low:.3f} to "
-                        f"{high:.3f} {unit}; train within them")  # fmt: skip
+            return Trip(
+                f"command_{name}",
+                f"commanded {name} {value:.3f} {unit}: this fin takes {low:.3f} to "
+                f"{high:.3f} {unit}; train within them",
+            )
     return None
 
 
 class Guard:
     """Checks every tick against the limits, and returns the first thing that is wrong."""
 
-    def __init__(self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None) -> None:
-        self.config, self.limits, self.trained = config, limits, trained
+    def __init__(
+        self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None
+    ) -> None:
+        self.config = config
+        self.limits = limits
+        self.trained = trained
         self.restart()
 
     def restart(self) -> None:
-        """Forget the samples so far: what lasted before a pause of the motor has not lasted through it."""
-        self._means = {name: _Mean(self.config.sustained_s) for name in ("force", "torque", "current")}
+        """Forget the samples so far: what lasted before a pause of the motor has not lasted through
+        it."""
+        self._means = {
+            name: _Mean(self.config.sustained_s) for name in ("force", "torque", "current")
+        }
         self._outside = _Mean(1.0)
         self._velocities: deque[tuple[float, float]] = deque(maxlen=ACCELERATION_TICKS + 1)
         self._followed: float | None = None
@@ -117,76 +138,134 @@ class Guard:
         config = self.config
         if sample.complaints:
             return Trip("device", sample.complaints[0])
-        numbers = (sample.time, sample.angle, sample.velocity, sample.force_time, *sample.wrench, *(sample.peak or ()),
-                   sample.current or 0.0, sample.following_error or 0.0)  # fmt: skip
+        numbers = (
+            sample.time,
+            sample.angle,
+            sample.velocity,
+            sample.force_time,
+            *sample.wrench,
+            *(sample.peak or ()),
+            sample.current or 0.0,
+            sample.following_error or 0.0,
+        )
         if not all(map(math.isfinite, numbers)):
-            return Trip("reading", f"a reading is not a finite number ({sample}); check cables and sensor")
+            return Trip(
+                "reading", f"a reading is not a finite number ({sample}); check cables and sensor"
+            )
         if late > config.overrun_s:
-            return Trip("overrun", f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms "
-                        "(safety.overrun_s); end other programs on this computer")  # fmt: skip
+            return Trip(
+                "overrun",
+                f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms "
+                "(safety.overrun_s); end other programs on this computer",
+            )
         for what, age, most, way_out in (
             ("angle", now - sample.time, config.stale_s, "check the drive's cable and supply"),
-            ("force", now - sample.force_time, config.force_stale_s, "check the sensor's cable and network"),
+            (
+                "force",
+                now - sample.force_time,
+                config.force_stale_s,
+                "check the sensor's cable and network",
+            ),
         ):
             # A time that lies ahead is as bad: it would never grow old.
             if abs(age) > most:
-                return Trip(f"{what}_stale", f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; "
-                            f"{way_out}")  # fmt: skip
-        return self._check_motion(sample) or self._check_loads(sample, now) or self._check_range(sample, now)
+                return Trip(
+                    f"{what}_stale",
+                    f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; {way_out}",
+                )
+        return (
+            self._check_motion(sample)
+            or self._check_loads(sample, now)
+            or self._check_range(sample, now)
+        )
 
     def _check_motion(self, sample: Sample) -> Trip | None:
-        config, limits = self.config, self.limits
-        low, high = limits.angle_min - config.angle_margin_rad, limits.angle_max + config.angle_margin_rad
+        config = self.config
+        limits = self.limits
+        low = limits.angle_min - config.angle_margin_rad
+        high = limits.angle_max + config.angle_margin_rad
         if not low <= sample.angle <= high:
-            return Trip("angle", f"the shaft is at {sample.angle:.3f} rad, beyond {low:.3f} to {high:.3f} rad; "
-                        "turn it back; is its zero wrong? Turn it to zero and run: softfin rig zero --arm")  # fmt: skip
+            return Trip(
+                "angle",
+                f"the shaft is at {sample.angle:.3f} rad, beyond {low:.3f} to {high:.3f} rad; "
+                "turn it back; is its zero wrong? Turn it to zero and run: softfin rig zero --arm",
+            )
         if abs(sample.velocity) > config.velocity_rad_s:
-            return Trip("velocity", f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
-                        f"{config.velocity_rad_s:g} (safety.velocity_rad_s); is the gear ratio right?")  # fmt: skip
+            return Trip(
+                "velocity",
+                f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
+                f"{config.velocity_rad_s:g} (safety.velocity_rad_s); is the gear ratio right?",
+            )
         velocities = self._velocities
         if not velocities or sample.time > velocities[-1][0]:
             velocities.append((sample.time, sample.velocity))
-        (start, before), (end, after) = velocities[0], velocities[-1]
+        (start, before) = velocities[0]
+        (end, after) = velocities[-1]
         rate = abs(after - before) / (end - start) if len(velocities) > ACCELERATION_TICKS else 0.0
         if rate > config.acceleration_rad_s2:
-            return Trip("acceleration", f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
-                        f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); was it hit?")  # fmt: skip
+            return Trip(
+                "acceleration",
+                f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
+                f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); was it hit?",
+            )
         error = sample.following_error
         if error is None or abs(error) <= config.following_rad:
             self._followed = None
         elif self._followed is None:
             self._followed = sample.time
         elif sample.time - self._followed > config.following_s:
-            return Trip("following", f"the shaft is {error:.3f} rad behind its profile for {config.following_s:g} s: "
-                        f"at most {config.following_rad:g} rad; is it blocked, or the load too high?")  # fmt: skip
+            return Trip(
+                "following",
+                f"the shaft is {error:.3f} rad behind its profile for {config.following_s:g} s: "
+                f"at most {config.following_rad:g} rad; is it blocked, or the load too high?",
+            )
         return None
 
     def _check_loads(self, sample: Sample, now: float) -> Trip | None:
-        config, peaks, wrench = self.config, sample.peak or sample.wrench, sample.wrench
+        config = self.config
+        peaks = sample.peak or sample.wrench
+        wrench = sample.wrench
         current = () if sample.current is None else (sample.current,)
         for name, unit, largest, values, peak, sustained in (
             ("force", "N", peaks[:3], wrench[:3], config.force_peak_n, config.force_sustained_n),
-            ("torque", "N m", peaks[3:], wrench[3:], config.torque_peak_nm, config.torque_sustained_nm),
+            (
+                "torque",
+                "N m",
+                peaks[3:],
+                wrench[3:],
+                config.torque_peak_nm,
+                config.torque_sustained_nm,
+            ),
             ("current", "A", current, current, config.current_peak_a, config.current_sustained_a),
         ):
             if not values or peak is None or sustained is None:
                 continue
             worst = max(map(abs, largest))
             if worst > peak:
-                return Trip(f"{name}_peak", f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
-                            "look for what the fin touches")  # fmt: skip
+                return Trip(
+                    f"{name}_peak",
+                    f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
+                    "look for what the fin touches",
+                )
             average = self._means[name].after(now, math.hypot(*values))
             if average > sustained:
-                return Trip(f"{name}_sustained", f"{name} {average:.2f} {unit} on average over "
-                            f"{config.sustained_s:g} s: at most {sustained:g} {unit}; ask for less")  # fmt: skip
+                return Trip(
+                    f"{name}_sustained",
+                    f"{name} {average:.2f} {unit} on average over "
+                    f"{config.sustained_s:g} s: at most {sustained:g} {unit}; ask for less",
+                )
         return None
 
     def _check_range(self, sample: Sample, now: float) -> Trip | None:
         margin = self.config.training_margin
         if self.trained is None or margin is None:
             return None
-        values = {"angle": sample.angle, "velocity": sample.velocity, "force x": sample.wrench[0],
-                  "force y": sample.wrench[1]}  # fmt: skip
+        values = {
+            "angle": sample.angle,
+            "velocity": sample.velocity,
+            "force x": sample.wrench[0],
+            "force y": sample.wrench[1],
+        }
         beyond = {
             name: max(bounds[0] - value, value - bounds[1], 0.0) / max(bounds[1] - bounds[0], 1e-6)
             for (name, value), bounds in zip(values.items(), self.trained, strict=True)
@@ -195,8 +274,11 @@ class Guard:
         channel = max(beyond, key=beyond.__getitem__, default="")
         average = self._outside.after(now, beyond.get(channel, 0.0))
         if average > margin:
-            return Trip("beyond_training", f"{channel} was {average:.2f} of its range beyond the surrogate's training "
-                        f"data, for 1 s: at most {margin:g} (safety.training_margin); fit anew")  # fmt: skip
+            return Trip(
+                "beyond_training",
+                f"{channel} was {average:.2f} of its range beyond the surrogate's training "
+                f"data, for 1 s: at most {margin:g} (safety.training_margin); fit anew",
+            )
         return None
 
 

@@ -1,7 +1,8 @@
-"""One session on a machine: unconfigured, inactive (reads, does not move), active (moves), stopped; 100 ticks a second.
+"""One session on a machine: unconfigured, inactive (reads, does not move), active (moves), stopped;
+100 ticks a second.
 
-At each tick: wait, read, check, record, call the observers. Whatever is wrong, or goes wrong in here, stops the machine
-first and is reported afterwards.
+At each tick: wait, read, check, record, call the observers. Whatever is wrong, or goes wrong in
+here, stops the machine first and is reported afterwards.
 """
 
 import contextlib
@@ -28,35 +29,47 @@ Force: TypeAlias = tuple[float, float]
 State = Literal["unconfigured", "inactive", "active", "stopped"]
 
 Observer = Callable[[Sample, Target | None], None]
-"""Called at each tick with the sample and the command under which it came about; must return at once."""
+"""Called at each tick with the sample and the command under which it came about; must return at
+once."""
 
 FRESH_TICKS = 200
-"""Ticks before activation within which all checks must pass; on a busy computer one alone may take a second."""
+"""Ticks before activation within which all checks must pass; on a busy computer one alone may take
+a second."""
 
 GOOD_TICKS = 10
-"""Ticks in a row at which all checks must pass before the motor is powered. One is too few: after a pause, the first
-records are old ones from the socket, a filter that lost its records takes 7 ticks to fill, and a fault that comes and
-goes would be met with the motor on."""
+"""Ticks in a row at which all checks must pass before the motor is powered. One is too few: after a
+pause, the first records are old ones from the socket, a filter that lost its records takes 7 ticks
+to fill, and a fault that comes and goes would be met with the motor on."""
 
 STILL_RAD = 0.03
 """Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
 
 SUSPENDED_S = 0.05
-"""Sleep of the computer beyond which an active session is stopped [s]. The monotonic clock stands still meanwhile, so
-no tick is late afterwards and no reading looks old, though the fin went on without anybody watching it."""
+"""Sleep of the computer beyond which an active session is stopped [s]. The monotonic clock stands
+still meanwhile, so no tick is late afterwards and no reading looks old, though the fin went on
+without anybody watching it."""
 
 HOMING_S = 10.0
-"""Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin has twice the time that it needs."""
+"""Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin has twice the time
+that it needs."""
 
 
 class Session:
     """A context: whatever happens, the machine is stopped and closed at its end."""
 
     def __init__(
-        self, machine: Machine, guard: Guard, *, stop: StopRequest | None = None, observers: Sequence[Observer] = ()
+        self,
+        machine: Machine,
+        guard: Guard,
+        *,
+        stop: StopRequest | None = None,
+        observers: Sequence[Observer] = (),
     ) -> None:
-        self.machine, self.guard, self.stop_request = machine, guard, stop or StopRequest()
-        self.observers, self.pace = observers, Pace(clock_of(machine))
+        self.machine = machine
+        self.guard = guard
+        self.stop_request = stop or StopRequest()
+        self.observers = observers
+        self.pace = Pace(clock_of(machine))
         self.recorder: BagRecorder | None = None
         self.state: State = "unconfigured"
         self.target: Target | None = None
@@ -73,21 +86,28 @@ class Session:
 
     def __enter__(self) -> "Session":
         self.machine.open()
-        # A machine that can never confirm its stops is used all the same; what is not confirmed later is reported.
+        # A machine that can never confirm its stops is used all the same; what is not confirmed
+        # later is reported.
         self._never_confirmed = self.machine.stop_unconfirmed
         self.state = "inactive"
         self.pace.start()
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._unwatch()
         self.stop_request.is_obeyed = True
         self.machine.stop()
-        unconfirmed, was_reported = self.machine.stop_unconfirmed, self.state == "stopped"
+        unconfirmed = self.machine.stop_unconfirmed
+        was_reported = self.state == "stopped"
         if not was_reported:
-            self._record_event("the session ended" if kind is None else f"ended by {kind.__name__}: {error}")
+            self._record_event(
+                "the session ended" if kind is None else f"ended by {kind.__name__}: {error}"
+            )
         self.state = "stopped"
         try:
             self.machine.close()
@@ -95,8 +115,13 @@ class Session:
             gc.unfreeze()
             self._until_closed.close()
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
-            # Whatever ended the session, the person beside the fin must learn that it may not be safe.
-            reason = "the session ended" if error is None else in_one_line(error, "the session was ended")
+            # Whatever ended the session, the person beside the fin must learn that it may not be
+            # safe.
+            reason = (
+                "the session ended"
+                if error is None
+                else in_one_line(error, "the session was ended")
+            )
             raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
     def stop_on_signals(self) -> None:
@@ -105,9 +130,12 @@ class Session:
 
     @contextmanager
     def recording(self, path: Path) -> Iterator[BagRecorder]:
-        """Record everything that the session does meanwhile; an interrupted bag is kept under another name."""
+        """Record everything that the session does meanwhile; an interrupted bag is kept under
+        another name."""
         if path.exists():
-            names = (path.with_name(f"{path.stem}.cut-{number}{path.suffix}") for number in count(1))
+            names = (
+                path.with_name(f"{path.stem}.cut-{number}{path.suffix}") for number in count(1)
+            )
             path.rename(next(name for name in names if not name.exists()))
         recorder = self.recorder = BagRecorder(path, clock=self.pace.clock)
         try:
@@ -124,7 +152,8 @@ class Session:
             raise RunError(recorder.failure)
 
     def tick(self) -> Sample:
-        """Wait for the next tick, read and check; raises SafetyStop, the machine stopped already."""
+        """Wait for the next tick, read and check; raises SafetyStop, the machine stopped
+        already."""
         late = self.pace.wait()
         try:
             sample = self.machine.read()
@@ -168,8 +197,11 @@ class Session:
     def activate(self) -> None:
         """Enable the drive, which holds where it is: from now on it may move."""
         if self.state != "inactive":
-            raise SafetyStop(f"activated while {self.state}: only an inactive session can be; begin a new one")
-        # What is there already is not searched for garbage any more: in a process with JAX that takes 100 ms a time.
+            raise SafetyStop(
+                f"activated while {self.state}: only an inactive session can be; begin a new one"
+            )
+        # What is there already is not searched for garbage any more: in a process with JAX that
+        # takes 100 ms a time.
         gc.unfreeze()
         gc.collect()
         gc.freeze()
@@ -184,22 +216,27 @@ class Session:
         self.state = "active"
         self._record_event(f"active: {self.machine.name}")
         self.pace.start()
-        self._watchdog = Watchdog(self.guard.config.watchdog_s, self._stop_silent_loop, self.pace.clock)
+        self._watchdog = Watchdog(
+            self.guard.config.watchdog_s, self._stop_silent_loop, self.pace.clock
+        )
         self.command(Target(here, limits.velocity_min))
 
     def deactivate(self) -> None:
-        """Stop and disable the motor: slow work may be done now, and `activate` goes on after it."""
+        """Stop and disable the motor: slow work may be done now, and `activate` goes on after
+        it."""
         # A slow brake is no silence of the loop.
         self._unwatch()
         self.machine.stop()
         if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
             self.abort(Trip("motor_on", "the drive did not confirm power-off"))
         if self.state == "active":
-            self.state, self.target = "inactive", None
+            self.state = "inactive"
+            self.target = None
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
-        """Issue a command now; raises SafetyStop where it is beyond this fin's limits or the drive refuses it."""
+        """Issue a command now; raises SafetyStop where it is beyond this fin's limits or the drive
+        refuses it."""
         trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
             self.abort(trip)
@@ -232,8 +269,8 @@ class Session:
     def rest(self, seconds: float) -> Force:
         """Move slowly to angle 0 and wait until the water is at rest.
 
-        Return the mean force (x, y) [N] over the second half of the wait. The true force is then zero, so this is the
-        sensor's offset for the next experiment. Drift changes it every time.
+        Return the mean force (x, y) [N] over the second half of the wait. The true force is then
+        zero, so this is the sensor's offset for the next experiment. Drift changes it every time.
         """
         slowest = self.machine.limits.velocity_min
         sample = self.newest or self.tick()
@@ -244,21 +281,28 @@ class Session:
             if abs(sample.angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
                 break
         else:
-            self.abort(Trip("rest", f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
-                            f"{sample.angle:.3f} rad); is it blocked?"))  # fmt: skip
+            self.abort(
+                Trip(
+                    "rest",
+                    f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
+                    f"{sample.angle:.3f} rad); is it blocked?",
+                )
+            )
         samples = [self.tick() for _ in range(round(seconds * RATE_HZ))]
         zero = mean_force(samples[len(samples) // 2 :])
         self._record_event(zero_event(zero))
         return zero
 
     def abort(self, trip: Trip) -> NoReturn:
-        """Stop the machine, record why, and raise SafetyStop; the reason is that of the first stop."""
+        """Stop the machine, record why, and raise SafetyStop; the reason is that of the first
+        stop."""
         trip = self.trip or trip
         self.stop_request.is_obeyed = True
         self.machine.stop()
         self._unwatch()
         if self.state != "stopped":
-            self.state, self.trip = "stopped", trip
+            self.state = "stopped"
+            self.trip = trip
             self._record_event(f"stopped: {trip.cause}: {trip.reason}")
         unconfirmed = self.machine.stop_unconfirmed
         if unconfirmed is None:
@@ -267,7 +311,8 @@ class Session:
         raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
 
     def _await_good_ticks(self) -> Sample:
-        """Tick until all checks pass for a while: devices that were not read need a moment to be fresh."""
+        """Tick until all checks pass for a while: devices that were not read need a moment to be
+        fresh."""
         good_ticks = 0
         latest_trip: Trip | None = None
         for _ in range(FRESH_TICKS):
@@ -288,8 +333,11 @@ class Session:
     def _stop_silent_loop(self, silence: float) -> None:
         """Called by the watchdog, in its thread."""
         if self.trip is None:
-            self.trip = Trip("watchdog", f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, "
-                             "or the controller hung; see the last event before")  # fmt: skip
+            self.trip = Trip(
+                "watchdog",
+                f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, "
+                "or the controller hung; see the last event before",
+            )
         self.machine.stop()
 
     def _record_event(self, text: str) -> None:
@@ -304,7 +352,8 @@ def mean_force(samples: Sequence[Sample]) -> Force:
 
 
 def in_one_line(error: BaseException, what: str) -> str:
-    """Describe an error: softfin's own say it all in one line; others need a word of what was going on."""
+    """Describe an error: softfin's own say it all in one line; others need a word of what was going
+    on."""
     if isinstance(error, SoftfinError):
         return str(error)
     return f"{what} ({type(error).__name__}: {one_line(error)}); see --debug"

@@ -1,12 +1,15 @@
-"""Simulated time, shared by threads that take turns: as fast as the computer allows, and the same in every run.
+"""Simulated time, shared by threads that take turns: as fast as the computer allows, and the same
+in every run.
 
-The thread that makes the clock and those that it spawns are its members. Exactly one of them runs, until it waits; then
-the one that has waited for longest goes on, of those that need not wait any more. Only when all of them wait does time
-move on, to the earliest moment that one of them waits for. So computing takes no time, nothing is ever late, and
-nothing depends on how the operating system shares the processor out. Any other thread, such as a test's own or one that
-reads a keyboard, may use the clock too, but nobody waits for it.
+The thread that makes the clock and those that it spawns are its members. Exactly one of them runs,
+until it waits; then the one that has waited for longest goes on, of those that need not wait any
+more. Only when all of them wait does time move on, to the earliest moment that one of them waits
+for. So computing takes no time, nothing is ever late, and nothing depends on how the operating
+system shares the processor out. Any other thread, such as a test's own or one that reads a
+keyboard, may use the clock too, but nobody waits for it.
 
-A member must not wait for another one in any other way, as by `threading.Event`: everybody would stand still.
+A member must not wait for another one in any other way, as by `threading.Event`: everybody would
+stand still.
 """
 
 import math
@@ -21,7 +24,8 @@ BEGIN_S = 1000.0
 """Start of every simulated time [s]; not 0, which stands for "never" in places."""
 
 RECHECK_S = 0.5
-"""Real time between two looks of a waiting thread at whether it is its turn, should a Ctrl-C have lost its signal."""
+"""Real time between two looks of a waiting thread at whether it is its turn, should a Ctrl-C have
+lost its signal."""
 
 
 class _Member:
@@ -38,12 +42,14 @@ class SimulatedClock(Clock):
     """Use it in the thread that makes it, and in those that it spawns."""
 
     def __init__(self) -> None:
-        self._now, self._wall = BEGIN_S, time.time()
+        self._now = BEGIN_S
+        self._wall = time.time()
         self._suspended_s = 0.0
         self.shared: dict[Any, Any] = {}
         """Buses, sockets and pages of this time, by their address."""
         self._guard = threading.RLock()
-        """Protects everything below; held for moments, since other threads than members come in as well."""
+        """Protects everything below; held for moments, since other threads than members come in as
+        well."""
         self._waiting: list[_Member] = []
         self._local = threading.local()
         self._running: _Member | None = _Member()
@@ -62,7 +68,8 @@ class SimulatedClock(Clock):
         return self._suspended_s
 
     def suspend(self, seconds: float) -> None:
-        """Suspend the computer for so long: the time does not move, as that of the real clock does not."""
+        """Suspend the computer for so long: the time does not move, as that of the real clock does
+        not."""
         self._suspended_s += seconds
 
     def sleep(self, seconds: float) -> None:
@@ -89,16 +96,19 @@ class SimulatedClock(Clock):
         return thread
 
     def wait_for(self, ready: Callable[[], Any], timeout: float | None = None) -> bool:
-        """Let the others run until something is true, or until a timeout [s]; whether it is true."""
+        """Let the others run until something is true, or until a timeout [s]; whether it is
+        true."""
         if ready():
             return True
         member: _Member | None = getattr(self._local, "member", None)
         me = member or _Member()
-        me.ready, me.end = ready, math.inf if timeout is None else self._now + timeout
+        me.ready = ready
+        me.end = math.inf if timeout is None else self._now + timeout
         try:
             self._wait(me)
         except BaseException:
-            # Ctrl-C: this wait is over, but two members must not run at once; a second Ctrl-C does not wait for that.
+            # Ctrl-C: this wait is over, but two members must not run at once; a second Ctrl-C does
+            # not wait for that.
             me.ready = lambda: True
             self._wait(me)
             raise
@@ -108,7 +118,8 @@ class SimulatedClock(Clock):
         return is_ready
 
     def go_on(self) -> None:
-        """Have the next member run, where all wait; at the earliest moment that one waits for, where none is ready."""
+        """Have the next member run, where all wait; at the earliest moment that one waits for,
+        where none is ready."""
         with self._guard:
             if self._running is not None or not self._waiting:
                 return
@@ -146,7 +157,9 @@ class SimulatedClock(Clock):
 class _Thread(threading.Thread):
     def __init__(self, clock: SimulatedClock, target: Callable[[], object], name: str) -> None:
         super().__init__(target=target, name=name, daemon=True)
-        self.member, self._clock, self._has_ended = _Member(), clock, False
+        self.member = _Member()
+        self._clock = clock
+        self._has_ended = False
 
     def run(self) -> None:
         self._clock._local.member = self.member
@@ -166,16 +179,22 @@ class _Thread(threading.Thread):
 
 class _Condition(threading.Condition):
     def __init__(self, clock: SimulatedClock) -> None:
-        self._clock, self._owner, self._count, self._news = clock, 0, 0, 0
+        self._clock = clock
+        self._owner = 0
+        self._count = 0
+        self._news = 0
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
         me = threading.get_ident()
         while True:
             with self._clock._guard:
                 if self._owner in (0, me):
-                    self._owner, self._count = me, self._count + 1
+                    self._owner = me
+                    self._count = self._count + 1
                     return True
-            if not blocking or not self._clock.wait_for(lambda: self._owner == 0, None if timeout < 0 else timeout):
+            if not blocking or not self._clock.wait_for(
+                lambda: self._owner == 0, None if timeout < 0 else timeout
+            ):
                 return False
 
     def release(self) -> None:
@@ -195,7 +214,9 @@ class _Condition(threading.Condition):
         return bool(self.wait_for(lambda: self._news != before, timeout))
 
     def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
-        held, self._count, self._owner = self._count, 0, 0
+        held = self._count
+        self._count = 0
+        self._owner = 0
         try:
             return self._clock.wait_for(predicate, timeout)
         finally:

@@ -1,4 +1,5 @@
-"""Connections to emulated devices within the process, in simulated time: a CAN bus, datagrams, web pages."""
+"""Connections to emulated devices within the process, in simulated time: a CAN bus, datagrams, web
+pages."""
 
 import copy
 import itertools
@@ -15,19 +16,22 @@ SIMULATED = "simulated"
 """Interface of a bus in a rig's file."""
 
 RMEM_MAX_BYTES = 212_992
-"""Largest receive buffer that a program may ask for: Linux's default of `net.core.rmem_max`. Linux doubles it."""
+"""Largest receive buffer that a program may ask for: Linux's default of `net.core.rmem_max`. Linux
+doubles it."""
 
 TRUESIZE_BYTES = 768
 """Memory that Linux counts for a datagram of one record, most of which is its own bookkeeping."""
 
 DATE = "date"
-"""Key in a clock's `shared` of how far the date is ahead of the clock [s]; 0 if it is missing. A test may set it."""
+"""Key in a clock's `shared` of how far the date is ahead of the clock [s]; 0 if it is missing. A
+test may set it."""
 
 _free_ports = itertools.count(50_000)
 
 
 def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
-    """Open the bus of an `epos2.config.BusConfig`, whose fields are the arguments of python-can, and raise its errors.
+    """Open the bus of an `epos2.config.BusConfig`, whose fields are the arguments of python-can,
+    and raise its errors.
 
     On a simulated clock it is that of this process, whatever the interface.
     """
@@ -63,7 +67,8 @@ class SimulatedBus(can.BusABC):
             self._all.remove(self)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, None where none comes in so many seconds; raises CanOperationError once it is shut down."""
+        """The next frame, None where none comes in so many seconds; raises CanOperationError once
+        it is shut down."""
         self._clock.wait_for(lambda: self._frames or self not in self._all, timeout)
         self._check_open()
         return self._frames.popleft() if self._frames else None
@@ -74,12 +79,13 @@ class SimulatedBus(can.BusABC):
 
 
 def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
-    """A page of an emulated sensor, None where it has no such page; raises DeviceError without a server."""
+    """A page of an emulated sensor, None where it has no such page; raises DeviceError without a
+    server."""
     pages: dict[str, bytes] | None = clock.shared.get(("http", host, port))
     if pages is None:
         raise DeviceError(
-            f"http://{host}:{port}{path}: the force sensor's page cannot be read (nobody serves it); "
-            "check its power, cable and address, and http_port"
+            f"http://{host}:{port}{path}: the force sensor's page cannot be read (nobody serves "
+            "it); check its power, cable and address, and http_port"
         )
     return pages.get(path)
 
@@ -87,11 +93,13 @@ def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str)
 class SimulatedSocket:
     """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`.
 
-    As in Linux, the buffer is counted in bytes, a full one drops what is new, and each datagram is stamped with the
-    date, which may be set, at which it arrived.
+    As in Linux, the buffer is counted in bytes, a full one drops what is new, and each datagram is
+    stamped with the date, which may be set, at which it arrived.
     """
 
-    def __init__(self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0) -> None:
+    def __init__(
+        self, clock: SimulatedClock, host: str, port: int = 0, timeout: float = 0.0
+    ) -> None:
         self._clock = clock
         self.timeout = timeout
         self.address = (host, port or next(_free_ports))
@@ -132,10 +140,15 @@ class SimulatedSocket:
         return len(data)
 
     def receive(self) -> tuple[bytes, float, tuple[str, int]]:
-        """A datagram, the date of its arrival [s] and its sender; raises BlockingIOError where none comes in time."""
+        """A datagram, the date of its arrival [s] and its sender; raises BlockingIOError where none
+        comes in time."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
-        if not (self._clock.wait_for(lambda: self._received, self.timeout) if self.timeout else self._received):
+        if not (
+            self._clock.wait_for(lambda: self._received, self.timeout)
+            if self.timeout
+            else self._received
+        ):
             raise BlockingIOError
         return self._received.popleft()
 

@@ -1,4 +1,5 @@
-"""Ways to stop a moving fin besides the safety limits: signals, a key on the terminal, a watchdog above the loop."""
+"""Ways to stop a moving fin besides the safety limits: signals, a key on the terminal, a watchdog
+above the loop."""
 
 import contextlib
 import signal
@@ -16,7 +17,8 @@ STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 """The signals that stop the fin; the last is Ctrl-Z: a program that sleeps watches over nothing."""
 
 PATIENCE_S = 2.0
-"""Time within which a second signal must not disturb the stop that the first one began: people press Ctrl-C twice [s].
+"""Time within which a second signal must not disturb the stop that the first one began: people
+press Ctrl-C twice [s].
 """
 
 
@@ -26,7 +28,8 @@ class StopRequest:
     def __init__(self) -> None:
         self.trip: Trip | None = None
         self.is_obeyed = False
-        """Whether the machine is being stopped, which is bounded in time: no signal must break that off."""
+        """Whether the machine is being stopped, which is bounded in time: no signal must break that
+        off."""
 
     def ask(self, cause: str, reason: str) -> None:
         """Ask for a stop."""
@@ -36,14 +39,16 @@ class StopRequest:
 
 @contextmanager
 def stopped_by_signals(request: StopRequest) -> Iterator[None]:
-    """Ctrl-C and its kin raise the flag, instead of an exception somewhere in the loop; only in the main thread."""
+    """Ctrl-C and its kin raise the flag, instead of an exception somewhere in the loop; only in the
+    main thread."""
     asked: list[float] = []
 
     def handle(number: int, _: FrameType | None) -> None:
         name = signal.Signals(number).name
         asked.append(time.monotonic())
         if asked[-1] - asked[0] > PATIENCE_S and not request.is_obeyed:
-            # The first one was not obeyed, as while figures are drawn: now the program ends as others do.
+            # The first one was not obeyed, as while figures are drawn: now the program ends as
+            # others do.
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
@@ -53,7 +58,8 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
 
 @contextmanager
 def interrupted_by_signals() -> Iterator[None]:
-    """The first of Ctrl-C and its kin raises KeyboardInterrupt, so that what powers a motor ends by stopping it.
+    """The first of Ctrl-C and its kin raises KeyboardInterrupt, so that what powers a motor ends by
+    stopping it.
 
     Later ones are ignored: they would break the stop off, which is bounded in time.
     """
@@ -76,7 +82,8 @@ def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterat
         yield
         return
     numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
-    # Under nohup the end of the terminal is ignored on purpose: a night's collection must survive a dropped ssh.
+    # Under nohup the end of the terminal is ignored on purpose: a night's collection must survive a
+    # dropped ssh.
     numbers = [number for number in numbers if not _is_ignored_hangup(number)]
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
@@ -93,7 +100,8 @@ def _is_ignored_hangup(number: signal.Signals) -> bool:
 def listen_to_keyboard(
     request: StopRequest, on_line: Callable[[str], None], stream: Iterable[str] | None = None
 ) -> threading.Thread:
-    """Start a thread that reads a terminal: Enter alone asks for a stop, other lines go to `on_line`."""
+    """Start a thread that reads a terminal: Enter alone asks for a stop, other lines go to
+    `on_line`."""
     lines = sys.stdin if stream is None else stream
 
     def listen() -> None:
@@ -109,20 +117,26 @@ def listen_to_keyboard(
 
 
 SIGNAL_CHECK_S = 0.2
-"""Longest time for which the main thread waits for a lock [s]. The kernel may give a signal to another thread, which
-does not wake the main thread, where Python handles it."""
+"""Longest time for which the main thread waits for a lock [s]. The kernel may give a signal to
+another thread, which does not wake the main thread, where Python handles it."""
 
 
 class Watchdog:
-    """A thread that stops the machine when the loop is silent, as where a controller waits for ever.
+    """A thread that stops the machine when the loop is silent, as where a controller waits for
+    ever.
 
-    A loop that is stuck in C code which holds the interpreter's lock stops this thread, too. Then the rig's drive stops
-    the motor itself: without the host's heartbeat for `drive.heartbeat_s` it faults (0x8130). Behind ROS 2's topics
-    nothing like it exists: the fin's driver has to notice missing commands.
+    A loop that is stuck in C code which holds the interpreter's lock stops this thread, too. Then
+    the rig's drive stops the motor itself: without the host's heartbeat for `drive.heartbeat_s` it
+    faults (0x8130). Behind ROS 2's topics nothing like it exists: the fin's driver has to notice
+    missing commands.
     """
 
-    def __init__(self, longest_s: float, on_silence: Callable[[float], None], clock: Clock = REAL) -> None:
-        self._longest, self._on_silence, self._clock = longest_s, on_silence, clock
+    def __init__(
+        self, longest_s: float, on_silence: Callable[[float], None], clock: Clock = REAL
+    ) -> None:
+        self._longest = longest_s
+        self._on_silence = on_silence
+        self._clock = clock
         self._fed = clock()
         self._ended = clock.event()
         clock.spawn(self._watch, "watchdog")

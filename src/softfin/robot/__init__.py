@@ -1,1 +1,2 @@
-"""Robots with several fins on one body: forces and torques asked for, fins that make them, control of motion."""
+"""Robots with several fins on one body: forces and torques asked for, fins that make them, control
+of motion."""

@@ -1,14 +1,16 @@
-"""Allocation: a wrench on the body becomes one mean force a fin, within what each fin can make. NumPy alone.
+"""Allocation: a wrench on the body becomes one mean force a fin, within what each fin can make.
+NumPy alone.
 
 Forces f = (x, y of the first fin, of the second, ...) minimise
 
     |Q^(1/2) (B f - wrench)|^2 / 2 + ridge / 2 sum_i |f_i - p_i|^2 / r_i^2,   |f_i| <= r_i
 
-with the fins' matrix B, priorities Q, preferred forces p and reaches r. Where no fin is at its reach that is linear in
-the wrench, and the ridge is so small that all of the wrench is made. Where some are, it is a quadratic programme over
-disks, solved by an accelerated projected gradient with restarts (Nesterov 1983; O'Donoghue and Candes 2015): some steps
-a call, which begin at the forces of the call before. From anywhere they come within 0.1 N of the optimum in nine cases
-of ten; while a robot goes on asking for much the same, they arrive.
+with the fins' matrix B, priorities Q, preferred forces p and reaches r. Where no fin is at its
+reach that is linear in the wrench, and the ridge is so small that all of the wrench is made. Where
+some are, it is a quadratic programme over disks, solved by an accelerated projected gradient with
+restarts (Nesterov 1983; O'Donoghue and Candes 2015): some steps a call, which begin at the forces
+of the call before. From anywhere they come within 0.1 N of the optimum in nine cases of ten; while
+a robot goes on asking for much the same, they arrive.
 """
 
 from typing import NamedTuple
@@ -17,15 +19,18 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 RIDGE = 1e-5
-"""Weight of the distance to the preferred forces; 10,000 times it would miss 0.3 N in the weakest axis."""
+"""Weight of the distance to the preferred forces; 10,000 times it would miss 0.3 N in the weakest
+axis."""
 
 GRADIENT_STEPS = 10
 """Steps of the projected gradient in a call, beyond reach."""
 
-TOUCHING, SETTLING = 1e-6, 20
+TOUCHING = 1e-6
+SETTLING = 20
 
 GIVEN_UP = 0.03
-"""An axis counts as given up where more than this part of the wrench is missing [-], and over `SMALL`."""
+"""An axis counts as given up where more than this part of the wrench is missing [-], and over
+`SMALL`."""
 
 SMALL = (0.02, 0.02, 0.02, 0.005, 0.005, 0.005)
 """[N, N m]"""
@@ -49,8 +54,12 @@ class Allocation(NamedTuple):
 class Allocator:
     """Shares wrenches among the fins of one robot."""
 
-    def __init__(self, matrix: Float[np.ndarray, "6 columns"], reach: Float[np.ndarray, "fins"],
-                 priority: SixVector | None = None) -> None:  # fmt: skip
+    def __init__(
+        self,
+        matrix: Float[np.ndarray, "6 columns"],
+        reach: Float[np.ndarray, "fins"],
+        priority: SixVector | None = None,
+    ) -> None:
         self.matrix = np.asarray(matrix, float)
         self._priority = np.ones(6) if priority is None else np.asarray(priority, float)
         self.reach = np.asarray(reach, float)
@@ -67,14 +76,17 @@ class Allocator:
         scaled = self.matrix * self._scale
         weighted = scaled.T * self._priority
         normal = weighted @ scaled + RIDGE * np.eye(len(self._scale))
-        self._share, self._gain = weighted, np.linalg.inv(normal) @ weighted
+        self._share = weighted
+        self._gain = np.linalg.inv(normal) @ weighted
         self._step = 1 / float(np.linalg.eigvalsh(normal)[-1])
         self._descend = np.eye(len(self._scale)) - self._step * normal
 
     def reach_along(self, axis: int) -> float:
-        """Return the greatest force or moment along one axis with none along the others [N, N m], within 1%."""
+        """Return the greatest force or moment along one axis with none along the others [N, N m],
+        within 1%."""
         unit = np.eye(6)[axis]
-        low, high = 0.0, float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
+        low = 0.0
+        high = float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
         for _ in range(12):
             middle = (low + high) / 2
             found = self.allocate(middle * unit)
@@ -84,10 +96,13 @@ class Allocator:
             low, high = (middle, high) if missing < 0.01 * middle else (low, middle)
         return low
 
-    def allocate(self, wrench: SixVector, preferred: Forces | None = None, start: Forces | None = None) -> Allocation:
+    def allocate(
+        self, wrench: SixVector, preferred: Forces | None = None, start: Forces | None = None
+    ) -> Allocation:
         """Share a wrench in body axes [N, N m]; every finite wrench has an answer.
 
-        Where it is beyond reach, the search begins at the forces `start`, such as those of the action before.
+        Where it is beyond reach, the search begins at the forces `start`, such as those of the
+        action before.
         """
         near = self._over_reach(preferred)
         parts = near + self._gain @ (wrench - self.matrix @ (near * self._scale))
@@ -107,9 +122,12 @@ class Allocator:
         return parts
 
     def _within(self, right: Columns, parts: Columns) -> Columns:
-        """Return forces over reaches of which none is longer than 1, after some steps towards the best."""
+        """Return forces over reaches of which none is longer than 1, after some steps towards the
+        best."""
         # A gradient step is linear: descend @ x + shift.
-        shift, ahead, momentum = self._step * right, parts, 1.0
+        shift = self._step * right
+        ahead = parts
+        momentum = 1.0
         for _ in range(GRADIENT_STEPS):
             after = _clipped(self._descend.dot(ahead) + shift)
             moved = after - parts
@@ -117,7 +135,8 @@ class Allocator:
                 momentum = 1.0
             following = (1 + (1 + 4 * momentum * momentum) ** 0.5) / 2
             ahead = after + (momentum - 1) / following * moved
-            parts, momentum = after, following
+            parts = after
+            momentum = following
         return parts
 
 

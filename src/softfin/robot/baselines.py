@@ -24,9 +24,10 @@ FORCES_N = np.linspace(0, 12, 49)
 def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
     """Return drivers by name, the simplest last.
 
-    In `still water`, fins do not make up for what the robot's motion costs them. Independent phases are drawn anew for
-    every trial. The pseudo-inverse has no bracing and shares a wrench by least squares. The analytic driver is that of
-    the U-CAT robots, its amplitude law at the frequency of our strokes.
+    In `still water`, fins do not make up for what the robot's motion costs them. Independent phases
+    are drawn anew for every trial. The pseudo-inverse has no bracing and shares a wrench by least
+    squares. The analytic driver is that of the U-CAT robots, its amplitude law at the frequency of
+    our strokes.
     """
     still = [each._replace(stream_loss=np.zeros_like(each.stream_loss)) for each in gaits]
     plain = robot.merged({"allocation": {"brace_n": 0, "smoothing": 0}}, "baseline")
@@ -45,10 +46,13 @@ def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeD
 
 
 def _analytic(gaits: FinGaits) -> FinGaits:
-    """The amplitudes of the inverse model, up to its greatest, with the limits and the ripple of a fin's gaits."""
+    """The amplitudes of the inverse model, up to its greatest, with the limits and the ripple of a
+    fin's gaits."""
     model = InverseConfig()
     amplitude = amplitude_of(FORCES_N, STROKE_HZ, model.constant)
     count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))
     amplitude = np.maximum(amplitude[:count], model.amplitude_min_rad)
-    ripple = np.stack([np.interp(amplitude, gaits.amplitude, part) for part in gaits.ripple.T], axis=1)
+    ripple = np.stack(
+        [np.interp(amplitude, gaits.amplitude, part) for part in gaits.ripple.T], axis=1
+    )
     return FinGaits(FORCES_N[:count], amplitude, ripple, np.zeros((count, 2)), gaits.limits)

@@ -13,7 +13,8 @@ SixNotNegative = tuple[Least0, Least0, Least0, Least0, Least0, Least0]
 
 
 class BodyConfig(Configuration):
-    """A rigid body in water; six numbers are of x, y, z and of roll, pitch, yaw, in body axes about the origin."""
+    """A rigid body in water; six numbers are of x, y, z and of roll, pitch, yaw, in body axes about
+    the origin."""
 
     mass_kg: PositiveFloat
     """Mass [kg]."""
@@ -43,22 +44,34 @@ class BodyConfig(Configuration):
         return np.diag(given) if given.ndim == 1 else given
 
     def own_inertia(self) -> np.ndarray:
-        """Return the inertia about the origin as a matrix ``(6, 6)``, without the added mass (Fossen 2021, 3.3)."""
+        """Return the inertia about the origin as a matrix ``(6, 6)``, without the added mass
+        (Fossen 2021, 3.3)."""
         x, y, z = self.centre_of_gravity_m
         lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         mass = self.mass_kg
-        return np.block([[mass * np.eye(3), -mass * lever], [mass * lever, self.moments() - mass * lever @ lever]])
+        return np.block(
+            [
+                [mass * np.eye(3), -mass * lever],
+                [mass * lever, self.moments() - mass * lever @ lever],
+            ]
+        )
 
     @model_validator(mode="after")
     def _is_a_body(self) -> "BodyConfig":
         moments = self.moments()
         if not np.allclose(moments, moments.T):
-            raise ValueError(f"inertia_kg_m2 = {moments.tolist()} is not symmetric; give a symmetric matrix")
+            raise ValueError(
+                f"inertia_kg_m2 = {moments.tolist()} is not symmetric; give a symmetric matrix"
+            )
         least, middle, most = np.linalg.eigvalsh(moments)
         if least <= 0:
-            raise ValueError(f"inertia_kg_m2 = {np.asarray(self.inertia_kg_m2).tolist()} is singular or negative: its "
-                             f"least principal moment is {least:.4g}; all must be over 0 kg m2")  # fmt: skip
+            raise ValueError(
+                f"inertia_kg_m2 = {np.asarray(self.inertia_kg_m2).tolist()} is singular or "
+                f"negative: its least principal moment is {least:.4g}; all must be over 0 kg m2"
+            )
         if least + middle < most * (1 - 1e-6):
-            raise ValueError(f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}: no body has "
-                             "one greater than the sum of the others")  # fmt: skip
+            raise ValueError(
+                f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}: no "
+                "body has one greater than the sum of the others"
+            )
         return self

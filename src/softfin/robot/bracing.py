@@ -1,6 +1,8 @@
-"""Bracing: fins push against each other where a weak force would have no steady direction. NumPy alone.
+"""Bracing: fins push against each other where a weak force would have no steady direction. NumPy
+alone.
 
-Between a wrench and the mean force of each fin [N], action by action: allocation, bracing, smoothing.
+Between a wrench and the mean force of each fin [N], action by action: allocation, bracing,
+smoothing.
 """
 
 import itertools
@@ -12,7 +14,8 @@ from jaxtyping import Float
 from softfin.robot.allocation import Allocation, Allocator, Forces, SixVector
 from softfin.robot.description import RobotConfig
 
-WAYS, SIZES = 8, (0.5, 1.0, 1.5)
+WAYS = 8
+SIZES = (0.5, 1.0, 1.5)
 """Bracing that is tried: ways within the forces that cancel, sizes over the least force."""
 
 EFFORT = 0.02
@@ -28,7 +31,9 @@ class BracedAllocation:
     def __init__(self, robot: RobotConfig, reach: Sequence[float | int]) -> None:
         """`reach` is the greatest mean force of each fin [N]."""
         self._config = robot.allocation
-        self.allocator = Allocator(robot.matrix(), np.array(reach, float), np.asarray(self._config.priority, float))
+        self.allocator = Allocator(
+            robot.matrix(), np.array(reach, float), np.asarray(self._config.priority, float)
+        )
         self.dead: tuple[int, ...] = ()
         self._braces = self._bracing()
 
@@ -41,7 +46,8 @@ class BracedAllocation:
         self._braces = self._bracing()
 
     def share(self, wrench: SixVector, forces: Forces, brace: Forces) -> tuple[Allocation, Forces]:
-        """Share a wrench in body axes [N, N m], after the forces and the bracing of the last action.
+        """Share a wrench in body axes [N, N m], after the forces and the bracing of the last
+        action.
 
         Returns:
             The allocation and its bracing: forces that cancel one another.
@@ -63,7 +69,9 @@ class BracedAllocation:
         found = [np.zeros(len(alive))]
         if least and len(free):
             first, second = _axes(free)
-            for angle, size in itertools.product(np.linspace(0, 2 * np.pi, WAYS, endpoint=False), SIZES):
+            for angle, size in itertools.product(
+                np.linspace(0, 2 * np.pi, WAYS, endpoint=False), SIZES
+            ):
                 way = np.zeros(len(alive))
                 way[alive] = first * np.cos(angle) + second * np.sin(angle)
                 greatest = np.abs(way.view(complex)).max()
@@ -72,7 +80,8 @@ class BracedAllocation:
         return np.array(found).reshape(len(found), -1, 2)
 
     def _brace(self, forces: Forces, present: Forces) -> Forces:
-        """Return the bracing under which fins make the least force, or nearly so, with little effort."""
+        """Return the bracing under which fins make the least force, or nearly so, with little
+        effort."""
         least = self._config.brace_n
         if len(self._braces) == 1:
             return np.zeros_like(forces)
@@ -82,7 +91,8 @@ class BracedAllocation:
         lacking = (np.maximum(least - sizes, 0) ** 2)[:, alive].sum(axis=1)
         beyond = (np.maximum(sizes - self.allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
         costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
-        # By its forces, not by a number: after a death there are other ways, and the present one may be none of them.
+        # By its forces, not by a number: after a death there are other ways, and the present one
+        # may be none of them.
         unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
         costs[unchanged] -= self._config.brace_change
         # Of ways that cost the same the first, however the last digits are rounded.
@@ -90,11 +100,14 @@ class BracedAllocation:
 
 
 def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 columns"]:
-    """Two ways to push that make no wrench: as near to y of the last fin as one can, and across; 0 where there is none.
+    """Two ways to push that make no wrench: as near to y of the last fin as one can, and across; 0
+    where there is none.
 
-    The rows of `free` span all ways; how they are turned in their span depends on the library of linear algebra.
+    The rows of `free` span all ways; how they are turned in their span depends on the library of
+    linear algebra.
     """
-    left, found = free.T @ free, np.zeros((2, free.shape[1]))
+    left = free.T @ free
+    found = np.zeros((2, free.shape[1]))
     for axis in found:
         lengths = np.linalg.norm(left, axis=1)
         if lengths.max() > 1e-6:

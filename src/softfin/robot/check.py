@@ -16,17 +16,22 @@ WEAK = 1e-3
 
 
 def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]:
-    """Return rank and singular values, with all fins and without each of them, reach and acceleration of every axis.
+    """Return rank and singular values, with all fins and without each of them, reach and
+    acceleration of every axis.
 
     `problems` are sentences about a body that cannot be controlled as it is described.
     """
-    matrix, count = robot.matrix(), len(robot.fins)
+    matrix = robot.matrix()
+    count = len(robot.fins)
     reach = np.array([each.reach for each in gaits])
     allocator = Allocator(matrix, reach)
     along = np.array([allocator.reach_along(axis) for axis in range(6)])
     dynamics = Dynamics.of(robot.body)
     inertia = np.asarray(dynamics.inertia).diagonal()
-    without = {name: _rank(np.delete(matrix, [2 * fin, 2 * fin + 1], axis=1)) for fin, name in enumerate(robot.fins)}
+    without = {
+        name: _rank(np.delete(matrix, [2 * fin, 2 * fin + 1], axis=1))
+        for fin, name in enumerate(robot.fins)
+    }
     return {
         "robot": robot.name,
         "fins": count,
@@ -35,7 +40,9 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
         "rank_without": without if count > 1 else {},
         "fin_reach_n": dict(zip(robot.fins, (round(float(r), 3) for r in reach), strict=True)),
         "reach": {name: round(most, 3) for name, most in zip(WRENCH_AXES, along, strict=True)},
-        "acceleration": {name: round(float(a), 3) for name, a in zip(WRENCH_AXES, along / inertia, strict=True)},
+        "acceleration": {
+            name: round(float(a), 3) for name, a in zip(WRENCH_AXES, along / inertia, strict=True)
+        },
         "sinks_n": round(robot.body.mass_kg * GRAVITY_M_S2 - robot.body.upward_n, 3),
         "righting_nm_rad": round(dynamics.righting_nm_rad, 3),
         "swing_hz": _swing_frequencies(dynamics),
@@ -44,9 +51,11 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]
 
 
 def _swing_frequencies(dynamics: Dynamics) -> dict[str, float]:
-    """Return the frequencies at which the body swings about upright [Hz]; none where nothing rights it.
+    """Return the frequencies at which the body swings about upright [Hz]; none where nothing rights
+    it.
 
-    Without drag, and with sway and surge free to follow: a centre of gravity off the origin couples them.
+    Without drag, and with sway and surge free to follow: a centre of gravity off the origin couples
+    them.
     """
     if dynamics.righting_nm_rad <= 0:
         return {}
@@ -54,7 +63,9 @@ def _swing_frequencies(dynamics: Dynamics) -> dict[str, float]:
     for name, follows in (("roll", "sway"), ("pitch", "surge")):
         axes = [WRENCH_AXES.index(follows), WRENCH_AXES.index(name)]
         compliance = np.linalg.inv(dynamics.inertia[np.ix_(axes, axes)])
-        frequencies[name] = round(float(np.sqrt(dynamics.righting_nm_rad * compliance[1, 1]) / (2 * np.pi)), 3)
+        frequencies[name] = round(
+            float(np.sqrt(dynamics.righting_nm_rad * compliance[1, 1]) / (2 * np.pi)), 3
+        )
     return frequencies
 
 
@@ -62,10 +73,14 @@ def _stability_problems(dynamics: Dynamics) -> list[str]:
     righting = dynamics.righting_nm_rad
     if righting > 0:
         return []
-    effect = f"turn it away from upright with {-righting:.3g} N m/rad" if righting < 0 else "do not right it"
+    effect = (
+        f"turn it away from upright with {-righting:.3g} N m/rad"
+        if righting < 0
+        else "do not right it"
+    )
     return [
-        f"body: unstable in roll and pitch: weight and buoyancy {effect}, and the controller leaves these axes to "
-        "them; put centre_of_buoyancy_m above centre_of_gravity_m (z is up)"
+        f"body: unstable in roll and pitch: weight and buoyancy {effect}, and the controller "
+        "leaves these axes to them; put centre_of_buoyancy_m above centre_of_gravity_m (z is up)"
     ]
 
 

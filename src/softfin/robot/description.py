@@ -30,11 +30,13 @@ class FinMountConfig(Configuration):
     position_m: Three
     """Shaft, where its force acts [m]."""
     zero_direction: Three
-    """Unit vector along which the fin's thrust pushes the body when the shaft is at angle 0: x of the fin's axes."""
+    """Unit vector along which the fin's thrust pushes the body when the shaft is at angle 0: x of
+    the fin's axes."""
     shaft_axis: Three
     """Unit vector about which positive angles turn, by the right hand."""
     range_rad: tuple[float, float] | None = None
-    """Least and greatest angle of the shaft [rad]; none: it turns all the way round. So far others are refused."""
+    """Least and greatest angle of the shaft [rad]; none: it turns all the way round. So far others
+    are refused."""
     plant: str = "tank"
     """Fin: tank, or the YAML file of another tank; on a real robot it does not count."""
 
@@ -43,18 +45,24 @@ class FinMountConfig(Configuration):
         for name in ("zero_direction", "shaft_axis"):
             length = float(np.linalg.norm(getattr(self, name)))
             if abs(length - 1) > UNIT_TOLERANCE:
-                raise ValueError(f"{name} = {list(getattr(self, name))} has length {length:.4g}; give a unit vector")
+                raise ValueError(
+                    f"{name} = {list(getattr(self, name))} has length {length:.4g}; give a unit "
+                    "vector"
+                )
         along = float(np.dot(self.zero_direction, self.shaft_axis))
         if abs(along) > UNIT_TOLERANCE:
-            raise ValueError(f"zero_direction and shaft_axis have the scalar product {along:.3g}; a fin pushes at "
-                             "right angles to its shaft")  # fmt: skip
+            raise ValueError(
+                f"zero_direction and shaft_axis have the scalar product {along:.3g}; a fin pushes "
+                "at right angles to its shaft"
+            )
         if self.range_rad is not None and not self.range_rad[0] < self.range_rad[1]:
             raise ValueError(f"range_rad = {list(self.range_rad)}: the least angle comes first")
         return self
 
     def axes(self) -> Float[np.ndarray, "3 2"]:
         """Return the x and y of the fin's own forces, as columns in body axes."""
-        x, shaft = np.asarray(self.zero_direction), np.asarray(self.shaft_axis)
+        x = np.asarray(self.zero_direction)
+        shaft = np.asarray(self.shaft_axis)
         # A positive angle turns thrust from +x towards -y.
         return np.stack([x, np.cross(x, shaft)], axis=1)
 
@@ -70,7 +78,8 @@ class FinMounts(NamedTuple):
     """Unit vectors along the shafts."""
 
     def velocities(self, twist: Float[AnyArray, "6"]) -> list[Float[AnyArray, "2"]]:
-        """Return each mount's velocity in its own axes [m/s] from a twist of the body [m/s, rad/s]."""
+        """Return each mount's velocity in its own axes [m/s] from a twist of the body [m/s,
+        rad/s]."""
         places = zip(self.places, self.axes, strict=True)
         return [(twist[:3] + cross(twist[3:], place)) @ axes for place, axes in places]
 
@@ -96,23 +105,34 @@ class RobotConfig(Configuration):
     def mounts(self) -> FinMounts:
         """Return the mounts of the fins, in their order."""
         fins = self.fins.values()
-        places, shafts = ([getattr(fin, name) for fin in fins] for name in ("position_m", "shaft_axis"))
-        return FinMounts(np.array(places, float), np.array([fin.axes() for fin in fins]), np.array(shafts, float))
+        places, shafts = (
+            [getattr(fin, name) for fin in fins] for name in ("position_m", "shaft_axis")
+        )
+        return FinMounts(
+            np.array(places, float), np.array([fin.axes() for fin in fins]), np.array(shafts, float)
+        )
 
     def matrix(self) -> Float[np.ndarray, "6 columns"]:
-        """Return the wrench in body axes of each fin's unit forces: columns x and y of the first fin, of the second."""
+        """Return the wrench in body axes of each fin's unit forces: columns x and y of the first
+        fin, of the second."""
         places, axes, _ = self.mounts()
-        columns = [np.concatenate([a, np.cross(place, a, axisb=0).T]) for place, a in zip(places, axes, strict=True)]
+        columns = [
+            np.concatenate([a, np.cross(place, a, axisb=0).T])
+            for place, a in zip(places, axes, strict=True)
+        ]
         return np.concatenate(columns, axis=1)
 
 
 def load_robot(name: str) -> RobotConfig:
-    """Load a robot that is built in, or a YAML file; raises ConfigurationError in one line for anything else."""
+    """Load a robot that is built in, or a YAML file; raises ConfigurationError in one line for
+    anything else."""
     if name in BUILT_IN:
         text = files("softfin.robot").joinpath(f"robots/{name}.yaml").read_text()
         return RobotConfig.build(parse_yaml(text), name)
     path = Path(name)
     if not path.is_file():
-        raise ConfigurationError(f"robot {name}: there is no such file; give a YAML file, or {', '.join(BUILT_IN)}, "
-                                 "which is built in")  # fmt: skip
+        raise ConfigurationError(
+            f"robot {name}: there is no such file; give a YAML file, or {', '.join(BUILT_IN)}, "
+            "which is built in"
+        )
     return RobotConfig.build(read_yaml(path), name)

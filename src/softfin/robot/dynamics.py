@@ -1,9 +1,11 @@
-"""A rigid body in water, in 6 degrees of freedom (Fossen 2021, Handbook of Marine Craft, ch. 6 to 8).
+"""A rigid body in water, in 6 degrees of freedom (Fossen 2021, Handbook of Marine Craft, ch. 6 to
+8).
 
-Body axes are x forward, y left, z up (REP 103), world axes have z up. A twist is (velocity of the body's origin,
-angular velocity) and a wrench (force, moment about the origin), six numbers each, in body axes. The added mass is part
-of the inertia, and the body's momentum obeys Kirchhoff's equations (Lamb 1932, art. 124), which hold the Coriolis
-forces of body and water and the Munk moment. The formulas run with NumPy on the robot, and with JAX in simulations.
+Body axes are x forward, y left, z up (REP 103), world axes have z up. A twist is (velocity of the
+body's origin, angular velocity) and a wrench (force, moment about the origin), six numbers each, in
+body axes. The added mass is part of the inertia, and the body's momentum obeys Kirchhoff's
+equations (Lamb 1932, art. 124), which hold the Coriolis forces of body and water and the Munk
+moment. The formulas run with NumPy on the robot, and with JAX in simulations.
 """
 
 from typing import NamedTuple
@@ -55,15 +57,31 @@ class Dynamics(NamedTuple):
     def of(cls, config: BodyConfig) -> "Dynamics":
         """Build them from a configuration."""
         inertia = config.own_inertia() + np.diag(config.added_mass)
-        vectors = config.drag_linear, config.drag_quadratic, config.centre_of_gravity_m, config.centre_of_buoyancy_m
+        vectors = (
+            config.drag_linear,
+            config.drag_quadratic,
+            config.centre_of_gravity_m,
+            config.centre_of_buoyancy_m,
+        )
         linear, quadratic, gravity, buoyancy = (np.asarray(vector, float) for vector in vectors)
         weight = config.mass_kg * GRAVITY_M_S2
-        return cls(inertia, np.linalg.inv(inertia), linear, quadratic, weight, config.upward_n, gravity, buoyancy)
+        return cls(
+            inertia,
+            np.linalg.inv(inertia),
+            linear,
+            quadratic,
+            weight,
+            config.upward_n,
+            gravity,
+            buoyancy,
+        )
 
     def relative_twist(self, state: BodyState, current: Vector) -> SixVector:
         """Return the twist relative to a steady current (x, y, z) in world axes [m/s]."""
         xp = operations_of(*state, current).xp
-        twist: SixVector = xp.concatenate([state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]])
+        twist: SixVector = xp.concatenate(
+            [state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]]
+        )
         return twist
 
     def drag(self, twist: SixVector) -> SixVector:
@@ -75,18 +93,26 @@ class Dynamics(NamedTuple):
         """Return the wrench of weight and buoyancy."""
         up = matrix(attitude)[2]
         lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
-        wrench: SixVector = operations_of(up).xp.concatenate([(self.buoyancy - self.weight) * up, cross(lever, up)])
+        wrench: SixVector = operations_of(up).xp.concatenate(
+            [(self.buoyancy - self.weight) * up, cross(lever, up)]
+        )
         return wrench
 
     @property
     def righting_nm_rad(self) -> float:
-        """Stiffness with which weight and buoyancy right the body in roll and pitch [N m/rad]; below 0 it tips over."""
-        return float(self.buoyancy * self.centre_of_buoyancy[2] - self.weight * self.centre_of_gravity[2])
+        """Stiffness with which weight and buoyancy right the body in roll and pitch [N m/rad];
+        below 0 it tips over."""
+        return float(
+            self.buoyancy * self.centre_of_buoyancy[2] - self.weight * self.centre_of_gravity[2]
+        )
 
     def gyroscopic(self, twist: SixVector) -> SixVector:
         """Return the wrench by which the momentum of body and water turns along with the body."""
-        momentum, velocity, turn = self.inertia @ twist, twist[:3], twist[3:]
-        linear, angular = momentum[:3], momentum[3:]
+        momentum = self.inertia @ twist
+        velocity = twist[:3]
+        turn = twist[3:]
+        linear = momentum[:3]
+        angular = momentum[3:]
         wrench: SixVector = operations_of(twist).xp.concatenate(
             [cross(linear, turn), cross(angular, turn) + cross(linear, velocity)]
         )
@@ -95,13 +121,18 @@ class Dynamics(NamedTuple):
     def acceleration(self, state: BodyState, wrench: SixVector, current: Vector) -> SixVector:
         """Return the rate of change of the twist relative to the water, component by component."""
         twist = self.relative_twist(state, current)
-        return self.inverse @ (wrench + self.gyroscopic(twist) + self.drag(twist) + self.restoring(state.attitude))
+        return self.inverse @ (
+            wrench + self.gyroscopic(twist) + self.drag(twist) + self.restoring(state.attitude)
+        )
 
-    def step(self, state: BodyState, wrench: SixVector, current: Vector, seconds: float = TICK_S) -> BodyState:
+    def step(
+        self, state: BodyState, wrench: SixVector, current: Vector, seconds: float = TICK_S
+    ) -> BodyState:
         """Hold a wrench of the fins for a step of time (Runge and Kutta's of fourth order)."""
 
         def rates(state: BodyState) -> BodyState:
-            xp, turn = operations_of(*state, wrench, current).xp, state.twist[3:]
+            xp = operations_of(*state, wrench, current).xp
+            turn = state.twist[3:]
             # Seen from the body, a steady current turns.
             seen = cross(current @ matrix(state.attitude), turn)
             return BodyState(

@@ -1,4 +1,5 @@
-"""Evaluation of a robot: wrenches, holding against push and current, paths, with all fins or with one dead."""
+"""Evaluation of a robot: wrenches, holding against push and current, paths, with all fins or with
+one dead."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -29,7 +30,8 @@ from softfin.tank import Tank
 Report = Callable[[float, str], None]
 
 LEAST_COUNTED_S = MOST_TICKS * TICK_S
-"""Least time of a trial whose errors count [s]: an action, of which half may be lost by rounding to whole actions."""
+"""Least time of a trial whose errors count [s]: an action, of which half may be lost by rounding to
+whole actions."""
 
 EARLIEST_DEATH = 0.2
 LATEST_DEATH = 0.6
@@ -62,7 +64,8 @@ class RobotEvaluateConfig(Configuration):
     lissajous_m_s: PositiveFloat = 0.1
     """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
     baselines: bool = False
-    """Simpler drivers beside it: without phases, with the pseudo-inverse, with an analytic model of the fin."""
+    """Simpler drivers beside it: without phases, with the pseudo-inverse, with an analytic model of
+    the fin."""
     dead: bool = False
     """A fin dies at a random moment of every trial, each fin in turn."""
     noise: NoiseConfig = NoiseConfig()
@@ -81,8 +84,10 @@ class RobotEvaluateConfig(Configuration):
             if self.dead:
                 least = max(least, (self.settled_s + LEAST_COUNTED_S) / (1 - LATEST_DEATH))
             if seconds < least:
-                raise ValueError(f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
-                                 f"{self.settled_s:g}, or no time counts")  # fmt: skip
+                raise ValueError(
+                    f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
+                    f"{self.settled_s:g}, or no time counts"
+                )
         return self
 
 
@@ -94,20 +99,34 @@ class RobotEvaluation(NamedTuple):
 
 
 def evaluate_robot(
-    robot: RobotConfig, tanks: Sequence[Tank], config: RobotEvaluateConfig, report: Report = lambda *_: None,
-) -> RobotEvaluation:  # fmt: skip
+    robot: RobotConfig,
+    tanks: Sequence[Tank],
+    config: RobotEvaluateConfig,
+    report: Report = lambda *_: None,
+) -> RobotEvaluation:
     """Evaluate a robot with these tanks as fins, in simulation."""
     report(0.0, "gaits of the fins")
-    gaits, simulation = gaits_of(tanks), RobotSimulation(robot, tanks)
+    gaits = gaits_of(tanks)
+    simulation = RobotSimulation(robot, tanks)
     drivers = drivers_of(robot, gaits)
-    figures: dict[str, Any] = {"robot": robot.name, "reach_n": [round(each.reach, 3) for each in gaits]}
+    figures: dict[str, Any] = {
+        "robot": robot.name,
+        "reach_n": [round(each.reach, 3) for each in gaits],
+    }
     records: dict[str, Record] = {}
-    done, total = 0, len(config.tasks) * config.seeds
+    done = 0
+    total = len(config.tasks) * config.seeds
     for task in config.tasks:
         if task == "wrenches":
-            figures[task] = wrench_errors(simulation, drivers["whole"], draw_wrenches(robot, gaits, config))
-            free = wrench_errors(simulation, drivers["without phases"], draw_wrenches(robot, gaits, config))
-            figures[task]["roll_ripple_ratio"] = figures[task]["ripple"]["roll"] / free["ripple"]["roll"]
+            figures[task] = wrench_errors(
+                simulation, drivers["whole"], draw_wrenches(robot, gaits, config)
+            )
+            free = wrench_errors(
+                simulation, drivers["without phases"], draw_wrenches(robot, gaits, config)
+            )
+            figures[task]["roll_ripple_ratio"] = (
+                figures[task]["ripple"]["roll"] / free["ripple"]["roll"]
+            )
             done += config.seeds
             continue
         rows = []
@@ -125,7 +144,10 @@ def evaluate_robot(
             figures["baselines"][name] = {
                 "wrenches": wrench_errors(simulation, driver, draw_wrenches(robot, gaits, config))
             } | {
-                task: [trial(simulation, driver, task, config, config.seed + seed)[1] for seed in range(config.seeds)]
+                task: [
+                    trial(simulation, driver, task, config, config.seed + seed)[1]
+                    for seed in range(config.seeds)
+                ]
                 for task in config.tasks
                 if task != "wrenches"
             }
@@ -159,29 +181,44 @@ def trial(
         current, push = random.uniform(-np.pi, np.pi, 2)
         at = random.uniform(1, 2) * config.settled_s
         trouble = trouble._replace(
-            current_m_s=(config.current_m_s * np.cos(current), config.current_m_s * np.sin(current), 0.0),
-            push_n_s=(config.push_n_s * np.cos(push), config.push_n_s * np.sin(push), 0.0), push_at_s=at,
-        )  # fmt: skip
+            current_m_s=(
+                config.current_m_s * np.cos(current),
+                config.current_m_s * np.sin(current),
+                0.0,
+            ),
+            push_n_s=(config.push_n_s * np.cos(push), config.push_n_s * np.sin(push), 0.0),
+            push_at_s=at,
+        )
         push_at_s = at
-        told |= {"current_from_deg": round(float(np.degrees(current)) % 360 - 180), "push_at_s": round(at, 1)}
+        told |= {
+            "current_from_deg": round(float(np.degrees(current)) % 360 - 180),
+            "push_at_s": round(at, 1),
+        }
     if config.dead:
         fins = list(simulation.robot.fins)
-        fin, at = seed % len(fins), random.uniform(EARLIEST_DEATH, LATEST_DEATH) * seconds
+        fin = seed % len(fins)
+        at = random.uniform(EARLIEST_DEATH, LATEST_DEATH) * seconds
         trouble = trouble._replace(dead_fin=fin, dead_at_s=at)
         settled_from_s = at + config.settled_s
         told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
     record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
-    # The record's own ticks: a trial is of whole actions, a little longer or shorter than `seconds`.
+    # The record's own ticks: a trial is of whole actions, a little longer or shorter than
+    # `seconds`.
     ticks = np.arange(len(record.time))
     counted = ticks >= settled_from_s * RATE_HZ
     if push_at_s is not None:
-        counted &= (ticks < push_at_s * RATE_HZ) | (ticks >= (push_at_s + config.settled_s) * RATE_HZ)
-    position, attitude = record.position_error()[counted], record.attitude_error()[counted]
+        counted &= (ticks < push_at_s * RATE_HZ) | (
+            ticks >= (push_at_s + config.settled_s) * RATE_HZ
+        )
+    position = record.position_error()[counted]
+    attitude = record.attitude_error()[counted]
     told |= {
-        "position_rms_m": _rms(position), "position_worst_m": float(position.max()),
-        "attitude_rms_deg": float(np.degrees(_rms(attitude))), "attitude_worst_deg": float(np.degrees(attitude.max())),
+        "position_rms_m": _rms(position),
+        "position_worst_m": float(position.max()),
+        "attitude_rms_deg": float(np.degrees(_rms(attitude))),
+        "attitude_worst_deg": float(np.degrees(attitude.max())),
         "given_up": {WRENCH_AXES[i]: float(record.given_up[:, i].mean()) for i in range(6)},
-    }  # fmt: skip
+    }
     if task != "hold":
         told["speed_m_s"] = float(speed)
     return record, told
@@ -194,10 +231,13 @@ def _rms(values: Float[np.ndarray, "n"]) -> float:
 def draw_wrenches(
     robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
 ) -> Float[np.ndarray, "n 6"]:
-    """Draw wrenches within a part of the reach: of forces so much smaller, each in a direction of its own."""
+    """Draw wrenches within a part of the reach: of forces so much smaller, each in a direction of
+    its own."""
     random = generator_of(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
-    size = config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
+    size = (
+        config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
+    )
     angle = random.uniform(-np.pi, np.pi, size.shape)
     forces = np.stack([size * np.cos(angle), size * np.sin(angle)], axis=-1)
     return np.asarray(forces.reshape(config.wrenches, -1) @ robot.matrix().T)
@@ -210,8 +250,11 @@ WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
 def wrench_errors(
     simulation: RobotSimulation, driver: MakeDriver, wrenches: Float[np.ndarray, "n 6"]
 ) -> dict[str, Any]:
-    """Compare mean wrenches over a window with those asked for, on a body that is held; and tell their ripple."""
-    held = _held(simulation, [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)])
+    """Compare mean wrenches over a window with those asked for, on a body that is held; and tell
+    their ripple."""
+    held = _held(
+        simulation, [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
+    )
     window = slice(-WINDOW, None)
     error = held[:, window].mean(axis=1) - wrenches
     ripple = np.sqrt(held[:, window].var(axis=1).mean(axis=0))
@@ -227,8 +270,11 @@ def wrench_errors(
 
 def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
     """Return what a driver orders for one wrench, from rest, ``(actions, fins)``."""
-    state, orders = driver.init(), []
-    before = Command(np.zeros(len(driver.gaits)), np.array([each.limits.velocity_min for each in driver.gaits]))
+    state = driver.init()
+    orders = []
+    before = Command(
+        np.zeros(len(driver.gaits)), np.array([each.limits.velocity_min for each in driver.gaits])
+    )
     for _ in range(WRENCH_ACTIONS):
         state, driven = driver.act(state, wrench)
         now = Command(*map(np.array, zip(*driven.commands, strict=True)))
@@ -241,6 +287,8 @@ def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
 def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
     """Return the wrenches that the fins make on a body that does not move."""
     all_of_them = jax.tree.map(lambda *rows: jnp.asarray(np.stack(rows)), *orders)
-    single = jax.tree.map(lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them)
+    single = jax.tree.map(
+        lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them
+    )
     wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(single), float)
     return wrenches.reshape(len(orders), -1, 6)[:, np.array(rows_of(WRENCH_ACTIONS))]

@@ -15,7 +15,8 @@ def draw_trials(folder: Path, records: Mapping[str, Record]) -> None:
         with styled():
             figure = new_figure(8.0, 3.4)
             place, off, tilt = figure.subplot_mosaic([["place", "off"], ["place", "tilt"]]).values()
-            position, target = 100 * record.body.position, 100 * record.target_position
+            position = 100 * record.body.position
+            target = 100 * record.target_position
             place.plot(target[:, 0], target[:, 1], color=ORANGE, lw=3, alpha=0.6, label="path")
             place.plot(position[:, 0], position[:, 1], color=BLUE, lw=0.9, label="robot")
             if task == "hold":

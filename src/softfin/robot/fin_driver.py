@@ -1,8 +1,10 @@
-"""One fin's mean force as a gait: strokes to both sides of the direction that it pushes in. NumPy alone.
+"""One fin's mean force as a gait: strokes to both sides of the direction that it pushes in. NumPy
+alone.
 
-Still water looks alike in all directions, so that one family of gaits about a centre serves a fin that turns all the
-way round: strokes of one action each, 1.5 Hz, whose amplitude decides over the force and whose centre over its
-direction. Their mean force lies along the centre; across it they make a ripple, which is the greatest force of all.
+Still water looks alike in all directions, so that one family of gaits about a centre serves a fin
+that turns all the way round: strokes of one action each, 1.5 Hz, whose amplitude decides over the
+force and whose centre over its direction. Their mean force lies along the centre; across it they
+make a ripple, which is the greatest force of all.
 """
 
 import math
@@ -27,10 +29,11 @@ class FinGaits(NamedTuple):
     amplitude: Float[np.ndarray, "gaits"]
     """Angle of a stroke to either side [rad]."""
     ripple: Complex[np.ndarray, "gaits 2"]
-    """Ripple of the strokes' own frequency, where strokes begin to the positive side: force across the direction of
-    pushing [N], and moment about the shaft [N m]."""
+    """Ripple of the strokes' own frequency, where strokes begin to the positive side: force across
+    the direction of pushing [N], and moment about the shaft [N m]."""
     stream_loss: Float[np.ndarray, "gaits 2"]
-    """Force lost per velocity of the fin through the water, along and across the direction of pushing [N s/m]."""
+    """Force lost per velocity of the fin through the water, along and across the direction of
+    pushing [N s/m]."""
     limits: Limits
     """Velocities of the drive; angles are not limited."""
 
@@ -47,17 +50,23 @@ class FinGaits(NamedTuple):
         """Return the ripple of mean forces."""
         return np.stack([np.interp(force_n, self.force, part) for part in self.ripple.T], axis=1)
 
-    def lost(self, force: Float[AnyArray, "2"], velocity: Float[AnyArray, "2"]) -> Float[AnyArray, "2"]:
-        """Return what a mean force loses where the fin moves through the water [N]; both in the fin's axes [N, m/s]."""
+    def lost(
+        self, force: Float[AnyArray, "2"], velocity: Float[AnyArray, "2"]
+    ) -> Float[AnyArray, "2"]:
+        """Return what a mean force loses where the fin moves through the water [N]; both in the
+        fin's axes [N, m/s]."""
         xp = operations_of(force, velocity).xp
         squared = force @ force + SMALL_N**2
         part = (velocity @ force) / squared * force
-        along, across = (xp.interp(xp.sqrt(squared), self.force, loss) for loss in self.stream_loss.T)
+        along, across = (
+            xp.interp(xp.sqrt(squared), self.force, loss) for loss in self.stream_loss.T
+        )
         lost: Float[AnyArray, 2] = along * part + across * (velocity - part)
         return lost
 
     def velocity_of(self, way_rad: float) -> float:
-        """Return the velocity at which a fin arrives within its action, or the nearest that the drive has."""
+        """Return the velocity at which a fin arrives within its action, or the nearest that the
+        drive has."""
         wanted = way_rad * ACTION_RATE_HZ / MOVING
         return min(max(wanted, self.limits.velocity_min), self.limits.velocity_max)
 
@@ -89,13 +98,17 @@ def fin_command(angle_rad: float, velocity_rad_s: float) -> Command:
     return numbers
 
 
-def stroke(gaits: FinGaits, state: DriverState, force: Any, side: int) -> tuple[DriverState, Command]:
+def stroke(
+    gaits: FinGaits, state: DriverState, force: Any, side: int
+) -> tuple[DriverState, Command]:
     """Return the next stroke, to the given side, for a mean force (x, y) in the fin's axes [N]."""
-    x, y = float(force[0]), float(force[1])
+    x = float(force[0])
+    y = float(force[1])
     size = math.hypot(x, y)
     direction = state.direction
     if size > WEAK_N:
-        # At angle a the fin's thrust points along (cos a, -sin a); the shorter way round leads there.
+        # At angle a the fin's thrust points along (cos a, -sin a); the shorter way round leads
+        # there.
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
     target = direction + side * gaits.amplitude_of(size)
     velocity = gaits.velocity_of(abs(target - state.target))

@@ -1,4 +1,5 @@
-"""The search for a fin's gaits, in its tank: strokes of many amplitudes are simulated, their mean forces inverted."""
+"""The search for a fin's gaits, in its tank: strokes of many amplitudes are simulated, their mean
+forces inverted."""
 
 import equinox as eqx
 import jax
@@ -22,11 +23,12 @@ HELD_WINDOWS = 4
 """Windows of 2 s that a gait is repeated for from rest; the last one counts."""
 
 MAX_SIDE_FORCE_FRACTION = 0.05
-"""Part of its force that a gait may make across the direction of pushing in the mean: beyond, strokes do not end within
-their action and each begins another way."""
+"""Part of its force that a gait may make across the direction of pushing in the mean: beyond,
+strokes do not end within their action and each begins another way."""
 
 STREAM_M_S = 0.05
-"""Velocity through the water at which the loss of force is measured: along the direction of pushing, and across."""
+"""Velocity through the water at which the loss of force is measured: along the direction of
+pushing, and across."""
 
 
 def find_fin_gaits(tank: Tank) -> FinGaits:
@@ -37,8 +39,11 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
         for stream in ((0.0, 0.0), (STREAM_M_S, 0.0), (0.0, STREAM_M_S))
     ]
     mean = forces.mean(axis=1)
-    loss = np.stack([(mean - moving[0].mean(axis=1))[:, axis] for axis, moving in enumerate(streams)], axis=1)
-    # Of a sine at the strokes' frequency, which is half of the actions'; a stroke to the positive side begins at 0.
+    loss = np.stack(
+        [(mean - moving[0].mean(axis=1))[:, axis] for axis, moving in enumerate(streams)], axis=1
+    )
+    # Of a sine at the strokes' frequency, which is half of the actions'; a stroke to the positive
+    # side begins at 0.
     turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))
     ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
     count = 1
@@ -47,11 +52,15 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
             break
         count += 1
     if count < 3:
-        raise PlantError(f"robot: strokes of {STROKES_RAD[1]:.2f} and {STROKES_RAD[2]:.2f} rad about angle 0 make "
-                         f"{mean[1, 0]:.3g} and {mean[2, 0]:.3g} N of thrust in this tank; a fin's thrust must grow "
-                         "with its strokes")  # fmt: skip
+        raise PlantError(
+            f"robot: strokes of {STROKES_RAD[1]:.2f} and {STROKES_RAD[2]:.2f} rad about angle 0 "
+            f"make {mean[1, 0]:.3g} and {mean[2, 0]:.3g} N of thrust in this tank; a fin's thrust "
+            "must grow with its strokes"
+        )
     mean[0] = 0
-    return FinGaits(mean[:count, 0], STROKES_RAD[:count], ripple[:count], loss[:count] / STREAM_M_S, tank.limits)
+    return FinGaits(
+        mean[:count, 0], STROKES_RAD[:count], ripple[:count], loss[:count] / STREAM_M_S, tank.limits
+    )
 
 
 @eqx.filter_jit
@@ -61,10 +70,14 @@ def _strokes(
     """Forces [N] and moments about the shaft [N m] over the last window, of a fin that is towed."""
     mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
-    sides = np.repeat([1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS), ticks_of(CYCLE_ACTIONS * HELD_WINDOWS))
+    sides = np.repeat(
+        [1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS), ticks_of(CYCLE_ACTIONS * HELD_WINDOWS)
+    )
 
     def each(amplitude: Float[Array, ""]) -> tuple[Float[Array, "ticks 2"], Float[Array, "ticks"]]:
-        velocity = jnp.clip(2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max)
+        velocity = jnp.clip(
+            2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max
+        )
 
         def tick(state: TankState, side: Float[Array, ""]) -> tuple[TankState, Load]:
             state, _, load = tank.tick(state, Command(amplitude * side, velocity), mount)

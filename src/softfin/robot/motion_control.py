@@ -1,13 +1,15 @@
-"""Control of motion in 6 degrees of freedom: computed torque about a path, with an observer of each axis. NumPy alone.
+"""Control of motion in 6 degrees of freedom: computed torque about a path, with an observer of each
+axis. NumPy alone.
 
-The wrench that the path needs is computed from the body's model; errors are corrected by proportional and derivative
-action; and a Kalman filter of each axis estimates error, its rate and a constant disturbance, which is taken off. The
-filter is told the wrench that the allocator made, not the one that was asked for, so nothing winds up (Fossen 2021,
-ch. 13 and 15; Sariyildiz, Oboe and Ohnishi 2020). Axes of the body stand for those of the path: it has to be turned by
-less than about a radian.
+The wrench that the path needs is computed from the body's model; errors are corrected by
+proportional and derivative action; and a Kalman filter of each axis estimates error, its rate and a
+constant disturbance, which is taken off. The filter is told the wrench that the allocator made, not
+the one that was asked for, so nothing winds up (Fossen 2021, ch. 13 and 15; Sariyildiz, Oboe and
+Ohnishi 2020). Axes of the body stand for those of the path: it has to be turned by less than about
+a radian.
 
-Fins stroke at half the actions' rate. So an error is the mean over two actions, in which strokes cancel: seen once an
-action, each of them alone would look like an error that does not move.
+Fins stroke at half the actions' rate. So an error is the mean over two actions, in which strokes
+cancel: seen once an action, each of them alone would look like an error that does not move.
 """
 
 from collections.abc import Sequence
@@ -31,7 +33,8 @@ SEEN_ACTIONS = 2
 
 
 class AxisFilter(NamedTuple):
-    """Filters of the six axes: x = (error, its rate, disturbance's acceleration), u = acceleration by the fins."""
+    """Filters of the six axes: x = (error, its rate, disturbance's acceleration), u = acceleration
+    by the fins."""
 
     forward: Float[np.ndarray, "6 3 3"]
     """Transition from one action to the next."""
@@ -49,16 +52,25 @@ class AxisFilter(NamedTuple):
 
     @classmethod
     def of(
-        cls, config: ControlConfig, stiffness: SixVector, damping: SixVector,
+        cls,
+        config: ControlConfig,
+        stiffness: SixVector,
+        damping: SixVector,
         noise: Float[np.ndarray, "6 2"],
-    ) -> "AxisFilter":  # fmt: skip
-        """Build them; stiffness [1/s2] and damping [1/s] are those of the body itself, noise that of error and rate."""
+    ) -> "AxisFilter":
+        """Build them; stiffness [1/s2] and damping [1/s] are those of the body itself, noise that
+        of error and rate."""
         rows = []
         for axis in range(6):
-            slope = np.array([[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]])
-            step, half = _exponential(slope * ACTION_S), np.linalg.inv(_exponential(slope * ACTION_S))
-            forward, driven = step[:3, :3], step[:3, 3]
-            back, driven_back = half[:2, :3], half[:2, 3]
+            slope = np.array(
+                [[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]]
+            )
+            step = _exponential(slope * ACTION_S)
+            half = np.linalg.inv(_exponential(slope * ACTION_S))
+            forward = step[:3, :3]
+            driven = step[:3, 3]
+            back = half[:2, :3]
+            driven_back = half[:2, 3]
             walk = config.disturbance[axis] ** 2 * ACTION_S
             spread = np.outer(driven, driven) * config.force_noise[axis] ** 2
             spread[2, 2] += walk
@@ -69,7 +81,18 @@ class AxisFilter(NamedTuple):
                 gain = ahead @ back.T @ np.linalg.inv(back @ ahead @ back.T + measured)
                 covariance = (np.eye(3) - gain @ back) @ ahead
             lag = _exponential(slope * config.lag_s)
-            rows.append((forward, driven, gain, back, driven_back, lag[:3, :3], lag[:3, 3], covariance[2, 2] ** 0.5))
+            rows.append(
+                (
+                    forward,
+                    driven,
+                    gain,
+                    back,
+                    driven_back,
+                    lag[:3, :3],
+                    lag[:3, 3],
+                    covariance[2, 2] ** 0.5,
+                )
+            )
         return cls(*map(np.array, zip(*rows, strict=True)))
 
 
@@ -77,8 +100,9 @@ STILL_M_S = 0.01
 """A path slower than this is a place to hold."""
 
 SURGE_MEMORY_S = 20.0
-"""Time over which the force along the nose is averaged [s]. A long body has little drag along its nose: 0.2 to 0.5 N in
-a current of 5 cm/s, as much as a single estimate is off; the mean is off by a third of that."""
+"""Time over which the force along the nose is averaged [s]. A long body has little drag along its
+nose: 0.2 to 0.5 N in a current of 5 cm/s, as much as a single estimate is off; the mean is off by a
+third of that."""
 
 MOST_DAMPING = 8 / ACTION_S
 """Damping beyond which a filter would see no motion in an action [1/s]."""
@@ -91,9 +115,11 @@ class ControlState(NamedTuple):
     """State of the controller between actions."""
 
     estimate: Float[np.ndarray, "6 3"]
-    """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per s, per s2]."""
+    """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per
+    s, per s2]."""
     accelerations: Float[np.ndarray, "2 6"]
-    """Accelerations that the fins were made to add to the path's in the last two actions, the newest first."""
+    """Accelerations that the fins were made to add to the path's in the last two actions, the
+    newest first."""
     heading: float
     """Angle by which the robot has turned from the path's heading into a current [rad]."""
     surge_n: float
@@ -109,15 +135,19 @@ class MotionController:
         config = robot.control
         self._config = config
         self.sway_reach_n = np.inf
-        """Greatest force to the side that the fins make once one is dead [N]; with all fins the heading is kept."""
+        """Greatest force to the side that the fins make once one is dead [N]; with all fins the
+        heading is kept."""
         self.dynamics = Dynamics.of(robot.body)
         self._rate = np.asarray(config.bandwidth_rad_s, float)
-        self._damping, self._lag = config.damping, config.lag_s / ACTION_S
+        self._damping = config.damping
+        self._lag = config.lag_s / ACTION_S
         inertia = self.dynamics.inertia.diagonal()
         righting = self.dynamics.righting_nm_rad
         self._stiffness = np.array([0, 0, 0, righting, righting, 0]) / inertia
-        noise = np.array([[config.position_noise_m, config.velocity_noise_m_s]] * 3
-                         + [[config.attitude_noise_rad, config.rate_noise_rad_s]] * 3)  # fmt: skip
+        noise = np.array(
+            [[config.position_noise_m, config.velocity_noise_m_s]] * 3
+            + [[config.attitude_noise_rad, config.rate_noise_rad_s]] * 3
+        )
         self._damping_rate = np.minimum(self.dynamics.drag_linear / inertia, MOST_DAMPING)
         self._filter = AxisFilter.of(config, self._stiffness, self._damping_rate, noise)
         self._surge_noise_n = float(inertia[0] * self._filter.deviation[0])
@@ -127,18 +157,26 @@ class MotionController:
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), heading=0.0, surge_n=0.0, side=0.0)
 
     def act(
-        self, state: ControlState, seen: Sequence[np.ndarray], middle: PathPoint, now: PathPoint, ahead: PathPoint,
-    ) -> tuple[ControlState, np.ndarray]:  # fmt: skip
+        self,
+        state: ControlState,
+        seen: Sequence[np.ndarray],
+        middle: PathPoint,
+        now: PathPoint,
+        ahead: PathPoint,
+    ) -> tuple[ControlState, np.ndarray]:
         """Return the wrench in body axes for the next action [N, N m].
 
-        `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of the last two actions;
-        the targets are those in the middle of these, now, and in the middle of the action that begins.
+        `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of
+        the last two actions; the targets are those in the middle of these, now, and in the middle
+        of the action that begins.
 
         Raises:
             RunError: a number of the robot's state is not finite.
         """
         if not all(np.isfinite(each).all() for each in seen):
-            raise RunError("robot: its state holds numbers that are not finite; check what estimates it")
+            raise RunError(
+                "robot: its state holds numbers that are not finite; check what estimates it"
+            )
         middle, now, ahead = (_turned(target, state.heading) for target in (middle, now, ahead))
         estimate = np.asarray(self.observed(state.estimate, state.accelerations, seen, middle))
         correction = self.corrected(estimate, state.accelerations)
@@ -147,32 +185,47 @@ class MotionController:
         return state, np.asarray(self.needed(ahead) + self.dynamics.inertia @ correction)
 
     def observed(
-        self, estimate: Float[np.ndarray, "6 3"], accelerations: Float[np.ndarray, "2 6"], seen: Sequence[np.ndarray],
+        self,
+        estimate: Float[np.ndarray, "6 3"],
+        accelerations: Float[np.ndarray, "2 6"],
+        seen: Sequence[np.ndarray],
         middle: PathPoint,
-    ) -> Float[np.ndarray, "6 3"]:  # fmt: skip
+    ) -> Float[np.ndarray, "6 3"]:
         """Return the estimate after two actions were seen."""
-        position, twist = seen[0].mean(axis=0), seen[2].mean(axis=0)
+        position = seen[0].mean(axis=0)
+        twist = seen[2].mean(axis=0)
         # Near one another, so that their mean is theirs but for its length.
         attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
-        measured = np.stack([error_of(middle, position, attitude), twist - twist_of(middle)], axis=1)
+        measured = np.stack(
+            [error_of(middle, position, attitude), twist - twist_of(middle)], axis=1
+        )
         f = self._filter
         acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
         guess = np.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted
         expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
-        updated: Float[np.ndarray, "6 3"] = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
+        updated: Float[np.ndarray, "6 3"] = guess + np.einsum(
+            "aij,aj->ai", f.gain, measured - expected
+        )
         return updated
 
-    def corrected(self, estimate: Float[np.ndarray, "6 3"], accelerations: Float[np.ndarray, "2 6"]) -> SixVector:
+    def corrected(
+        self, estimate: Float[np.ndarray, "6 3"], accelerations: Float[np.ndarray, "2 6"]
+    ) -> SixVector:
         """Return the acceleration that corrects an error [m/s2, rad/s2]."""
         f = self._filter
-        then = np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * accelerations[0][:, None]
-        correction: SixVector = -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
+        then = (
+            np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * accelerations[0][:, None]
+        )
+        correction: SixVector = (
+            -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
+        )
         return correction
 
     def _weathervane(
         self, state: ControlState, estimate: Float[np.ndarray, "6 3"], now: PathPoint
     ) -> tuple[float, float, float]:
-        """Return surge force, side and heading of the next state: further into a current that is too much abeam."""
+        """Return surge force, side and heading of the next state: further into a current that is
+        too much abeam."""
         if np.linalg.norm(now.velocity) > STILL_M_S:
             return state.surge_n, state.side, state.heading
         surge, sway = -self._outside_wrench(estimate)[:2]
@@ -181,8 +234,9 @@ class MotionController:
         if excess <= 0:
             return surge_n, state.side, state.heading
         side = state.side
-        # The sign of what is below noise is a guess, but to wait would be to drift off: the wrong way round passes
-        # abeam and ends as well, later. Only evidence beyond noise turns back; one that wavers stays abeam.
+        # The sign of what is below noise is a guess, but to wait would be to drift off: the wrong
+        # way round passes abeam and ends as well, later. Only evidence beyond noise turns back; one
+        # that wavers stays abeam.
         if not side or abs(surge_n) > self._surge_noise_n:
             side = float(np.sign(sway) * (np.sign(surge_n) or 1.0))
         turn_rad = self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0)
@@ -191,8 +245,9 @@ class MotionController:
     def _outside_wrench(self, estimate: Float[np.ndarray, "6 3"]) -> SixVector:
         """Return the wrench from outside in the axes of the path [N, N m].
 
-        Each axis has a filter of its own, in which the restoring moment and the drag of this axis alone act. Through
-        the inertia they act on other axes, too: a roll that is held against by the weight would look like sway.
+        Each axis has a filter of its own, in which the restoring moment and the drag of this axis
+        alone act. Through the inertia they act on other axes, too: a roll that is held against by
+        the weight would look like sway.
         """
         error, rate, disturbance = estimate.T
         own = self._stiffness * error + self._damping_rate * rate
@@ -207,23 +262,36 @@ class MotionController:
 
     def needed(self, target: PathPoint) -> SixVector:
         """Return the wrench that keeps the body on the path in still water, upright."""
-        axes, twist = matrix(target.attitude), twist_of(target)
-        velocity, turn = twist[:3], twist[3:]
-        acceleration = np.concatenate([target.acceleration @ axes - cross(turn, velocity), target.turning @ axes])
+        axes = matrix(target.attitude)
+        twist = twist_of(target)
+        velocity = twist[:3]
+        turn = twist[3:]
+        acceleration = np.concatenate(
+            [target.acceleration @ axes - cross(turn, velocity), target.turning @ axes]
+        )
         d = self.dynamics
         needed: SixVector = (
-            d.inertia @ acceleration - d.gyroscopic(twist) - d.drag(twist) - d.restoring(target.attitude)
+            d.inertia @ acceleration
+            - d.gyroscopic(twist)
+            - d.drag(twist)
+            - d.restoring(target.attitude)
         )
         return needed
 
 
 def _turned(target: PathPoint, heading: float) -> PathPoint:
-    return target._replace(attitude=multiply(target.attitude, from_euler(0.0, 0.0, heading))) if heading else target
+    return (
+        target._replace(attitude=multiply(target.attitude, from_euler(0.0, 0.0, heading)))
+        if heading
+        else target
+    )
 
 
 def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return the matrix exponential by scaling and Taylor's series, as NumPy has none."""
-    small, result, term = matrix / 64, np.eye(len(matrix)), np.eye(len(matrix))
+    small = matrix / 64
+    result = np.eye(len(matrix))
+    term = np.eye(len(matrix))
     for order in range(1, 10):
         term = term @ small / order
         result = result + term

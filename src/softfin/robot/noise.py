@@ -26,11 +26,14 @@ class NoiseConfig(Configuration):
     rate_rad_s: NonNegativeFloat = 0.01
     """Standard deviation of each angular velocity [rad/s]."""
     memory_s: PositiveFloat = 0.1
-    """Time constant with which the noise forgets itself [s]: an estimate's errors are no white noise."""
+    """Time constant with which the noise forgets itself [s]: an estimate's errors are no white
+    noise."""
 
     def deviations(self) -> Float[np.ndarray, "12"]:
         """Return the standard deviations of position, attitude, velocity and angular velocity."""
-        return np.repeat([self.position_m, self.attitude_rad, self.velocity_m_s, self.rate_rad_s], 3)
+        return np.repeat(
+            [self.position_m, self.attitude_rad, self.velocity_m_s, self.rate_rad_s], 3
+        )
 
     def decay(self, seconds: float) -> tuple[float, float]:
         """Return the weights of the noise that was, and of new noise, after a step of time."""

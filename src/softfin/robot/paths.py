@@ -35,12 +35,15 @@ class PathPoint(NamedTuple):
 def twist_of(target: PathPoint) -> SixVector:
     """Return the twist of a body on the path, in its own axes [m/s, rad/s]."""
     axes = matrix(target.attitude)
-    twist: SixVector = operations_of(axes).xp.concatenate([target.velocity @ axes, target.turn @ axes])
+    twist: SixVector = operations_of(axes).xp.concatenate(
+        [target.velocity @ axes, target.turn @ axes]
+    )
     return twist
 
 
 def error_of(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]) -> SixVector:
-    """Return the place relative to the path's, in the path's axes [m], and the vector of the turn from it [rad]."""
+    """Return the place relative to the path's, in the path's axes [m], and the vector of the turn
+    from it [rad]."""
     moved = (position - target.position) @ matrix(target.attitude)
     error: SixVector = operations_of(position, attitude, *target).xp.concatenate(
         [moved, to_vector(multiply(inverse(target.attitude), attitude))]
@@ -64,7 +67,8 @@ def hold(position: Point = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
 
 
 def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: float | int) -> Path:
-    """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, beginning slowly, the nose along the way."""
+    """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, beginning slowly, the nose along
+    the way."""
 
     def part(time: float) -> float:
         rate = speed_m_s / length_m
@@ -85,11 +89,18 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: fl
     def target(time: float) -> PathPoint:
         before, now, after = (place(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1))
         yaws = np.unwrap([heading(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1)])
-        turn, turning = np.zeros(3), np.zeros(3)
+        turn = np.zeros(3)
+        turning = np.zeros(3)
         turn[2] = (yaws[2] - yaws[0]) / (2 * DIFFERENCE_STEP_S)
         turning[2] = (yaws[2] - 2 * yaws[1] + yaws[0]) / DIFFERENCE_STEP_S**2
-        return PathPoint(now, from_euler(0.0, 0.0, float(yaws[1])), (after - before) / (2 * DIFFERENCE_STEP_S),
-                      (after - 2 * now + before) / DIFFERENCE_STEP_S**2, turn, turning)  # fmt: skip
+        return PathPoint(
+            now,
+            from_euler(0.0, 0.0, float(yaws[1])),
+            (after - before) / (2 * DIFFERENCE_STEP_S),
+            (after - 2 * now + before) / DIFFERENCE_STEP_S**2,
+            turn,
+            turning,
+        )
 
     return target
 
@@ -99,7 +110,9 @@ def _length(curve: Callable[[float], Vector]) -> float:
     return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
 
-def lemniscate(speed_m_s: float | int, length_m: float | int = 2.0, width_m: float | int = 1.0) -> Path:
+def lemniscate(
+    speed_m_s: float | int, length_m: float | int = 2.0, width_m: float | int = 1.0
+) -> Path:
     """Follow a figure of eight in the horizontal plane (Gerono's), of that length and width."""
 
     def curve(u: float) -> Vector:
@@ -114,6 +127,12 @@ def lissajous(speed_m_s: float | int, size_m: Point = (2.0, 1.0, 0.5)) -> Path:
 
     def curve(u: float) -> Vector:
         s = 2 * np.pi * u
-        return np.array([size_m[0] / 2 * np.sin(s), size_m[1] / 2 * np.sin(2 * s), size_m[2] / 2 * (np.cos(s) - 1)])
+        return np.array(
+            [
+                size_m[0] / 2 * np.sin(s),
+                size_m[1] / 2 * np.sin(2 * s),
+                size_m[2] / 2 * (np.cos(s) - 1),
+            ]
+        )
 
     return along(curve, speed_m_s, _length(curve))

@@ -1,8 +1,8 @@
 """Phases of the fins' strokes, chosen so that the ripple of the wrench cancels. NumPy alone.
 
-A period of two strokes has six phases: a fin begins its strokes with the action, a third or two thirds of it later,
-to one side or to the other. Of four fins there are 216 patterns relative to the first, and the best is found by trying
-all.
+A period of two strokes has six phases: a fin begins its strokes with the action, a third or two
+thirds of it later, to one side or to the other. Of four fins there are 216 patterns relative to the
+first, and the best is found by trying all.
 """
 
 from functools import cache
@@ -18,12 +18,13 @@ DELAY_TICKS = ACTION_TICKS[0] // 3
 """Ticks between a phase and the next."""
 
 MUCH = 0.4
-"""While the fins stroke, another pattern is taken only where its ripple is below this part of the present one's: a fin
-that changes its phase misses a stroke, and a robot that holds its place asks for another wrench in every action."""
+"""While the fins stroke, another pattern is taken only where its ripple is below this part of the
+present one's: a fin that changes its phase misses a stroke, and a robot that holds its place asks
+for another wrench in every action."""
 
 METRES_PER_RADIAN = 2.0
-"""Ripple in attitude counts against ripple in position as a degree against 3.5 cm: fins tilt a body, but hardly move
-it."""
+"""Ripple in attitude counts against ripple in position as a degree against 3.5 cm: fins tilt a
+body, but hardly move it."""
 
 Phases = Int[np.ndarray, "fins"]
 
@@ -39,30 +40,40 @@ def side_of(phase: int, action: int) -> int:
 
 
 @cache
-def _patterns(count: int) -> tuple[Int[np.ndarray, "patterns fins"], Complex[np.ndarray, "patterns fins"]]:
+def _patterns(
+    count: int,
+) -> tuple[Int[np.ndarray, "patterns fins"], Complex[np.ndarray, "patterns fins"]]:
     """All phases of fins relative to the first, and by what they turn the ripple."""
     phases = np.array([(0, *rest) for rest in product(range(NUM_PHASES), repeat=count - 1)])
     return phases, np.exp(-2j * np.pi / NUM_PHASES * phases)
 
 
 def choose_phases(
-    present: Phases, starting: bool, ripple: Complex[np.ndarray, "6 fins"], inverse_inertia: Float[np.ndarray, "6 6"]
+    present: Phases,
+    starting: bool,
+    ripple: Complex[np.ndarray, "6 fins"],
+    inverse_inertia: Float[np.ndarray, "6 6"],
 ) -> Phases:
-    """Return the phases whose ripple moves the body least; unless `starting`, only where the present ones' is more."""
+    """Return the phases whose ripple moves the body least; unless `starting`, only where the
+    present ones' is more."""
     moved = inverse_inertia @ ripple
     moved[3:] *= METRES_PER_RADIAN
     phases, turns = _patterns(len(present))
     costs = (np.abs(turns @ moved.T) ** 2).sum(axis=1)
-    best, part = int(costs.argmin()), 1.0 if starting else MUCH
+    best = int(costs.argmin())
+    part = 1.0 if starting else MUCH
     now = float((np.abs(moved @ np.exp(-2j * np.pi / NUM_PHASES * present)) ** 2).sum())
     return (present[0] + phases[best]) % NUM_PHASES if costs[best] < part**2 * now else present
 
 
 def wrench_ripple(
-    matrix: Float[np.ndarray, "6 columns"], shafts: Float[np.ndarray, "fins 3"],
-    directions: Float[np.ndarray, "fins"], ripple: Complex[np.ndarray, "fins 2"],
-) -> Complex[np.ndarray, "6 fins"]:  # fmt: skip
-    """Return each fin's ripple as a wrench on the body, where it strokes about a direction [rad]."""
+    matrix: Float[np.ndarray, "6 columns"],
+    shafts: Float[np.ndarray, "fins 3"],
+    directions: Float[np.ndarray, "fins"],
+    ripple: Complex[np.ndarray, "fins 2"],
+) -> Complex[np.ndarray, "6 fins"]:
+    """Return each fin's ripple as a wrench on the body, where it strokes about a direction
+    [rad]."""
     # Across the thrust (cos a, -sin a) of a fin is (sin a, cos a).
     across = np.stack([np.sin(directions), np.cos(directions)], axis=1)
     wrench: np.ndarray = np.einsum("afi,fi->af", matrix.reshape(6, -1, 2), across) * ripple[:, 0]

@@ -1,4 +1,5 @@
-"""Rotations as unit quaternions (w, x, y, z) that take body axes to world axes; NumPy on the robot, JAX in programs."""
+"""Rotations as unit quaternions (w, x, y, z) that take body axes to world axes; NumPy on the robot,
+JAX in programs."""
 
 from typing import Any
 
@@ -15,9 +16,11 @@ def _namespace(*arrays: Array) -> Any:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the vector product of two vectors ``(3,)``; much quicker than NumPy's own on such short ones."""
+    """Return the vector product of two vectors ``(3,)``; much quicker than NumPy's own on such
+    short ones."""
     xp = _namespace(a, b)
-    (a0, a1, a2), (b0, b1, b2) = a, b
+    (a0, a1, a2) = a
+    (b0, b1, b2) = b
     return xp.asarray([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
@@ -37,7 +40,8 @@ def matrix(quaternion: Array) -> Array:
 def multiply(a: Array, b: Array) -> Array:
     """Return the rotation that does `b` first, then `a`."""
     xp = _namespace(a, b)
-    (aw, ax, ay, az), (bw, bx, by, bz) = a, b
+    (aw, ax, ay, az) = a
+    (bw, bx, by, bz) = b
     return xp.asarray(
         [
             aw * bw - ax * bx - ay * by - az * bz,
@@ -75,7 +79,8 @@ def to_vector(quaternion: Array) -> Array:
 
 
 def from_euler(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    """Return the rotation by yaw about z, pitch about the new y, roll about the new x [rad] (REP 103)."""
+    """Return the rotation by yaw about z, pitch about the new y, roll about the new x [rad] (REP
+    103)."""
     turns = (np.array([roll, 0.0, 0.0]), np.array([0.0, pitch, 0.0]), np.array([0.0, 0.0, yaw]))
     x, y, z = (from_vector(turn) for turn in turns)
     return np.asarray(multiply(z, multiply(y, x)))

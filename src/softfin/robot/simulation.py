@@ -38,7 +38,9 @@ class Orders(NamedTuple):
 
     def at(self, tick: Int[Array, ""]) -> Command:
         """Return the commands in force at a tick of the action."""
-        held: Command = jax.tree.map(lambda old, new: jnp.where(tick < self.delays, old, new), self.before, self.now)
+        held: Command = jax.tree.map(
+            lambda old, new: jnp.where(tick < self.delays, old, new), self.before, self.now
+        )
         return held
 
 
@@ -65,8 +67,10 @@ class RobotSimulation:
     """A robot and its fins as programs."""
 
     def __init__(self, robot: RobotConfig, tanks: Sequence[Tank]) -> None:
-        self.robot, self.dynamics = robot, Dynamics.of(robot.body)
-        self._fin_mounts, self._matrix = robot.mounts(), robot.matrix()
+        self.robot = robot
+        self.dynamics = Dynamics.of(robot.body)
+        self._fin_mounts = robot.mounts()
+        self._matrix = robot.matrix()
         # One program over all of them.
         self.tanks: Tank = jax.tree.map(lambda *x: jnp.stack(x), *tanks)
         self._advance = eqx.filter_jit(self._held)
@@ -90,16 +94,19 @@ class RobotSimulation:
     ) -> tuple[RobotState, Ticks]:
         def one(state: RobotState, index: Int[Array, ""]) -> tuple[RobotState, Ticks]:
             after, row = self.tick(state, orders.at(index), around)
-            return jax.tree.map(lambda new, old: jnp.where(index < ticks, new, old), after, state), row
+            return jax.tree.map(
+                lambda new, old: jnp.where(index < ticks, new, old), after, state
+            ), row
 
         return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
 
     def held(self, orders: Orders) -> Float[Array, "actions ticks 6"]:
-        """Return the wrench of the fins on a body that is held, from rest, under the orders ``(actions, fins)`` of some
-        actions; rows of 34 ticks an action."""
+        """Return the wrench of the fins on a body that is held, from rest, under the orders
+        ``(actions, fins)`` of some actions; rows of 34 ticks an action."""
         start = self.init(jax.random.key(0))
         still = jax.tree.map(
-            lambda x: jnp.zeros((len(self.robot.fins), *x.shape)), Mount(jnp.zeros(2), jnp.zeros(2), jnp.zeros(()))
+            lambda x: jnp.zeros((len(self.robot.fins), *x.shape)),
+            Mount(jnp.zeros(2), jnp.zeros(2), jnp.zeros(())),
         )
 
         def action(fins: Any, now: tuple[Orders, Array]) -> tuple[Any, Array]:
@@ -107,21 +114,28 @@ class RobotSimulation:
 
             def one(fins: Any, index: Array) -> tuple[Any, Array]:
                 after, loads, _ = self._fins(fins, orders.at(index), still)
-                return jax.tree.map(lambda new, old: jnp.where(index < ticks, new, old), after, fins), self._wrench(
-                    loads
-                )
+                return jax.tree.map(
+                    lambda new, old: jnp.where(index < ticks, new, old), after, fins
+                ), self._wrench(loads)
 
             return jax.lax.scan(one, fins, jnp.arange(MOST_TICKS))
 
-        return jax.lax.scan(action, start.fins, (orders, jnp.asarray(ticks_of(len(orders.delays)))))[1]
+        return jax.lax.scan(
+            action, start.fins, (orders, jnp.asarray(ticks_of(len(orders.delays))))
+        )[1]
 
     def _wrench(self, loads: Load) -> Float[Array, "6"]:
         wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
         return wrench.at[3:].add(loads.torque @ self._fin_mounts.shafts)
 
-    def tick(self, state: RobotState, commands: Command, around: Ambient) -> tuple[RobotState, Ticks]:
+    def tick(
+        self, state: RobotState, commands: Command, around: Ambient
+    ) -> tuple[RobotState, Ticks]:
         """Advance by one tick of 10 ms."""
-        mounts = self._mounts(jnp.asarray(self.dynamics.relative_twist(state.body, around.current)), state.acceleration)
+        mounts = self._mounts(
+            jnp.asarray(self.dynamics.relative_twist(state.body, around.current)),
+            state.acceleration,
+        )
         fins, loads, shapes = self._fins(state.fins, commands, mounts)
         wrench = self._wrench(loads)
         acceleration = self.dynamics.acceleration(state.body, wrench + around.push, around.current)
@@ -130,7 +144,8 @@ class RobotSimulation:
 
     def _mounts(self, twist: Float[Array, "6"], acceleration: Float[Array, "6"]) -> Mount:
         """Return the motion of each fin's mount through the water, in its own axes."""
-        velocity, turn = twist[:3], twist[3:]
+        velocity = twist[:3]
+        turn = twist[3:]
         # Of the origin, in axes that do not turn.
         linear = acceleration[:3] + cross(turn, velocity)
 
@@ -141,10 +156,16 @@ class RobotSimulation:
 
         return jax.vmap(each)(*(jnp.asarray(x, jnp.float32) for x in self._fin_mounts))
 
-    def _fins(self, states: TankState, commands: Command, mounts: Mount) -> tuple[TankState, Load, Array]:
-        def each(tank: Tank, state: TankState, command: Command, mount: Mount) -> tuple[TankState, Load, Array]:
+    def _fins(
+        self, states: TankState, commands: Command, mounts: Mount
+    ) -> tuple[TankState, Load, Array]:
+        def each(
+            tank: Tank, state: TankState, command: Command, mount: Mount
+        ) -> tuple[TankState, Load, Array]:
             state, _, load = tank.tick(state, command, mount)
             return state, load, tank.shape(state)
 
-        advanced: tuple[TankState, Load, Array] = eqx.filter_vmap(each)(self.tanks, states, commands, mounts)
+        advanced: tuple[TankState, Load, Array] = eqx.filter_vmap(each)(
+            self.tanks, states, commands, mounts
+        )
         return advanced

@@ -1,4 +1,5 @@
-"""A trial: a robot holds its place or follows a path in simulation, with the noise of a real estimate."""
+"""A trial: a robot holds its place or follows a path in simulation, with the noise of a real
+estimate."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -34,7 +35,8 @@ class Disturbances(NamedTuple):
     """Impulse on the origin in body axes, within one action [N s]."""
     push_at_s: float = 10.0
     dead_fin: int | None = None
-    """Fin that dies: its drive brakes, its shaft stays where it stops, and the controller is notified."""
+    """Fin that dies: its drive brakes, its shaft stays where it stops, and the controller is
+    notified."""
     dead_at_s: float = 20.0
 
 
@@ -69,24 +71,43 @@ class Record(NamedTuple):
 
 
 def run_trial(
-    simulation: RobotSimulation, driver: WrenchDriver, path: Path, seconds: float | int,
-    disturbances: Disturbances | None = None, noise: NoiseConfig | None = None, seed: int = 0,
-) -> Record:  # fmt: skip
+    simulation: RobotSimulation,
+    driver: WrenchDriver,
+    path: Path,
+    seconds: float | int,
+    disturbances: Disturbances | None = None,
+    noise: NoiseConfig | None = None,
+    seed: int = 0,
+) -> Record:
     """Run a trial from rest at the path's beginning."""
-    trouble, noise = disturbances or Disturbances(), noise or NoiseConfig()
-    controller, random = MotionController(simulation.robot), generator_of(seed, "robot/noise")
+    trouble = disturbances or Disturbances()
+    noise = noise or NoiseConfig()
+    controller = MotionController(simulation.robot)
+    random = generator_of(seed, "robot/noise")
     start = path(0.0)
-    state = simulation.init(jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6)))
-    deviation, (kept, new) = np.zeros((1, 12)), noise.decay(TICK_S)
-    control, driving = controller.init(), driver.init()
+    state = simulation.init(
+        jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6))
+    )
+    deviation = np.zeros((1, 12))
+    (kept, new) = noise.decay(TICK_S)
+    control = controller.init()
+    driving = driver.init()
     before = commands_of([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
-    rows, asked, expected, forces, given_up = [], [], [], [], []
+    rows = []
+    asked = []
+    expected = []
+    forces = []
+    given_up = []
     seen: list[tuple[np.ndarray, ...]] = [
         (np.asarray(start.position)[None], np.asarray(start.attitude)[None], np.zeros((1, 6)))
     ]
     time = 0.0
     for ticks in ticks_of(round(seconds * ACTION_RATE_HZ)):
-        if trouble.dead_fin is not None and time >= trouble.dead_at_s and trouble.dead_fin not in driver.dead:
+        if (
+            trouble.dead_fin is not None
+            and time >= trouble.dead_at_s
+            and trouble.dead_fin not in driver.dead
+        ):
             driver.declare_dead(trouble.dead_fin)
             controller.sway_reach_n = driver.allocator.reach_along(SWAY)
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
@@ -96,17 +117,22 @@ def run_trial(
         driving, driven = driver.act(driving, wrench, np.asarray(twist_of(ahead)))
         control = controller.acknowledge(control, driven.wrench, ahead)
         commands = commands_of(driven.commands)
-        orders, before = Orders(before, commands, jnp.asarray(driven.delays)), commands
+        orders = Orders(before, commands, jnp.asarray(driven.delays))
+        before = commands
         for fin in driver.dead:
             orders = _stopped(orders, fin)
         push = np.zeros(6)
         if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
             push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
-        around = Ambient(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))
+        around = Ambient(
+            jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32)
+        )
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
-        noisy, deviation = lfilter([1.0], [1.0, -kept], new * random.normal(size=(ticks, 12)), axis=0, zi=deviation)
+        noisy, deviation = lfilter(
+            [1.0], [1.0, -kept], new * random.normal(size=(ticks, 12)), axis=0, zi=deviation
+        )
         seen = [*seen[-1:], estimated(happened.body, noisy * noise.deviations())]
         asked.append(wrench)
         expected.append(driven.wrench)
@@ -117,15 +143,22 @@ def run_trial(
     times = TICK_S * np.arange(1, len(happened.wrench) + 1)
     targets = [path(float(at)) for at in times]
     return Record(
-        times, BodyState(*(np.asarray(part, float) for part in happened.body)),
-        np.array([target.position for target in targets]), np.array([target.attitude for target in targets]),
-        np.asarray(happened.wrench, float), happened.shapes, np.array(asked), np.array(expected), np.array(forces),
+        times,
+        BodyState(*(np.asarray(part, float) for part in happened.body)),
+        np.array([target.position for target in targets]),
+        np.array([target.attitude for target in targets]),
+        np.asarray(happened.wrench, float),
+        happened.shapes,
+        np.array(asked),
+        np.array(expected),
+        np.array(forces),
         np.array(given_up),
-    )  # fmt: skip
+    )
 
 
 def _stopped(orders: Orders, fin: int) -> Orders:
-    """Return orders under which a fin's drive brakes and turns no more: those of any angle at no velocity."""
+    """Return orders under which a fin's drive brakes and turns no more: those of any angle at no
+    velocity."""
     before, now = (
         command._replace(velocity=jnp.asarray(command.velocity).at[fin].set(0.0))
         for command in (orders.before, orders.now)

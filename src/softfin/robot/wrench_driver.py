@@ -1,4 +1,5 @@
-"""A wrench asked for becomes commands for all fins, action by action: allocation, bracing, phases, gaits. NumPy alone.
+"""A wrench asked for becomes commands for all fins, action by action: allocation, bracing, phases,
+gaits. NumPy alone.
 
 driver = WrenchDriver(robot, gaits)
 state = driver.init()
@@ -33,7 +34,8 @@ class FinOrders(NamedTuple):
     commands: tuple[Command, ...]
     """For each fin [rad, rad/s]."""
     delays: tuple[int, ...]
-    """Ticks of 10 ms into the action at which each fin gets its command; until then it keeps the one before."""
+    """Ticks of 10 ms into the action at which each fin gets its command; until then it keeps the
+    one before."""
     forces: Forces
     """Mean force of each fin in its own axes [N]."""
     wrench: SixVector
@@ -42,7 +44,8 @@ class FinOrders(NamedTuple):
     """Axes in which the wrench asked for is beyond the fins."""
 
     def told(self, wrench: SixVector) -> str:
-        """Say in words what was given up of a wrench that was asked for; empty where nothing was."""
+        """Say in words what was given up of a wrench that was asked for; empty where nothing
+        was."""
         if not self.given_up.any():
             return ""
         units = ("N",) * 3 + ("N m",) * 3
@@ -70,10 +73,15 @@ class WrenchDriverState(NamedTuple):
 class WrenchDriver:
     """Turns wrenches into commands for the fins of one robot; with `phases` the fins keep these."""
 
-    def __init__(self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None) -> None:
-        self.robot, self.gaits, self._phases = robot, tuple(gaits), phases
+    def __init__(
+        self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None
+    ) -> None:
+        self.robot = robot
+        self.gaits = tuple(gaits)
+        self._phases = phases
         self._allocation = BracedAllocation(robot, [each.reach for each in gaits])
-        self._mounts, self._inverse = robot.mounts(), np.asarray(Dynamics.of(robot.body).inverse)
+        self._mounts = robot.mounts()
+        self._inverse = np.asarray(Dynamics.of(robot.body).inverse)
 
     @property
     def allocator(self) -> Allocator:
@@ -100,19 +108,26 @@ class WrenchDriver:
     ) -> tuple[WrenchDriverState, FinOrders]:
         """Take one action of 1/3 s for a mean wrench in body axes [N, N m].
 
-        `twist` is that with which the body is going to move through the water, as far as it is known [m/s, rad/s]: its
-        fins then make up for the force that they lose by it.
+        `twist` is that with which the body is going to move through the water, as far as it is
+        known [m/s, rad/s]: its fins then make up for the force that they lose by it.
 
         Raises:
             RunError: the wrench is not of finite numbers; the state is as it was.
         """
         wrench = np.asarray(wrench, float)
         if not np.isfinite(wrench).all():
-            raise RunError(f"wrench {wrench.tolist()}: must be six finite numbers, 3 forces [N] and 3 moments [N m]")
-        (forces, together, given_up), brace = self._allocation.share(wrench, state.forces, state.brace)
+            raise RunError(
+                f"wrench {wrench.tolist()}: must be six finite numbers, 3 forces [N] and 3 moments "
+                "[N m]"
+            )
+        (forces, together, given_up), brace = self._allocation.share(
+            wrench, state.forces, state.brace
+        )
         alive = [fin for fin in range(len(self.gaits)) if fin not in self.dead]
         phases = self._choose_phases(state, forces, alive)
-        velocities, fins, commands = self._mounts.velocities(twist), [], []
+        velocities = self._mounts.velocities(twist)
+        fins = []
+        commands = []
         for fin, gaits in enumerate(self.gaits):
             if fin in self.dead:
                 fins.append(state.fins[fin])
@@ -131,9 +146,13 @@ class WrenchDriver:
         if self._phases is not None or not alive:
             return state.phases if self._phases is None else self._phases
         sizes = np.hypot(*forces.T)
-        ripple = np.concatenate([self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))])
+        ripple = np.concatenate(
+            [self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))]
+        )
         directions = np.arctan2(-forces[:, 1], forces[:, 0])
         wrench = wrench_ripple(self.allocator.matrix, self._mounts.shafts, directions, ripple)
         phases = state.phases.copy()
-        phases[alive] = choose_phases(phases[alive], state.action < STARTING, wrench[:, alive], self._inverse)
+        phases[alive] = choose_phases(
+            phases[alive], state.action < STARTING, wrench[:, alive], self._inverse
+        )
         return phases

@@ -23,14 +23,17 @@ def collect(
 ) -> Dataset:
     """Record random motions of a plant as a dataset (paper Sec. III-A).
 
-    Test logs of the virtual tank are recorded in perturbed tanks, those of other plants differ by seed alone.
+    Test logs of the virtual tank are recorded in perturbed tanks, those of other plants differ by
+    seed alone.
     """
     config = config or CollectConfig()
     artifacts.check_vacant(out, overwrite)
     simulated = find_plant(plant)
     test_plants: list[Plant] = [simulated] * config.test_logs
     if isinstance(simulated, Tank):
-        keys = [key_of(config.seed, f"collect/conditions/{index}") for index in range(config.test_logs)]
+        keys = [
+            key_of(config.seed, f"collect/conditions/{index}") for index in range(config.test_logs)
+        ]
         test_plants = [sample_tank(simulated, key) for key in keys]
     metadata = {
         "plant": str(plant),

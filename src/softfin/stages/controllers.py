@@ -1,4 +1,5 @@
-"""Stages that end in a controller: map what a fin can do, find gaits, train policies (paper Sec. III-C)."""
+"""Stages that end in a controller: map what a fin can do, find gaits, train policies (paper Sec.
+III-C)."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,33 +28,54 @@ from softfin.task.references import PAPER_RANGE
 
 
 def map_forces(
-    plant: str | Plant, out: Path, config: MapConfig | None = None, *,
-    overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Find the mean forces that a fin can make, their Sobolev cost and the gaits for them; writes the folder `out`."""
+    plant: str | Plant,
+    out: Path,
+    config: MapConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Find the mean forces that a fin can make, their Sobolev cost and the gaits for them; writes
+    the folder `out`."""
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
     found = _map_forces(moving, config, partial(progress, "map"))
-    save_map(out, found, config, Limits(*map(float, moving.limits)), _origin(plant, moving, None), overwrite)
-    errors, (star, warning) = found.gaits.force_error(), check_star(found, config.tolerance_n)
+    save_map(
+        out,
+        found,
+        config,
+        Limits(*map(float, moving.limits)),
+        _origin(plant, moving, None),
+        overwrite,
+    )
+    errors = found.gaits.force_error()
+    (star, warning) = check_star(found, config.tolerance_n)
     return {
         "map": str(out),
         "box_n": found.reachable.bounds(),
         "area_n2": found.reachable.area(),
         "nodes": errors.size,
         "held": int((errors <= config.tolerance_n).sum()),
-        "beyond": [list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)],
+        "beyond": [
+            list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)
+        ],
         "star_shape": star,
         "warning": warning,
     }
 
 
 def find_gaits(
-    plant: str | Plant, out: Path, config: MapConfig | None = None, *,
-    force_map: Path | None = None, overwrite: bool = False, progress: Progress = silent,
-) -> None:  # fmt: skip
-    """Find the gaits of a lattice of reference forces and write them as a controller, the folder `out`.
+    plant: str | Plant,
+    out: Path,
+    config: MapConfig | None = None,
+    *,
+    force_map: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> None:
+    """Find the gaits of a lattice of reference forces and write them as a controller, the folder
+    `out`.
 
     The folder of a map, `force_map`, has them already, over its own lattice.
     """
@@ -64,11 +86,23 @@ def find_gaits(
         found = _map_forces(moving, config, partial(progress, "gaits"))
     elif config is None:
         loaded = load_force_map(force_map, moving, name_of(plant))
-        found, config = loaded.force_map, loaded.config
+        found = loaded.force_map
+        config = loaded.config
     else:
-        raise ConfigurationError(f"map {force_map}: its lattice is made; give no configuration or range beside it")
+        raise ConfigurationError(
+            f"map {force_map}: its lattice is made; give no configuration or range beside it"
+        )
     origin = _origin(plant, moving, force_map)
-    save_gaits(out, found, config, Limits(*map(float, moving.limits)), origin, None, learnt_from(plant), overwrite)
+    save_gaits(
+        out,
+        found,
+        config,
+        Limits(*map(float, moving.limits)),
+        origin,
+        None,
+        learnt_from(plant),
+        overwrite,
+    )
 
 
 def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[str, Any]:
@@ -77,29 +111,42 @@ def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[s
 
 
 def train(
-    plant: str | Plant, out: Path, config: TrainConfig | None = None, *,
-    force_map: Path | None = None, seeds: Sequence[int] = (0,),
-    engine: EngineName = "local", cluster: str | None = None, reason: str | None = None,
-    resume: bool = False, overwrite: bool = False, progress: Progress = silent,
-) -> None:  # fmt: skip
-    """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by gradients.
+    plant: str | Plant,
+    out: Path,
+    config: TrainConfig | None = None,
+    *,
+    force_map: Path | None = None,
+    seeds: Sequence[int] = (0,),
+    engine: EngineName = "local",
+    cluster: str | None = None,
+    reason: str | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> None:
+    """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by
+    gradients.
 
-    Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has them. The folder of
-    a map of the plant, `force_map`, says what the fin can do and saves the search for gaits; without, only training by
-    gradients that begins as gaits looks for it, and references beyond reach are trained for as they are.
-    One seed writes the controller's folder `out`; several are written as ``out/seed-N``. The `engine` trains all of it in
-    this process, as one program, or in parts on a Ray `cluster`.
-    The `reason` for the algorithm is kept with the controller.
+    Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has
+    them. The folder of a map of the plant, `force_map`, says what the fin can do and saves the
+    search for gaits; without, only training by gradients that begins as gaits looks for it, and
+    references beyond reach are trained for as they are. One seed writes the controller's folder
+    `out`; several are written as ``out/seed-N``. The `engine` trains all of it in this process, as
+    one program, or in parts on a Ray `cluster`. The `reason` for the algorithm is kept with the
+    controller.
     """
     if engine == "ray":
         check_cluster(cluster)
     elif cluster is not None:
-        raise ConfigurationError(f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster")
+        raise ConfigurationError(
+            f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster"
+        )
     moving = find_plant(plant)
     if config is None:
         config, reason = choose_preset(moving)
     can = None if force_map is None else load_force_map(force_map, moving, name_of(plant)).force_map
-    origin, learnt = _origin(plant, moving, force_map), learnt_from(plant)
+    origin = _origin(plant, moving, force_map)
+    learnt = learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     metadata = {
         "configuration": config.model_dump(mode="json"),
@@ -119,7 +166,9 @@ def train(
         trained = train_in_process(moving, config, seeds, run_directory, progress, can)
 
     def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
-        save_controller(folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite)
+        save_controller(
+            folder, trained, seed, origin | {"seed": seed}, extra_files, learnt, overwrite
+        )
 
     def keep_log(folder: Path) -> None:
         run_directory.keep_log(folder)

@@ -1,4 +1,5 @@
-"""Stages that show what a fin does: under a controller (paper Sec. IV-B), under baselines, as a film or a page."""
+"""Stages that show what a fin does: under a controller (paper Sec. IV-B), under baselines, as a
+film or a page."""
 
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,11 @@ from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
-from softfin.evaluation.baselines.baselines import BaselinesConfig, evaluate_baselines, write_baselines
+from softfin.evaluation.baselines.baselines import (
+    BaselinesConfig,
+    evaluate_baselines,
+    write_baselines,
+)
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.experiment import EvaluationTarget
@@ -23,32 +28,51 @@ from softfin.tank import DomainRandomization, RandomizedTank, Tank
 
 
 def evaluate(
-    controller: Path, plant: str | EvaluationTarget, out: Path | None = None, config: EvaluateConfig | None = None, *,
-    randomize: float | int | DomainRandomization | None = None, overwrite: bool = False,
-) -> dict[str, Any]:  # fmt: skip
-    """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and figures to `out`.
+    controller: Path,
+    plant: str | EvaluationTarget,
+    out: Path | None = None,
+    config: EvaluateConfig | None = None,
+    *,
+    randomize: float | int | DomainRandomization | None = None,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and
+    figures to `out`.
 
-    With `randomize` the plant must be a tank; every repetition is run in another one, drawn about it; 0 is the tank.
+    With `randomize` the plant must be a tank; every repetition is run in another one, drawn about
+    it; 0 is the tank.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant) if isinstance(plant, str) else plant
-    widths = DomainRandomization.of(float(randomize)) if isinstance(randomize, int | float) else randomize
+    widths = (
+        DomainRandomization.of(float(randomize))
+        if isinstance(randomize, int | float)
+        else randomize
+    )
     if widths is not None:
         if not isinstance(moving, Tank):
-            raise ConfigurationError(f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}")
+            raise ConfigurationError(
+                f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}"
+            )
         # At 0 the sensor's noise is the tank's own, too.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)
     evaluation = evaluation_of(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
     kind = artifacts.load_description(controller, "controller")["controller"]
-    metadata = {"controller": str(controller), "kind": kind, "plant": str(plant),
-             "randomization": None if widths is None else widths.model_dump(mode="json")}  # fmt: skip
+    metadata = {
+        "controller": str(controller),
+        "kind": kind,
+        "plant": str(plant),
+        "randomization": None if widths is None else widths.model_dump(mode="json"),
+    }
     return write_evaluation(evaluation, out, metadata, overwrite)
 
 
-def evaluation_of(controller: Path, plant: EvaluationTarget, config: EvaluateConfig, named: str) -> Evaluation:
+def evaluation_of(
+    controller: Path, plant: EvaluationTarget, config: EvaluateConfig, named: str
+) -> Evaluation:
     """A controller's experiments on a plant, not yet written."""
     holding = load_controller(controller)
     check_limits(holding.limits, Limits(*plant.limits), controller, named)
@@ -58,20 +82,27 @@ def evaluation_of(controller: Path, plant: EvaluationTarget, config: EvaluateCon
 def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
     """Raise PlantError where a controller commands more than a plant takes."""
     for i, quantity in ((0, "angle"), (2, "velocity")):
-        ours, theirs = asked[i : i + 2], taken[i : i + 2]
+        ours = asked[i : i + 2]
+        theirs = taken[i : i + 2]
         tolerance = 1e-3 * (theirs[1] - theirs[0])
         if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
             raise PlantError(
-                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}; {named} takes "
-                f"{theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a surrogate of this plant"
+                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}; {named} "
+                f"takes {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a surrogate of this plant"
             )
 
 
 def baselines(
-    plant: str | Plant, out: Path, config: BaselinesConfig | None = None, *,
-    surrogate: str | Plant | None = None, overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Evaluate a still fin, the best sine, an inverse model, random gaits; writes ``baselines.json`` to `out`.
+    plant: str | Plant,
+    out: Path,
+    config: BaselinesConfig | None = None,
+    *,
+    surrogate: str | Plant | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Evaluate a still fin, the best sine, an inverse model, random gaits; writes
+    ``baselines.json`` to `out`.
 
     Sines and gaits are searched for in the `surrogate`, or in the plant itself.
     """
@@ -92,9 +123,15 @@ def baselines(
 
 
 def view(
-    plant: str | Plant, out: Path, config: ViewConfig | None = None, *, controller: Path | None = None,
-    reference: tuple[float, float] | None = None, overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
+    plant: str | Plant,
+    out: Path,
+    config: ViewConfig | None = None,
+    *,
+    controller: Path | None = None,
+    reference: tuple[float, float] | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
     """Show a plant in motion as .gif, .html or .png, in a simple gait or under a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)
@@ -106,7 +143,10 @@ def view(
     if controller is not None and holding is not None and reference is not None:
         if config.random:
             raise ConfigurationError("random commands and a controller at once; give one of them")
-        pairs = [resolve_reference(holding, asked, strict=False) for asked in (reference, *config.next_references)]
+        pairs = [
+            resolve_reference(holding, asked, strict=False)
+            for asked in (reference, *config.next_references)
+        ]
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"next_references": following}, "view")
         warnings = [warning for _, warning in pairs if warning is not None]
@@ -119,7 +159,9 @@ def view(
         "view": str(out),
         "title": title,
         "seconds": config.seconds,
-        "frames": len(ticks_of(len(footage.shape), config.frames_per_second)) if out.suffix == ".gif" else None,
+        "frames": len(ticks_of(len(footage.shape), config.frames_per_second))
+        if out.suffix == ".gif"
+        else None,
         "mean_force_n": [round(float(force), 4) for force in footage.force.mean(axis=0)],
         "force": "reading" if footage.true_force is None else "true force",
         "shape_known": footage.shape_known,

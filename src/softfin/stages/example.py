@@ -1,7 +1,8 @@
-"""The example that comes with softfin: a surrogate and controllers of the virtual tank, already trained; no JAX.
+"""The example that comes with softfin: a surrogate and controllers of the virtual tank, already
+trained; no JAX.
 
-``examples/make_example.py`` writes its folder from softfin's own commands; ``example.json`` lists these commands, the
-SHA-256 of each file and the errors of the controllers in the tank.
+``examples/make_example.py`` writes its folder from softfin's own commands; ``example.json`` lists
+these commands, the SHA-256 of each file and the errors of the controllers in the tank.
 """
 
 import shutil
@@ -17,7 +18,8 @@ EXAMPLE_KIND = "example"
 
 
 def write_example(out: Path, *, overwrite: bool = False) -> dict[str, Any]:
-    """Copy the example to a folder, whole or not at all; returns its description, ``example.json``."""
+    """Copy the example to a folder, whole or not at all; returns its description,
+    ``example.json``."""
 
     def copy(folder: Path) -> None:
         # Contents alone: the package's files may be ones that the user cannot change.

@@ -1,4 +1,5 @@
-"""The stage that makes a page to try controllers in: plants and controllers in, one HTML file out."""
+"""The stage that makes a page to try controllers in: plants and controllers in, one HTML file
+out."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,32 +22,48 @@ TITLE = "Drag the force, watch the fin"
 
 
 def explore(
-    controllers: Sequence[Path], out: Path, plants: Sequence[str] = ("tank",), *, overwrite: bool = False
+    controllers: Sequence[Path],
+    out: Path,
+    plants: Sequence[str] = ("tank",),
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write a page in which these controllers hold forces that one drags, in these plants; returns its size and parts.
+    """Write a page in which these controllers hold forces that one drags, in these plants; returns
+    its size and parts.
 
-    Raises PlantError for a plant that the page cannot move, or that does not take a controller's commands.
+    Raises PlantError for a plant that the page cannot move, or that does not take a controller's
+    commands.
     """
     artifacts.check_file(out, overwrite)
     moving = {name: find_plant(name) for name in plants}
     holding = {str(path): load_controller(path) for path in controllers}
     for given, kept in ((plants, moving), (controllers, holding)):
         if len(kept) < len(given) or not given:
-            raise ConfigurationError(f"{', '.join(map(str, given)) or 'nothing'}: name one or more, each once")
+            raise ConfigurationError(
+                f"{', '.join(map(str, given)) or 'nothing'}: name one or more, each once"
+            )
     data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
     for path, controller in holding.items():
         for name, plant in moving.items():
             check_limits(controller.limits, Limits(*plant.limits), Path(path), name)
     # A surrogate does not know its fin's size.
     tank = next((plant for plant in moving.values() if isinstance(plant, Tank)), None) or Tank()
-    outlines = {name: outline(plant if isinstance(plant, Tank) else tank) for name, plant in moving.items()}
+    outlines = {
+        name: outline(plant if isinstance(plant, Tank) else tank) for name, plant in moving.items()
+    }
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
     write_page(
         out,
         TITLE,
-        [{"name": kinds[path], **controller_data(controller)} for path, controller in holding.items()],
-        [{"name": names[name], "outline": outlines[name], **data} for name, data in data_of_plants.items()],
+        [
+            {"name": kinds[path], **controller_data(controller)}
+            for path, controller in holding.items()
+        ],
+        [
+            {"name": names[name], "outline": outlines[name], **data}
+            for name, data in data_of_plants.items()
+        ],
     )
     return {
         "page": str(out),
@@ -64,4 +81,6 @@ def is_shown(plant: Plant) -> bool:
 def _labels(short: dict[str, str]) -> dict[str, str]:
     """Return a short name for each, or where two would be the same, with what the user wrote."""
     counts = Counter(short.values())
-    return {given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()}
+    return {
+        given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()
+    }

@@ -1,7 +1,9 @@
-"""The stages on a real fin: logs recorded and controllers evaluated in real time, one after the other.
+"""The stages on a real fin: logs recorded and controllers evaluated in real time, one after the
+other.
 
-Beside the output folder NAME stands ``NAME-bags`` with a ROS 2 bag of everything, written while it happens and never
-removed, and with the logs that are finished, from which an interrupted collection goes on.
+Beside the output folder NAME stands ``NAME-bags`` with a ROS 2 bag of everything, written while it
+happens and never removed, and with the logs that are finished, from which an interrupted collection
+goes on.
 """
 
 import json
@@ -46,33 +48,45 @@ Confirm = Callable[[RobotSetup], None]
 """Asks a person whether the fin may move; raises where the answer is not yes."""
 
 EXTRA_TICKS = 20
-"""Ticks that are read after the last row of a log: its force comes out of the filter a little later."""
+"""Ticks that are read after the last row of a log: its force comes out of the filter a little
+later."""
 
 HALF_TICK_S = TICK_S / 2
-"""Commands are stamped this early, so that the jitter of a tick does not move them to the next row."""
+"""Commands are stamped this early, so that the jitter of a tick does not move them to the next
+row."""
 
 GAP_S = 0.05
-"""Longest gap between two readings of a device that is bridged [s]; a fin at 3 Hz moves smoothly for as long."""
+"""Longest gap between two readings of a device that is bridged [s]; a fin at 3 Hz moves smoothly
+for as long."""
 
 STATE = "collect.json"
 
 DRIFT_N = 0.2
-"""Change of the force at rest from the first log of a collection beyond which a log gets a warning [N]; the force at
-rest is subtracted from each log, but a sensor that drifts while it rests also drifts while it is recorded."""
+"""Change of the force at rest from the first log of a collection beyond which a log gets a warning
+[N]; the force at rest is subtracted from each log, but a sensor that drifts while it rests also
+drifts while it is recorded."""
 
 Warn = Callable[[str], None]
 """Function that shows a person a warning of one line."""
 
 
 def collect_live(
-    robot: RobotSetup, out: Path, config: CollectConfig, confirm: Confirm, *,
-    resume: bool = False, overwrite: bool = False, stop: StopRequest | None = None, progress: Progress = silent,
+    robot: RobotSetup,
+    out: Path,
+    config: CollectConfig,
+    confirm: Confirm,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    stop: StopRequest | None = None,
+    progress: Progress = silent,
     warn: Warn = lambda line: None,
-) -> Dataset:  # fmt: skip
+) -> Dataset:
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
-    With `resume` finished logs are taken over. Raises SafetyStop where the fin had to be stopped; what was recorded
-    until then is kept. `warn` gets a line for each log whose force at rest has changed.
+    With `resume` finished logs are taken over. Raises SafetyStop where the fin had to be stopped;
+    what was recorded until then is kept. `warn` gets a line for each log whose force at rest has
+    changed.
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags = bags_of(out)
@@ -83,15 +97,22 @@ def collect_live(
     }
     claim = metadata | {"rig": _drop_addresses(robot.configuration)}
     counts = {"train": config.logs, "test": config.test_logs}
-    names = [f"{part}-{i:0{DATASET_PARTS[part]}d}" for part, count in counts.items() for i in range(count)]
+    names = [
+        f"{part}-{i:0{DATASET_PARTS[part]}d}"
+        for part, count in counts.items()
+        for i in range(count)
+    ]
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     _check_claim(bags, claim, resume, is_complete=not missing)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
-        # The recordings beside it are those of this collection, and it is written when they are complete.
+        # The recordings beside it are those of this collection, and it is written when they are
+        # complete.
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
     if missing:
-        with Session(robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop) as session:
+        with Session(
+            robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop
+        ) as session:
             confirm(robot)
             session.stop_on_signals()
             artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
@@ -99,20 +120,27 @@ def collect_live(
 
                 def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
                     left = ((len(missing) - index) * config.rows - row) / RATE_HZ
-                    left_s = timedelta(seconds=round(left + (len(missing) - index - 1) * robot.settle_s))
+                    left_s = timedelta(
+                        seconds=round(left + (len(missing) - index - 1) * robot.settle_s)
+                    )
                     x, y = sample.wrench[:2]
                     note = f"{left_s} left, {name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
                     progress("collect", min((index + row / config.rows) / len(missing), 1.0), note)
 
                 with session.recording(bags / f"{name}.mcap"):
                     log, rest_force = _record(session, robot, config, name, report)
-                sensor_state = _sensor_state(robot.machine) | {"force_at_rest_n": [round(x, 4) for x in rest_force]}
-                # Before the log itself: a log that is there is finished, so it must not lack its state.
+                sensor_state = _sensor_state(robot.machine) | {
+                    "force_at_rest_n": [round(x, 4) for x in rest_force]
+                }
+                # Before the log itself: a log that is there is finished, so it must not lack its
+                # state.
                 artifacts.write_file(_sensor_file(bags, name), artifacts.dump_json(sensor_state))
                 write_log(bags / f"{name}.parquet", log)
                 if line := _drift_warning(_sensor_states(bags, names), name):
                     warn(line)
-            metadata["counters"] = robot.machine.counters() | {"skipped_ticks": session.pace.skipped}
+            metadata["counters"] = robot.machine.counters() | {
+                "skipped_ticks": session.pace.skipped
+            }
             metadata["clock"] = session.pace.to_dict()
     sensor_states = _sensor_states(bags, names)
     description = {
@@ -121,19 +149,32 @@ def collect_live(
         "commands": {"excitation": "random"},
         "bags": bags.name,
         "sensor_by_log": sensor_states,
-        "sensor_warnings": [line for name in names if (line := _drift_warning(sensor_states, name))],
+        "sensor_warnings": [
+            line for name in names if (line := _drift_warning(sensor_states, name))
+        ],
         "provenance": artifacts.provenance(seed=config.seed),
         **metadata,
     }
-    train, test = ([bags / f"{name}.parquet" for name in names if name.startswith(part)] for part in DATASET_PARTS)
+    train, test = (
+        [bags / f"{name}.parquet" for name in names if name.startswith(part)]
+        for part in DATASET_PARTS
+    )
     return write_dataset(out, map(read_log, train), map(read_log, test), description, overwrite)
 
 
 def evaluate_live(
-    controller: Path, robot: RobotSetup, out: Path, config: EvaluateConfig, confirm: Confirm, *,
-    overwrite: bool = False, stop: StopRequest | None = None, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does on a plant."""
+    controller: Path,
+    robot: RobotSetup,
+    out: Path,
+    config: EvaluateConfig,
+    confirm: Confirm,
+    *,
+    overwrite: bool = False,
+    stop: StopRequest | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does
+    on a plant."""
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
@@ -144,15 +185,26 @@ def evaluate_live(
         confirm(robot)
         session.stop_on_signals()
         with session.recording(bag):
-            return evaluate(controller, LiveFin(session, acting, robot, progress), out, config, overwrite=overwrite)
+            return evaluate(
+                controller,
+                LiveFin(session, acting, robot, progress),
+                out,
+                config,
+                overwrite=overwrite,
+            )
 
 
 class LiveFin:
     """A real fin and the controller on it, as the evaluation's `RealTime`."""
 
-    def __init__(self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress) -> None:
+    def __init__(
+        self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress
+    ) -> None:
         self.limits = Limits(*robot.machine.limits)
-        self._session, self._controller, self._robot, self._progress = session, controller, robot, progress
+        self._session = session
+        self._controller = controller
+        self._robot = robot
+        self._progress = progress
 
     def __str__(self) -> str:
         return self._robot.machine.name
@@ -166,9 +218,13 @@ class LiveFin:
         for index, repetition in np.ndindex(shape):
             note = f"reference {index + 1} of {len(references)}, repetition {repetition + 1}"
             self._progress("evaluate", len(runs) / (len(references) * repetitions), note)
-            runs.append(self._one(np.broadcast_to(references[index], (seconds * RATE_HZ, 2)), seconds))
+            runs.append(
+                self._one(np.broadcast_to(references[index], (seconds * RATE_HZ, 2)), seconds)
+            )
         self._progress("evaluate", 1.0, "")
-        command, reading = jax.tree.map(lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs)
+        command, reading = jax.tree.map(
+            lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs
+        )
         return ExperimentRecording(references, command, reading)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
@@ -181,12 +237,16 @@ class LiveFin:
             x, y = asked[round(at * RATE_HZ)].tolist()
             return x, y
 
-        results = list(run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero))
+        results = list(
+            run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero)
+        )
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
-        # Without power: putting ten minutes of samples on a grid takes longer than a tick may be late.
+        # Without power: putting ten minutes of samples on a grid takes longer than a tick may be
+        # late.
         session.deactivate()
-        # A tick's reading is the one at its end: the rest before the first action is row 0, and left out.
+        # A tick's reading is the one at its end: the rest before the first action is row 0, and
+        # left out.
         issued = [(first.time - HALF_TICK_S, results[0].target)]
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
         ticks = [result.target for result in results for _ in result.samples]
@@ -197,7 +257,8 @@ class LiveFin:
 
 
 def longest_gap(robot: RobotSetup) -> float:
-    """Return the longest gap that a log may have [s]: what the safety limits allow is bridged, too."""
+    """Return the longest gap that a log may have [s]: what the safety limits allow is bridged,
+    too."""
     return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
 
 
@@ -207,19 +268,32 @@ def bags_of(out: Path) -> Path:
 
 
 def log_from_samples(
-    samples: Sequence[Sample], issued: Sequence[tuple[float, Target]], rows: int, gap_s: float = GAP_S
+    samples: Sequence[Sample],
+    issued: Sequence[tuple[float, Target]],
+    rows: int,
+    gap_s: float = GAP_S,
 ) -> Log:
-    """Put both devices on one 100 Hz grid, from the first sample on, whatever the jitter of the loop was.
+    """Put both devices on one 100 Hz grid, from the first sample on, whatever the jitter of the
+    loop was.
 
-    `issued` holds each command and when it was issued [s]. The force of a moment is known only after its filter, so a
-    few samples more than rows are needed. Raises DeviceError where the samples end early or have a longer gap.
+    `issued` holds each command and when it was issued [s]. The force of a moment is known only
+    after its filter, so a few samples more than rows are needed. Raises DeviceError where the
+    samples end early or have a longer gap.
     """
     grid = samples[0].time + TICK_S * np.arange(rows)
-    joint = _resample(np.array([(s.time, s.angle, s.velocity) for s in samples]), grid, "angle", gap_s)
-    force = _resample(np.array([(s.force_time, *s.wrench[:2]) for s in samples]), grid, "force", gap_s)
-    times, targets = np.array([time for time, _ in issued]), np.array([target for _, target in issued], float)
+    joint = _resample(
+        np.array([(s.time, s.angle, s.velocity) for s in samples]), grid, "angle", gap_s
+    )
+    force = _resample(
+        np.array([(s.force_time, *s.wrench[:2]) for s in samples]), grid, "force", gap_s
+    )
+    times = np.array([time for time, _ in issued])
+    targets = np.array([target for _, target in issued], float)
     command = Command(*(held(times, channel, grid).astype(np.float32) for channel in targets.T))
-    return Log(command, Reading(TICK_S * np.arange(1, rows + 1), joint[0], joint[1], np.stack(force, axis=1)))
+    return Log(
+        command,
+        Reading(TICK_S * np.arange(1, rows + 1), joint[0], joint[1], np.stack(force, axis=1)),
+    )
 
 
 def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> list[np.ndarray]:
@@ -230,8 +304,8 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
     if time[0] > grid[0] + gap_s or time[-1] < grid[-1] or gaps.max() > gap_s:
         place = 0.0 if time[0] > grid[0] + gap_s else gaps[: gaps.argmax()].sum()
         raise DeviceError(
-            f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log: at most {gap_s * 1e3:.0f} ms; "
-            "see softfin rig check, and record this log again with --resume"
+            f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log: at most "
+            f"{gap_s * 1e3:.0f} ms; see softfin rig check, and record this log again with --resume"
         )
     return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
 
@@ -240,12 +314,15 @@ def _drop_addresses(configuration: dict[str, Any]) -> dict[str, Any]:
     """Return the configuration without the settings of how its devices are reached."""
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
-        kept["sensor"] = {name: value for name, value in kept["sensor"].items() if name not in ADDRESS_FIELDS}
+        kept["sensor"] = {
+            name: value for name, value in kept["sensor"].items() if name not in ADDRESS_FIELDS
+        }
     return kept
 
 
 def _sensor_state(machine: Machine) -> dict[str, Any]:
-    """Return the serial number of the sensor's calibration and its last zero; None for what a machine does not have."""
+    """Return the serial number of the sensor's calibration and its last zero; None for what a
+    machine does not have."""
     # Only a rig has a sensor of its own; one behind ROS 2 belongs to another program.
     if not isinstance(machine, Rig):
         return {"sensor_serial": None, "force_zero": None}
@@ -277,39 +354,50 @@ def _drift_warning(sensor_states: dict[str, Any], name: str) -> str | None:
     if drift <= DRIFT_N:
         return None
     return (
-        f"{name}: the force at rest is {drift:.2f} N from that of {first_name}: at most {DRIFT_N:g} N; let the "
-        "sensor and the water reach one temperature, and look for what touches the fin"
+        f"{name}: the force at rest is {drift:.2f} N from that of {first_name}: at most "
+        f"{DRIFT_N:g} N; let the sensor and the water reach one temperature, and look for what "
+        "touches the fin"
     )
 
 
 def _check_claim(bags: Path, claim: dict[str, Any], resume: bool, is_complete: bool) -> None:
-    """Raise ArtifactError where the folder holds other recordings, or finished ones without `resume`."""
+    """Raise ArtifactError where the folder holds other recordings, or finished ones without
+    `resume`."""
     state = bags / STATE
     if not state.exists():
         if bags.exists() and any(bags.iterdir()):
-            raise ArtifactError(f"{bags}: exists and does not hold a collection; give another --out")
+            raise ArtifactError(
+                f"{bags}: exists and does not hold a collection; give another --out"
+            )
     elif any(bags.glob("*.parquet")):
         if not resume:
             raise ArtifactError(
-                f"{bags}: holds finished logs; go on with --resume, give another --out, or move it away"
+                f"{bags}: holds finished logs; go on with --resume, give another --out, or move it "
+                "away"
             )
         before = artifacts.read_json(state)
         now = json.loads(artifacts.dump_json(claim))
         if "sensor" in now["rig"] and "sensor" not in before.get("rig", {}):
-            # Older versions left the sensor out, so nobody can see whether its axes are still the same.
+            # Older versions left the sensor out, so nobody can see whether its axes are still the
+            # same.
             if not is_complete:
                 raise ArtifactError(
-                    f"{bags}: begun by an older softfin, which did not keep how the sensor was set up; finish it with "
-                    "that version, or give another --out"
+                    f"{bags}: begun by an older softfin, which did not keep how the sensor was set "
+                    "up; finish it with that version, or give another --out"
                 )
             del now["rig"]["sensor"]
         check_same(bags, before, now, "give the same options and rig, or another --out")
 
 
 def _record(
-    session: Session, robot: RobotSetup, config: CollectConfig, name: str, report: Callable[[int, Sample], None]
+    session: Session,
+    robot: RobotSetup,
+    config: CollectConfig,
+    name: str,
+    report: Callable[[int, Sample], None],
 ) -> tuple[Log, Force]:
-    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right then.
+    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right
+    then.
 
     Return it with the force at rest before it [N], which its force does not contain.
     """
@@ -333,4 +421,6 @@ def _record(
                 report(tick, sample)
     session.deactivate()
     log = log_from_samples(samples[1:], issued, len(commands) - 1, longest_gap(robot))
-    return log._replace(reading=log.reading._replace(force=log.reading.force - np.array(zero, np.float32))), zero
+    return log._replace(
+        reading=log.reading._replace(force=log.reading.force - np.array(zero, np.float32))
+    ), zero

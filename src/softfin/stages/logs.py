@@ -13,9 +13,13 @@ from softfin.storage.dataset import Dataset, write_dataset
 
 
 def inspect_logs(
-    path: Path, out: Path | None = None, config: ImportConfig | None = None, *,
-    overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
+    path: Path,
+    out: Path | None = None,
+    config: ImportConfig | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
     """Find what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
     if out is not None:
         artifacts.check_vacant(out, overwrite)
@@ -32,13 +36,23 @@ def inspect_logs(
 
 
 def import_logs(
-    path: Path, out: Path, config: ImportConfig | None = None, *,
-    ignore_errors: bool = False, overwrite: bool = False, progress: Progress = silent,
-) -> tuple[Dataset, Inspection]:  # fmt: skip
-    """Turn recordings of any kind into a dataset; raises LogError where they have errors, unless these are ignored."""
+    path: Path,
+    out: Path,
+    config: ImportConfig | None = None,
+    *,
+    ignore_errors: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> tuple[Dataset, Inspection]:
+    """Turn recordings of any kind into a dataset; raises LogError where they have errors, unless
+    these are ignored."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
     opened.check_train(str(path))
     opened.check_issues(str(path), ignore_errors)
-    metadata = {**opened.metadata, "ignore_errors": ignore_errors, "provenance": artifacts.provenance()}
+    metadata = {
+        **opened.metadata,
+        "ignore_errors": ignore_errors,
+        "provenance": artifacts.provenance(),
+    }
     return write_dataset(out, opened.train, opened.test, metadata, overwrite), opened.inspection

@@ -1,4 +1,5 @@
-"""The main job in one run: collect, fit, train, evaluate, report; each stage a folder, so a stopped run can go on."""
+"""The main job in one run: collect, fit, train, evaluate, report; each stage a folder, so a stopped
+run can go on."""
 
 import json
 import resource
@@ -47,29 +48,50 @@ Evaluated: TypeAlias = dict[str, tuple[dict[str, Any], Evaluation]]
 
 
 def reproduce(
-    plant: str, out: Path, config: ReproduceConfig | None = None, *,
-    seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and ``report.html``.
+    plant: str,
+    out: Path,
+    config: ReproduceConfig | None = None,
+    *,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and
+    ``report.html``.
 
-    Where the plant or the surrogate can move in a page, write ``explore.html``, too, to try the controllers in.
+    Where the plant or the surrogate can move in a page, write ``explore.html``, too, to try the
+    controllers in.
     """
     config = config or ReproduceConfig()
     run = _Reproduction(plant, out, config, seed, progress)
     run.claim(resume, overwrite)
     if resume and (out / RESULTS).is_file():
-        # It was complete; a second evaluation would only replace the times of its stages by nothing.
+        # It was complete; a second evaluation would only replace the times of its stages by
+        # nothing.
         results: dict[str, Any] = json.loads((out / RESULTS).read_text())
         return results
     scores = None if is_surrogate(plant) else run.learn_surrogate()
     run.make_controllers()
     evaluated = run.evaluate(plant, "evaluation")
-    observed = None if config.evaluate.trim is None else run.evaluate(plant, "evaluation-trimmed", trim=True)
-    within = None if is_surrogate(plant) else run.evaluate(str(run.surrogate), "evaluation-in-surrogate", moving=False)
+    observed = (
+        None
+        if config.evaluate.trim is None
+        else run.evaluate(plant, "evaluation-trimmed", trim=True)
+    )
+    within = (
+        None
+        if is_surrogate(plant)
+        else run.evaluate(str(run.surrogate), "evaluation-in-surrogate", moving=False)
+    )
     run.make_page()
 
     def summaries(evaluated: Evaluated | None) -> dict[str, Any] | None:
-        return None if evaluated is None else {kind: summary for kind, (summary, _) in evaluated.items()}
+        return (
+            None
+            if evaluated is None
+            else {kind: summary for kind, (summary, _) in evaluated.items()}
+        )
 
     results = {
         **artifacts.head(REPRODUCTION_KIND),
@@ -83,21 +105,29 @@ def reproduce(
         "trimmed": summaries(observed),
         "in_surrogate": summaries(within),
         "stages": run.stages,
-        "wall_s": {stage["stage"]: stage["wall_s"] for stage in run.stages if stage["wall_s"] is not None},
+        "wall_s": {
+            stage["stage"]: stage["wall_s"] for stage in run.stages if stage["wall_s"] is not None
+        },
         "peak_memory_gib": _peak_memory_gib(),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
-    shown, best = observed or evaluated, headline(results)
+    shown = observed or evaluated
+    best = headline(results)
     figures = {
-        "headline": {} if best is None else {best.caption: held_figure(shown[best.controller][1].recording)},
+        "headline": {}
+        if best is None
+        else {best.caption: held_figure(shown[best.controller][1].recording)},
         "surrogate": run.surrogate_figures() if scores is not None else {},
         "learning": run.learning_figures(),
         "experiment": {
-            f"{kind} controller, seed {seed}": experiments_figure(e.recording) for kind, (_, e) in evaluated.items()
+            f"{kind} controller, seed {seed}": experiments_figure(e.recording)
+            for kind, (_, e) in evaluated.items()
         },
         "moving": {
-            f"{kind} controller, seed {seed}": moving_figure(e.moving) for kind, (_, e) in shown.items() if e.moving
+            f"{kind} controller, seed {seed}": moving_figure(e.moving)
+            for kind, (_, e) in shown.items()
+            if e.moving
         },
     }
     write_report(out / "report.html", results, figures)
@@ -110,9 +140,16 @@ def reproduce(
 class _Reproduction:
     """One run and where its parts lie."""
 
-    def __init__(self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress) -> None:
-        self.plant, self.out, self.config, self.seed, self.progress = plant, out, config, seed, progress
-        self.dataset, self.stages = out / "dataset", list[dict[str, Any]]()
+    def __init__(
+        self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress
+    ) -> None:
+        self.plant = plant
+        self.out = out
+        self.config = config
+        self.seed = seed
+        self.progress = progress
+        self.dataset = out / "dataset"
+        self.stages = list[dict[str, Any]]()
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
         self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")
@@ -127,7 +164,10 @@ class _Reproduction:
         metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, REPRODUCTION_KIND):
             try:
-                before = {name: artifacts.load_description(self.out, REPRODUCTION_KIND).get(name) for name in metadata}
+                before = {
+                    name: artifacts.load_description(self.out, REPRODUCTION_KIND).get(name)
+                    for name in metadata
+                }
                 check_same(self.out, before, metadata)
             except ArtifactError:
                 if not overwrite:
@@ -140,11 +180,22 @@ class _Reproduction:
             self.out.rename(self.replaced)
         shutil.rmtree(self.out, ignore_errors=True)
         artifacts.write_file(
-            self.out / f"{REPRODUCTION_KIND}.json", artifacts.encode_description(REPRODUCTION_KIND, metadata)
+            self.out / f"{REPRODUCTION_KIND}.json",
+            artifacts.encode_description(REPRODUCTION_KIND, metadata),
         )
-        artifacts.write_file(self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False))
+        artifacts.write_file(
+            self.out / "configuration.yaml", yaml.safe_dump(configuration, sort_keys=False)
+        )
 
-    def stage(self, name: str, what: str, result: Path, work: Callable[..., Any], *given: Any, **options: Any) -> None:
+    def stage(
+        self,
+        name: str,
+        what: str,
+        result: Path,
+        work: Callable[..., Any],
+        *given: Any,
+        **options: Any,
+    ) -> None:
         """Do the work unless its result stands there from before; `what` describes the result."""
         if not result.exists():
             start = time.perf_counter(), time.process_time()
@@ -154,13 +205,18 @@ class _Reproduction:
             self.stages.append({"stage": name, "what": what, "wall_s": None, "processor_s": None})
 
     def end(self, name: str, what: str, start: tuple[float, float]) -> None:
-        """Take down what a stage made, and the seconds on the wall and of the processor since its `start`."""
-        wall_s, processor_s = time.perf_counter() - start[0], time.process_time() - start[1]
-        self.stages.append({"stage": name, "what": what, "wall_s": wall_s, "processor_s": processor_s})
+        """Take down what a stage made, and the seconds on the wall and of the processor since its
+        `start`."""
+        wall_s = time.perf_counter() - start[0]
+        processor_s = time.process_time() - start[1]
+        self.stages.append(
+            {"stage": name, "what": what, "wall_s": wall_s, "processor_s": processor_s}
+        )
 
     def begin(self, name: str) -> Progress:
         """Begin a stage; returns its progress, which tells how many there are."""
-        number, count = len(self.stages) + 1, self.count
+        number = len(self.stages) + 1
+        count = self.count
         self.progress(f"{number}/{count} {name}", 0.0, "")
         return lambda stage, done, note: self.progress(f"{number}/{count} {stage}", done, note)
 
@@ -169,26 +225,54 @@ class _Reproduction:
         """Number of stages."""
         config = self.config
         before = 0 if is_surrogate(self.plant) else 3
-        return before + 2 * (config.gaits is not None) + len(config.policies) + (config.evaluate.trim is not None) + 1
+        return (
+            before
+            + 2 * (config.gaits is not None)
+            + len(config.policies)
+            + (config.evaluate.trim is not None)
+            + 1
+        )
 
     def learn_surrogate(self) -> dict[str, Any] | None:
         """Collect and fit; Table I."""
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
         minutes = settings.logs * settings.rows / (60 * RATE_HZ)
-        what = f"{minutes:.3g} minutes of random strokes of the fin and the force that they made, {settings.logs} logs"
+        what = (
+            f"{minutes:.3g} minutes of random strokes of the fin and the force that they made, "
+            f"{settings.logs} logs"
+        )
         self.stage("collect", what, self.dataset, collect, self.plant, self.dataset, settings)
-        what = "a surrogate: neural networks that predict motion and force of the fin from its commands"
+        what = (
+            "a surrogate: neural networks that predict motion and force of the fin from its "
+            "commands"
+        )
         options = {"seed": self.seed, "resume": True, "ignore_errors": True}
-        self.stage("fit", what, self.surrogate, fit, self.dataset, self.surrogate, self.config.fit, **options)
-        scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")["scores"]
+        self.stage(
+            "fit",
+            what,
+            self.surrogate,
+            fit,
+            self.dataset,
+            self.surrogate,
+            self.config.fit,
+            **options,
+        )
+        scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")[
+            "scores"
+        ]
         return scores
 
     def make_controllers(self) -> None:
-        """One map, its gaits as a controller, and policies of all seeds, those of one kind in one program."""
-        surrogate, mapped = str(self.surrogate), None
+        """One map, its gaits as a controller, and policies of all seeds, those of one kind in one
+        program."""
+        surrogate = str(self.surrogate)
+        mapped = None
         if (settings := self.config.map) is not None:
             mapped = self.out / "map"
-            what = "the mean forces that the fin can make, and gaits, six actions each, that make them in the surrogate"
+            what = (
+                "the mean forces that the fin can make, and gaits, six actions each, that make "
+                "them in the surrogate"
+            )
             self.stage("map", what, mapped, map_forces, surrogate, mapped, settings)
             gaits = self.out / "gaits"
             what = "the controller gaits: those gaits as a table, blended between its nodes"
@@ -196,18 +280,30 @@ class _Reproduction:
         for kind, config in self.config.policies.items():
             algorithm = "gradients through it" if config.algorithm == "gradient" else "LSTM-PPO"
             added = " that add to the gaits" if config.begins_as_gaits else ""
-            what = (f"the controller {kind}: recurrent policies{added}, trained in the surrogate by {algorithm}, "
-                    f"{config.steps:,} actions each, from {self.config.seeds} seeds")  # fmt: skip
+            what = (
+                f"the controller {kind}: recurrent policies{added}, trained in the surrogate by "
+                f"{algorithm}, {config.steps:,} actions each, from {self.config.seeds} seeds"
+            )
             given = surrogate, self.out / kind, config
-            options = {"force_map": mapped if config.begins_as_gaits else None, "seeds": self.seeds, "resume": True}
+            options = {
+                "force_map": mapped if config.begins_as_gaits else None,
+                "seeds": self.seeds,
+                "resume": True,
+            }
             self.stage(f"train {kind}", what, self.out / kind, train, *given, **options)
 
     def controller(self, kind: str, seed: int) -> Path:
-        """Return the folder of the controller that was trained from a seed; of gaits there is one for all."""
-        return self.out / kind / f"seed-{seed}" if kind != "gaits" and len(self.seeds) > 1 else self.out / kind
+        """Return the folder of the controller that was trained from a seed; of gaits there is one
+        for all."""
+        return (
+            self.out / kind / f"seed-{seed}"
+            if kind != "gaits" and len(self.seeds) > 1
+            else self.out / kind
+        )
 
     def make_page(self) -> None:
-        """Write the page to try the controllers of the first seed in, where a plant of this run can move in it."""
+        """Write the page to try the controllers of the first seed in, where a plant of this run can
+        move in it."""
         # By its folder, the surrogate may be this run's plant, too.
         places = {Path(name).resolve(): name for name in (str(self.surrogate), self.plant)}
         plants = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
@@ -216,13 +312,21 @@ class _Reproduction:
         start = time.perf_counter(), time.process_time()
         controllers = [self.controller(kind, self.seed) for kind in self.config.kinds]
         explore(controllers, self.out / PAGE, plants, overwrite=True)
-        self.end("explore", "a page in which one drags the force and watches these controllers hold it", start)
+        self.end(
+            "explore",
+            "a page in which one drags the force and watches these controllers hold it",
+            start,
+        )
         self.stages[-1]["page"] = PAGE
 
-    def evaluate(self, plant: str, folder: str, *, trim: bool = False, moving: bool = True) -> Evaluated:
+    def evaluate(
+        self, plant: str, folder: str, *, trim: bool = False, moving: bool = True
+    ) -> Evaluated:
         """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
         start = time.perf_counter(), time.process_time()
-        evaluated, target, progress = Evaluated(), find_plant(plant), self.begin(folder)
+        evaluated = Evaluated()
+        target = find_plant(plant)
+        progress = self.begin(folder)
         changes: dict[str, Any] = {} if trim else {"trim": None}
         changes |= {} if moving else {"moving": (), "recorded": None}
         for place, kind in enumerate(self.config.kinds, start=1):
@@ -234,9 +338,16 @@ class _Reproduction:
             # Not after every seed: the first one is waited for, the others share its program.
             progress(folder, place / len(self.config.kinds), kind)
             whole = together(each)
-            repetitions = "of the plant's noise" if kind == "gaits" else "controllers trained from different seeds"
+            repetitions = (
+                "of the plant's noise"
+                if kind == "gaits"
+                else "controllers trained from different seeds"
+            )
             metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
-            evaluated[kind] = write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True), whole
+            evaluated[kind] = (
+                write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True),
+                whole,
+            )
         where = {str(self.surrogate): "the surrogate", "tank": "the virtual tank"}.get(plant, plant)
         what = f"these controllers tried in {where}"
         self.end(folder, what + (", with force feedback (--trim)" if trim else ""), start)
@@ -244,20 +355,26 @@ class _Reproduction:
 
     def learning_figures(self) -> dict[str, Figure]:
         """Reward over the steps, and the error of the policies without their noise."""
-        logs = {kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in self.config.policies}
+        logs = {
+            kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in self.config.policies
+        }
         if not logs:
             return {}
 
         def curve(log: list[dict[str, Any]], keys: list[str]) -> tuple[list[int], list[float]]:
             entries = [entry for entry in log if keys[0] in entry]
-            return [e["step"] for e in entries], [float(np.mean([e[key] for key in keys])) for e in entries]
+            return [e["step"] for e in entries], [
+                float(np.mean([e[key] for key in keys])) for e in entries
+            ]
 
         def curves(*names: str) -> dict[str, Any]:
             keys = [[f"seed{seed}/{name}" for name in names] for seed in self.seeds]
             return {kind: [curve(log, each) for each in keys] for kind, log in logs.items()}
 
         return {
-            "Mean reward a step while exploring": learning_figure(curves("reward"), "mean reward a step [N]"),
+            "Mean reward a step while exploring": learning_figure(
+                curves("reward"), "mean reward a step [N]"
+            ),
             "Mean error of the policies without exploration noise, over both axes": learning_figure(
                 curves("score_x_n", "score_y_n"), "error without noise [N]"
             ),
@@ -265,7 +382,8 @@ class _Reproduction:
 
     def surrogate_figures(self) -> dict[str, Figure]:
         """A stretch of an unseen log beside what the surrogate says."""
-        data, surrogate = Dataset.open(self.dataset), load_surrogate(self.surrogate)
+        data = Dataset.open(self.dataset)
+        surrogate = load_surrogate(self.surrogate)
         if not data.test:
             return {}
         log = next(data.load(data.test[:1]))
@@ -277,10 +395,15 @@ class _Reproduction:
         predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
-            predicted = {"given the angle": surrogate.predict_force(log, free_running=False)[behind], **predicted}
-        return {"Force in a test log and in the surrogate": prediction_figure(
-            np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ
-        )}  # fmt: skip
+            predicted = {
+                "given the angle": surrogate.predict_force(log, free_running=False)[behind],
+                **predicted,
+            }
+        return {
+            "Force in a test log and in the surrogate": prediction_figure(
+                np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ
+            )
+        }
 
 
 def _peak_memory_gib() -> float:

@@ -24,29 +24,33 @@ ONE_STEP = Recorded(time_s=(0, 10), force_n=((2, -1), (2, 1)))
 
 
 class ReproduceConfig(Configuration):
-    """All stages; the defaults are the paper's data and budgets. Of the controllers, null makes none of that kind."""
+    """All stages; the defaults are the paper's data and budgets. Of the controllers, null makes
+    none of that kind."""
 
     collect: CollectConfig = CollectConfig()
     """Logs of the plant; not used when the plant is a surrogate."""
     fit: FitConfig | StreamingConfig = FitConfig()
     """The surrogate, the paper's networks or streaming ones; not used when the plant is one."""
     gaits: MapConfig | None = None
-    """The force map, whose gaits are a controller, and which policies that begin as gaits begin from. Without a box it
-    is of all references that a controller is made for."""
+    """The force map, whose gaits are a controller, and which policies that begin as gaits begin
+    from. Without a box it is of all references that a controller is made for."""
     single: TrainConfig | None = SINGLE
     """One policy for all references."""
     grid: TrainConfig | None = GRID
     """One policy a cell."""
     evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
-    """The experiments; each trained controller does all of them, `seeds` times. With `trim` set, all are done in the
-    plant without the outer loop and with it."""
+    """The experiments; each trained controller does all of them, `seeds` times. With `trim` set,
+    all are done in the plant without the outer loop and with it."""
     seeds: PositiveInt = 5
     """Policies trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
 
     @property
     def policies(self) -> dict[ControllerKind, TrainConfig]:
         """The training runs by the kind of their controllers."""
-        trained: dict[ControllerKind, TrainConfig | None] = {"single": self.single, "grid": self.grid}
+        trained: dict[ControllerKind, TrainConfig | None] = {
+            "single": self.single,
+            "grid": self.grid,
+        }
         return {kind: config for kind, config in trained.items() if config is not None}
 
     @property
@@ -59,24 +63,32 @@ class ReproduceConfig(Configuration):
         """The force map with its box."""
         if self.gaits is None or self.gaits.box is not None:
             return self.gaits
-        box = bounding_box([config.training_range for config in self.policies.values()] or [PAPER_RANGE])
+        box = bounding_box(
+            [config.training_range for config in self.policies.values()] or [PAPER_RANGE]
+        )
         return self.gaits.model_copy(update={"box": box})
 
     @model_validator(mode="after")
     def _covered(self) -> "ReproduceConfig":
         for name in ("error_map", "random"):
             if getattr(self.evaluate, name):
-                raise ValueError(f"evaluate.{name} is set; a reproduction evaluates at given references: leave it out; "
-                                 "give it to softfin evaluate with a controller of the reproduction")  # fmt: skip
+                raise ValueError(
+                    f"evaluate.{name} is set; a reproduction evaluates at given references: leave "
+                    "it out; give it to softfin evaluate with a controller of the reproduction"
+                )
         if not self.kinds:
-            raise ValueError("gaits, single and grid are null: nothing is made; leave one of them as it was")
+            raise ValueError(
+                "gaits, single and grid are null: nothing is made; leave one of them as it was"
+            )
         cells = {kind: config.cells for kind, config in self.policies.items()}
         if self.map is not None and self.map.box is not None:
             cells["gaits"] = (self.map.box,)
         for reference in self.evaluate.references:
             for kind, own in cells.items():
                 if all(cell.distance(reference) > 0 for cell in own):
-                    missing = f"evaluate.references has {reference} N, which no cell of {kind} covers"
+                    missing = (
+                        f"evaluate.references has {reference} N, which no cell of {kind} covers"
+                    )
                     raise ValueError(f"{missing}; add a cell")
         return self
 
@@ -85,7 +97,10 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
     "paper": ReproduceConfig(),
     "streaming": ReproduceConfig(fit=StreamingConfig()),
     "best": ReproduceConfig(
-        fit=StreamingConfig(), gaits=GRADIENT_SINGLE.gradient.map, single=GRADIENT_SINGLE, grid=GRADIENT_GRID
+        fit=StreamingConfig(),
+        gaits=GRADIENT_SINGLE.gradient.map,
+        single=GRADIENT_SINGLE,
+        grid=GRADIENT_GRID,
     ),
     "demo": ReproduceConfig(
         collect=CollectConfig(logs=10, test_logs=1, rows=6_000),
@@ -102,7 +117,9 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
         gaits=MapConfig(spacing_n=1.7, survey=SurveyConfig(pushes=1), gaits=GaitConfig(steps=2)),
         single=GRADIENT_SINGLE.changed(["steps=1152", "num_evaluations=1"]),
         grid=GRID.model_copy(update={"steps": 960}),
-        evaluate=EvaluateConfig(seeds=1, seconds=6, recorded=ONE_STEP, trim=DisturbanceObserverConfig()),
+        evaluate=EvaluateConfig(
+            seeds=1, seconds=6, recorded=ONE_STEP, trim=DisturbanceObserverConfig()
+        ),
         seeds=2,
     ),
 }

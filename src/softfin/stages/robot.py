@@ -1,4 +1,5 @@
-"""Stages of robots with several fins: what one can do, how well it holds and follows, and a page that shows it."""
+"""Stages of robots with several fins: what one can do, how well it holds and follows, and a page
+that shows it."""
 
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,16 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank
 
-TITLES = {"hold": "holds its place", "lemniscate": "follows a lemniscate", "lissajous": "follows a Lissajous curve"}
+TITLES = {
+    "hold": "holds its place",
+    "lemniscate": "follows a lemniscate",
+    "lissajous": "follows a Lissajous curve",
+}
 
 
 def check(robot: str) -> dict[str, Any]:
-    """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML file."""
+    """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML
+    file."""
     config = load_robot(robot)
     return check_robot(config, gaits_of(tanks_of(config)))
 
@@ -36,12 +42,19 @@ def evaluate(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Evaluate a robot in simulation; writes ``robot.json``, figures and a page for each task to `out`."""
+    """Evaluate a robot in simulation; writes ``robot.json``, figures and a page for each task to
+    `out`."""
     artifacts.check_vacant(out, overwrite)
     config = config or RobotEvaluateConfig()
     body = load_robot(robot)
-    found = evaluate_robot(body, tanks_of(body), config, lambda done, note: progress("robot", done, note))
-    result = {**artifacts.head("robot"), **found.figures, "configuration": config.model_dump(mode="json")}
+    found = evaluate_robot(
+        body, tanks_of(body), config, lambda done, note: progress("robot", done, note)
+    )
+    result = {
+        **artifacts.head("robot"),
+        **found.figures,
+        "configuration": config.model_dump(mode="json"),
+    }
 
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "robot", result)
@@ -58,12 +71,19 @@ VIEWED = RobotEvaluateConfig(tasks=("hold",), hold_s=60, settled_s=15, path_s=10
 
 
 def view(
-    robot: str, out: Path, config: RobotEvaluateConfig = VIEWED, *, overwrite: bool = False, progress: Progress = silent
+    robot: str,
+    out: Path,
+    config: RobotEvaluateConfig = VIEWED,
+    *,
+    overwrite: bool = False,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Show one trial of the first task as a page in three dimensions; returns its errors."""
     task = config.tasks[0]
     if out.suffix != ".html":
-        raise ConfigurationError(f"{out}: a robot is shown as a page; give a name that ends in .html")
+        raise ConfigurationError(
+            f"{out}: a robot is shown as a page; give a name that ends in .html"
+        )
     if task not in TITLES:
         raise ConfigurationError(f"{task}: there are pages of {', '.join(TITLES)}")
     artifacts.check_file(out, overwrite)
@@ -84,22 +104,29 @@ def _title(robot: RobotConfig, task: str, dead: bool) -> str:
 
 
 def tanks_of(robot: RobotConfig) -> list[Tank]:
-    """Build the tank of each fin; fins of one name share one. Raises ConfigurationError for other plants."""
+    """Build the tank of each fin; fins of one name share one. Raises ConfigurationError for other
+    plants."""
     built: dict[str, Tank] = {}
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:
-            raise ConfigurationError(f"robot {robot.name}: {name} turns within a range; robots are simulated with fins "
-                                     "that turn all the way round: leave range_rad out")  # fmt: skip
+            raise ConfigurationError(
+                f"robot {robot.name}: {name} turns within a range; robots are simulated with fins "
+                "that turn all the way round: leave range_rad out"
+            )
         if fin.plant not in built:
             plant = find_plant(fin.plant)
             if not isinstance(plant, Tank):
-                raise ConfigurationError(f"robot {robot.name}: {name} is {fin.plant}; a robot moves, and only a tank "
-                                         "knows moving water: give tank, or the YAML file of a tank")  # fmt: skip
+                raise ConfigurationError(
+                    f"robot {robot.name}: {name} is {fin.plant}; a robot moves, and only a tank "
+                    "knows moving water: give tank, or the YAML file of a tank"
+                )
             built[fin.plant] = plant
         first = next(iter(built.values()))
         if _shapes(built[fin.plant]) != _shapes(first):
-            raise ConfigurationError(f"robot {robot.name}: {name} is {fin.plant}, computed in another way than fins "
-                                     "before it; give their tanks the same number of plates")  # fmt: skip
+            raise ConfigurationError(
+                f"robot {robot.name}: {name} is {fin.plant}, computed in another way than fins "
+                "before it; give their tanks the same number of plates"
+            )
     return [built[fin.plant] for fin in robot.fins.values()]
 
 

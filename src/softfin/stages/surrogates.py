@@ -1,4 +1,5 @@
-"""Stages that end in a model of a fin: surrogates (paper Sec. III-B), compared too, and the calibrated tank."""
+"""Stages that end in a model of a fin: surrogates (paper Sec. III-B), compared too, and the
+calibrated tank."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -31,25 +32,42 @@ from softfin.tank.calibration.model import material
 
 
 def fit(
-    dataset: Path, out: Path, config: FitConfig | StreamingConfig | None = None, *,
-    logs: ImportConfig | None = None, ignore_errors: bool = False,
-    seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of issues, a caveat.
+    dataset: Path,
+    out: Path,
+    config: FitConfig | StreamingConfig | None = None,
+    *,
+    logs: ImportConfig | None = None,
+    ignore_errors: bool = False,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of
+    issues, a caveat.
 
     The kind of configuration selects the model: the paper's networks or streaming networks.
-    `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises LogError where these
-    have errors, unless these are ignored, now or when the dataset was imported.
+    `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises
+    LogError where these have errors, unless these are ignored, now or when the dataset was
+    imported.
     """
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
-    description = artifacts.load_description(dataset, "dataset") if artifacts.is_kind(dataset, "dataset") else {}
+    description = (
+        artifacts.load_description(dataset, "dataset")
+        if artifacts.is_kind(dataset, "dataset")
+        else {}
+    )
     opened = open_logs(dataset, logs, progress)
     opened.check_train(str(dataset))
     # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
     were_ignored = True in (description.get("ignore_errors"), description.get("accepted"))
     opened.check_issues(str(dataset), ignore_errors or were_ignored)
-    metadata = {"configuration": config.model_dump(mode="json"), "seed": seed, "data_hash": opened.data_hash}
+    metadata = {
+        "configuration": config.model_dump(mode="json"),
+        "seed": seed,
+        "data_hash": opened.data_hash,
+    }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
         limits = command_limits(opened.train)
@@ -67,14 +85,23 @@ def fit(
             fitted = fit_streaming(opened.train, config, seed, run_directory, progress)
         # A dataset's own folder has its metadata.
         own = {} if description else {"logs": opened.metadata}
-        provenance = artifacts.provenance(seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own)
+        provenance = artifacts.provenance(
+            seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own
+        )
         save_surrogate(
-            out, fitted, table_one(fitted, test) if test else None, provenance,
-            extra_files=run_directory.keep_log, overwrite=overwrite, configuration=metadata["configuration"],
-            training_range=ranges(opened.train), fin=description.get("fin"),
-        )  # fmt: skip
+            out,
+            fitted,
+            table_one(fitted, test) if test else None,
+            provenance,
+            extra_files=run_directory.keep_log,
+            overwrite=overwrite,
+            configuration=metadata["configuration"],
+            training_range=ranges(opened.train),
+            fin=description.get("fin"),
+        )
     run_directory.finish()
-    written, surrogate = artifacts.load_description(out, "surrogate"), load_surrogate(out)
+    written = artifacts.load_description(out, "surrogate")
+    surrogate = load_surrogate(out)
     summary = opened.inspection.summary()
     return {
         "model": surrogate.model,
@@ -85,23 +112,34 @@ def fit(
     }
 
 
-def import_keras(posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False) -> Surrogate:
+def import_keras(
+    posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False
+) -> Surrogate:
     """Two published ``.keras`` files and the JSON of their scalers become a surrogate."""
     artifacts.check_vacant(out, overwrite)
     surrogate = _import_keras(posnet, forcenet, scalers)
     sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
-    save_surrogate(out, surrogate, None, artifacts.provenance(imported_from=sources), overwrite=overwrite)
+    save_surrogate(
+        out, surrogate, None, artifacts.provenance(imported_from=sources), overwrite=overwrite
+    )
     return surrogate
 
 
 def compare(
-    surrogates: Sequence[Path], dataset: Path, out: Path | None = None, config: CompareConfig | None = None, *,
-    noise_floor: str | Plant | None = None, overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON and a figure.
+    surrogates: Sequence[Path],
+    dataset: Path,
+    out: Path | None = None,
+    config: CompareConfig | None = None,
+    *,
+    noise_floor: str | Plant | None = None,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON
+    and a figure.
 
-    `noise_floor` is a plant that records the same commands once more, such as the tank: the error that noise and
-    drift, twice over, and the perturbation of the tanks leave.
+    `noise_floor` is a plant that records the same commands once more, such as the tank: the error
+    that noise and drift, twice over, and the perturbation of the tanks leave.
     """
     config = config or CompareConfig()
     if out is not None:
@@ -109,7 +147,9 @@ def compare(
     found = candidates(surrogates)
     data = Dataset.open(dataset)
     if not data.test:
-        raise ArtifactError(f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}")
+        raise ArtifactError(
+            f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}"
+        )
     floor = None if noise_floor is None else (name_of(noise_floor), find_plant(noise_floor))
     comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
     summary = {
@@ -121,15 +161,24 @@ def compare(
         "provenance": artifacts.provenance(seed=config.seed, data_hash=data.data_hash),
     }
     if out is not None:
-        artifacts.write_folder(out, lambda folder: write_comparison(folder, comparison, summary), overwrite)
+        artifacts.write_folder(
+            out, lambda folder: write_comparison(folder, comparison, summary), overwrite
+        )
     return summary
 
 
 def calibrate(
-    data: str | Path | Plant, out: Path, config: CalibrateConfig | None = None, *,
-    seed: int = 0, resume: bool = False, overwrite: bool = False, progress: Progress = silent,
-) -> dict[str, Any]:  # fmt: skip
-    """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml`` and figures."""
+    data: str | Path | Plant,
+    out: Path,
+    config: CalibrateConfig | None = None,
+    *,
+    seed: int = 0,
+    resume: bool = False,
+    overwrite: bool = False,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml``
+    and figures."""
     config = config or CalibrateConfig()
     artifacts.check_vacant(out, overwrite or resume)
     train, test, source = material(data, config, seed)

@@ -1,1 +1,2 @@
-"""Files on disk: artifacts, run directories, logs, datasets, bags; and plants found by their names."""
+"""Files on disk: artifacts, run directories, logs, datasets, bags; and plants found by their
+names."""

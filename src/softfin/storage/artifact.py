@@ -1,8 +1,10 @@
-"""Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or not at all.
+"""Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or
+not at all.
 
-A folder is written beside its place, reaches the disk and is renamed into its place; the one that it replaces is kept
-beside it until then, so a crash loses neither. Whoever reads writes nothing. No pickle.
-NumPy and safetensors are imported where weights are read or written: the command line looks at folders without them.
+A folder is written beside its place, reaches the disk and is renamed into its place; the one that
+it replaces is kept beside it until then, so a crash loses neither. Whoever reads writes nothing. No
+pickle. NumPy and safetensors are imported where weights are read or written: the command line looks
+at folders without them.
 """
 
 import contextlib
@@ -27,15 +29,19 @@ WEIGHTS = "weights.safetensors"
 
 
 def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> None:
-    """Raise ArtifactError unless a folder can be written at `path`: vacant, or a softfin folder and `overwrite`."""
+    """Raise ArtifactError unless a folder can be written at `path`: vacant, or a softfin folder and
+    `overwrite`."""
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not overwrite:
-        raise ArtifactError(f"{path}: exists already; give another {option}, or --overwrite to replace it")
+        raise ArtifactError(
+            f"{path}: exists already; give another {option}, or --overwrite to replace it"
+        )
     if not any(_is_own(path, kind) for kind in FOLDERS):
         raise ArtifactError(
-            f"{path}: exists and was not written by softfin, so it is not replaced; give another {option}"
+            f"{path}: exists and was not written by softfin, so it is not replaced; give another "
+            f"{option}"
         )
 
 
@@ -44,19 +50,24 @@ def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
     if path.exists() and not path.is_file():
         raise ArtifactError(f"{path}: exists and is not a file; give another {option}")
     if path.exists() and not overwrite:
-        raise ArtifactError(f"{path}: exists already; give another {option}, or --overwrite to replace it")
+        raise ArtifactError(
+            f"{path}: exists already; give another {option}, or --overwrite to replace it"
+        )
     check_writable(path, option)
 
 
 def check_writable(path: Path, option: str = "--out") -> None:
-    """Raise ArtifactError unless a file or folder can be made at `path`; tried, since rights do not tell all."""
+    """Raise ArtifactError unless a file or folder can be made at `path`; tried, since rights do not
+    tell all."""
     parent = path.absolute().parent
     while not parent.exists():
         parent = parent.parent
     try:
         Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=parent)).rmdir()
     except OSError as error:
-        raise ArtifactError(f"{path}: cannot be written ({parent}: {error.strerror}); give another {option}") from None
+        raise ArtifactError(
+            f"{path}: cannot be written ({parent}: {error.strerror}); give another {option}"
+        ) from None
 
 
 def is_kind(path: Path, kind: str) -> bool:
@@ -69,18 +80,24 @@ def _is_own(path: Path, kind: str) -> bool:
     with contextlib.suppress(OSError, ValueError, RecursionError):
         content = json.loads((path / f"{kind}.json").read_text())
         # The first ones had no kind.
-        return isinstance(content, dict) and (content.get("kind") == kind or "provenance" in content)
+        return isinstance(content, dict) and (
+            content.get("kind") == kind or "provenance" in content
+        )
     return False
 
 
 def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
-    """Let `write` fill a folder beside `path`, then rename it into its place; `overwrite` replaces a folder.
+    """Let `write` fill a folder beside `path`, then rename it into its place; `overwrite` replaces
+    a folder.
 
-    Raises ArtifactError where it may not be written, RunError where that fails: what was filled is kept, and named.
+    Raises ArtifactError where it may not be written, RunError where that fails: what was filled is
+    kept, and named.
     """
     check_vacant(path, overwrite)
     path = path.resolve()
-    beside, before = (path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before"))
+    beside, before = (
+        path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before")
+    )
     try:
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
@@ -91,7 +108,9 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         shutil.rmtree(beside, ignore_errors=True)
         if not isinstance(error, OSError):
             raise
-        raise RunError(f"{path}: cannot be written ({error.strerror or error}); what was there is left") from None
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror or error}); what was there is left"
+        ) from None
     try:
         check_vacant(path, overwrite)
         if path.exists():
@@ -103,13 +122,20 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
             before.rename(path)
         names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
         kept = beside.rename(next(name for name in names if not name.exists()))
-        reason = f"cannot be written ({error.strerror or error})" if isinstance(error, OSError) else "is in use by now"
-        raise RunError(f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted") from None
+        reason = (
+            f"cannot be written ({error.strerror or error})"
+            if isinstance(error, OSError)
+            else "is in use by now"
+        )
+        raise RunError(
+            f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted"
+        ) from None
     shutil.rmtree(before, ignore_errors=True)
 
 
 def sync(place: Path) -> None:
-    """Have a file or folder on the disk, so that a cut of power does not leave a name without its content."""
+    """Have a file or folder on the disk, so that a cut of power does not leave a name without its
+    content."""
     descriptor = os.open(place, os.O_RDONLY)
     try:
         # Some file systems cannot do so with folders, and do it by themselves.
@@ -120,7 +146,8 @@ def sync(place: Path) -> None:
 
 
 def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> None:
-    """Write a file beside its place and, once it is on the disk, rename it; a function writes in pieces."""
+    """Write a file beside its place and, once it is on the disk, rename it; a function writes in
+    pieces."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +162,9 @@ def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> No
         beside.replace(path)
         sync(path.parent)
     except OSError as error:
-        raise RunError(f"{path}: cannot be written ({error.strerror or error}); make room, or choose another") from None
+        raise RunError(
+            f"{path}: cannot be written ({error.strerror or error}); make room, or choose another"
+        ) from None
     finally:
         with contextlib.suppress(OSError):
             beside.unlink()
@@ -149,10 +178,12 @@ def save(
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and what `extra_files` adds as one folder, by `write_folder`."""
+    """Write ``KIND.json``, the weights and what `extra_files` adds as one folder, by
+    `write_folder`."""
 
     def write(folder: Path) -> None:
-        # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others cannot read.
+        # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others
+        # cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         write_description(folder, kind, description)
         if extra_files is not None:
@@ -181,14 +212,18 @@ def encode(weights: Mapping[str, Any], metadata: dict[str, str] | None = None) -
     import numpy as np
     import safetensors.numpy
 
-    return safetensors.numpy.save({name: np.asarray(array, order="C") for name, array in weights.items()}, metadata)
+    return safetensors.numpy.save(
+        {name: np.asarray(array, order="C") for name, array in weights.items()}, metadata
+    )
 
 
 def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The description and the weights of a folder that `save` wrote; raises ArtifactError for anything else."""
+    """The description and the weights of a folder that `save` wrote; raises ArtifactError for
+    anything else."""
     import safetensors.numpy
 
-    description, file = load_description(path, kind), path / WEIGHTS
+    description = load_description(path, kind)
+    file = path / WEIGHTS
     if not file.exists():
         raise ArtifactError(f"{file}: missing; copy the whole folder again")
     try:
@@ -197,13 +232,15 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
     except Exception as error:
-        # Damaged files, and types that NumPy has not, such as bfloat16, fail in safetensors in ways of their own.
+        # Damaged files, and types that NumPy has not, such as bfloat16, fail in safetensors in ways
+        # of their own.
         raise ArtifactError(f"{file}: truncated or damaged ({error}); copy it again") from None
     return description, weights
 
 
 def load_description(path: Path, kind: str) -> dict[str, Any]:
-    """The JSON of a folder of one kind; raises ArtifactError for another thing, and for a format that is not read."""
+    """The JSON of a folder of one kind; raises ArtifactError for another thing, and for a format
+    that is not read."""
     file = find_description(path, kind)
     description = read_json(file)
     check_format(kind, description.get("format", 1), str(file))
@@ -211,10 +248,13 @@ def load_description(path: Path, kind: str) -> dict[str, Any]:
 
 
 def find_description(path: Path, kind: str) -> Path:
-    """Return the file that describes a folder of one kind; raises ArtifactError where `path` is another thing."""
+    """Return the file that describes a folder of one kind; raises ArtifactError where `path` is
+    another thing."""
     file = path / f"{kind}.json"
     if not path.is_dir():
-        raise ArtifactError(f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json")
+        raise ArtifactError(
+            f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json"
+        )
     if not file.is_file():
         raise ArtifactError(f"{path}: not a {kind}: it holds no {kind}.json")
     return file
@@ -237,7 +277,8 @@ def dump_json(value: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for JSON: arrays become lists, numbers that are not finite null, anything unknown a text."""
+    """Convert a value for JSON: arrays become lists, numbers that are not finite null, anything
+    unknown a text."""
     if isinstance(value, Mapping):
         return {name: plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
@@ -266,13 +307,16 @@ def provenance(**metadata: Any) -> dict[str, Any]:
 
 
 def _git_commit() -> str | None:
-    """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None outside a checkout."""
+    """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None
+    outside a checkout."""
     checkout = Path(__file__).parents[3]
     # An environment inside somebody's repository is not a checkout of softfin.
     if not (checkout / ".git").exists():
         return None
     command = ("git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")
     with contextlib.suppress(OSError, subprocess.SubprocessError):
-        output = subprocess.check_output(command, cwd=checkout, stderr=subprocess.DEVNULL, text=True, timeout=5)
+        output = subprocess.check_output(
+            command, cwd=checkout, stderr=subprocess.DEVNULL, text=True, timeout=5
+        )
         return output.strip() or None
     return None

@@ -1,6 +1,8 @@
-"""A dataset: a folder of Parquet logs, training logs in ``train/``, test logs in ``test/``, with a ``dataset.json``.
+"""A dataset: a folder of Parquet logs, training logs in ``train/``, test logs in ``test/``, with a
+``dataset.json``.
 
-For logs put there by hand, ``{}`` in ``dataset.json`` suffices; `write_dataset` adds their metadata.
+For logs put there by hand, ``{}`` in ``dataset.json`` suffices; `write_dataset` adds their
+metadata.
 """
 
 import dataclasses
@@ -26,28 +28,44 @@ class Dataset:
     test: tuple[Path, ...]
     """Test logs, recorded apart; a dataset may have none."""
     description: dict[str, Any]
-    """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant, provenance)."""
+    """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant,
+    provenance)."""
     data_hash: str
     """SHA-256 over the names and contents of all logs, by which a surrogate names its data."""
 
     @classmethod
     def open(cls, path: Path) -> "Dataset":
-        """Open a folder; raises ArtifactError where it lacks logs or changed since it was written."""
+        """Open a folder; raises ArtifactError where it lacks logs or changed since it was
+        written."""
         description = artifacts.load_description(path, "dataset")
         found = _hash_files(path)
         listed = description.get("files", found)
         if not isinstance(listed, dict):
-            raise ArtifactError(f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list none")
+            raise ArtifactError(
+                f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list "
+                "none"
+            )
         for name in sorted(listed.keys() | found.keys()):
             if listed.get(name) != found.get(name):
-                what = "missing" if name not in found else "new" if name not in listed else "truncated or changed"
-                raise ArtifactError(
-                    f"{path / name}: {what} since dataset.json was written; copy the dataset again, or take 'files' "
-                    "out of its dataset.json to take the logs as they are"
+                what = (
+                    "missing"
+                    if name not in found
+                    else "new"
+                    if name not in listed
+                    else "truncated or changed"
                 )
-        train, test = (tuple(path / name for name in found if name.startswith(f"{part}/")) for part in DATASET_PARTS)
+                raise ArtifactError(
+                    f"{path / name}: {what} since dataset.json was written; copy the dataset "
+                    "again, or take 'files' out of its dataset.json to take the logs as they are"
+                )
+        train, test = (
+            tuple(path / name for name in found if name.startswith(f"{part}/"))
+            for part in DATASET_PARTS
+        )
         if not train:
-            raise ArtifactError(f"{path}: holds no training logs; put Parquet logs into {path / 'train'}")
+            raise ArtifactError(
+                f"{path}: holds no training logs; put Parquet logs into {path / 'train'}"
+            )
         return cls(path, train, test, description, _hash_of(found))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
@@ -56,7 +74,11 @@ class Dataset:
 
 
 def write_dataset(
-    path: Path, train: Iterable[Log], test: Iterable[Log], metadata: dict[str, Any], overwrite: bool = False
+    path: Path,
+    train: Iterable[Log],
+    test: Iterable[Log],
+    metadata: dict[str, Any],
+    overwrite: bool = False,
 ) -> Dataset:
     """Write logs, taken one by one, as a dataset; `metadata` goes into ``dataset.json``."""
 
@@ -67,7 +89,12 @@ def write_dataset(
                 name = f"{part}/{index:0{digits}d}.parquet"
                 (folder / name).write_bytes(encode_log(log, str(path / name)))
         hashes = _hash_files(folder)
-        description = {"rate_hz": RATE_HZ, **metadata, "data_hash": _hash_of(hashes), "files": hashes}
+        description = {
+            "rate_hz": RATE_HZ,
+            **metadata,
+            "data_hash": _hash_of(hashes),
+            "files": hashes,
+        }
         artifacts.write_description(folder, "dataset", description)
 
     artifacts.write_folder(path, write, overwrite)
@@ -80,11 +107,17 @@ def _hash_files(path: Path) -> dict[str, str]:
     for file in sorted(file for part in DATASET_PARTS for file in (path / part).glob("*.parquet")):
         try:
             with file.open("rb") as content:
-                hashes[file.relative_to(path).as_posix()] = hashlib.file_digest(content, "sha256").hexdigest()
+                hashes[file.relative_to(path).as_posix()] = hashlib.file_digest(
+                    content, "sha256"
+                ).hexdigest()
         except OSError as error:
-            raise ArtifactError(f"{file}: cannot be read ({error.strerror}); copy it again") from None
+            raise ArtifactError(
+                f"{file}: cannot be read ({error.strerror}); copy it again"
+            ) from None
     return hashes
 
 
 def _hash_of(hashes: dict[str, str]) -> str:
-    return hashlib.sha256("".join(f"{name} {digest}\n" for name, digest in hashes.items()).encode()).hexdigest()
+    return hashlib.sha256(
+        "".join(f"{name} {digest}\n" for name, digest in hashes.items()).encode()
+    ).hexdigest()

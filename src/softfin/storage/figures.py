@@ -1,4 +1,5 @@
-"""Style and files of all figures: readable in grey and by the colour-blind; no global state is kept.
+"""Style and files of all figures: readable in grey and by the colour-blind; no global state is
+kept.
 
 Colours: Okabe and Ito's palette (2008), in an order that also differs in lightness.
 """
@@ -14,7 +15,11 @@ from matplotlib.figure import Figure
 
 from softfin.storage import artifact as artifacts
 
-BLUE, ORANGE, GREEN, BLACK, GREY = "#0072B2", "#E69F00", "#009E73", "#1A1A1A", "#767676"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+BLACK = "#1A1A1A"
+GREY = "#767676"
 
 STYLE: Any = {
     "font.family": "sans-serif",
@@ -48,7 +53,9 @@ def styled() -> Any:
     return matplotlib.rc_context(STYLE)
 
 
-def save_figure(figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("svg", "png")) -> None:
+def save_figure(
+    figure: Figure, folder: Path, name: str, formats: tuple[str, ...] = ("svg", "png")
+) -> None:
     """Write a figure as ``NAME.svg`` and ``NAME.png``."""
     for kind in formats:
         artifacts.write_file(folder / f"{name}.{kind}", _render(figure, kind))
@@ -63,7 +70,8 @@ def _render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """Return an ``<svg>`` element for a page; no two share an id where their names or contents differ."""
+    """Return an ``<svg>`` element for a page; no two share an id where their names or contents
+    differ."""
     text = _render(figure, "svg", transparent=True).decode()
     text = text[text.index("<svg") :]
     prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]

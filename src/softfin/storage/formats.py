@@ -1,8 +1,9 @@
 """Every kind of artifact that softfin writes, with its format number: the one list of both.
 
-The number of a kind goes up where a softfin before could not read what is written now; then `oldest` stays where it is,
-a reader of the older format is kept, and ``tests/golden`` gets a file of the new one. Keys that are added change no
-number. A file without a number is of format 1. Configurations (YAML) have none: their keys are checked by name.
+The number of a kind goes up where a softfin before could not read what is written now; then
+`oldest` stays where it is, a reader of the older format is kept, and ``tests/golden`` gets a file
+of the new one. Keys that are added change no number. A file without a number is of format 1.
+Configurations (YAML) have none: their keys are checked by name.
 """
 
 from collections.abc import Mapping
@@ -23,25 +24,28 @@ class Format(NamedTuple):
     """Way to get a new one where an artifact is older than that."""
 
 
-FOLDERS: Mapping[str, Format] = MappingProxyType({
-    "dataset": Format(),
-    "inspection": Format(),
-    "surrogate": Format(),
-    "comparison": Format(),
-    "map": Format(),
-    "controller": Format(2, 2, "train it again"),
-    "controllers": Format(),
-    "evaluation": Format(2, 2, "evaluate again"),
-    "baselines": Format(),
-    "calibration": Format(),
-    "reproduction": Format(),
-    "robot": Format(),
-    "example": Format(),
-})  # fmt: skip
+FOLDERS: Mapping[str, Format] = MappingProxyType(
+    {
+        "dataset": Format(),
+        "inspection": Format(),
+        "surrogate": Format(),
+        "comparison": Format(),
+        "map": Format(),
+        "controller": Format(2, 2, "train it again"),
+        "controllers": Format(),
+        "evaluation": Format(2, 2, "evaluate again"),
+        "baselines": Format(),
+        "calibration": Format(),
+        "reproduction": Format(),
+        "robot": Format(),
+        "example": Format(),
+    }
+)
 """Folders by their kind, which is described by its ``KIND.json``."""
 
 FILES: Mapping[str, Format] = MappingProxyType({"log": Format(), "recording": Format()})
-"""Single files: logs (Parquet) hold the number in their schema's metadata, recordings (MCAP) in their channels'."""
+"""Single files: logs (Parquet) hold the number in their schema's metadata, recordings (MCAP) in
+their channels'."""
 
 FORMATS: Mapping[str, Format] = MappingProxyType({**FOLDERS, **FILES})
 """All of them."""
@@ -50,12 +54,21 @@ IN_FILE = "softfin_format"
 """Key of the number in the metadata of single files, where it is a text."""
 
 
-def check_format(kind: str, number: Any, source: str, error: type[InputError] = ArtifactError) -> None:
+def check_format(
+    kind: str, number: Any, source: str, error: type[InputError] = ArtifactError
+) -> None:
     """Raise the error unless this softfin reads artifacts of this kind and format number."""
     newest, oldest, remedy = FORMATS[kind]
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
-        raise error(f"{source}: format is {str(number)[:80]!r}; it must be a whole number from 1 on; copy it again")
-    reads = f"this softfin reads {newest}" if oldest == newest else f"this softfin reads {oldest} to {newest}"
+        raise error(
+            f"{source}: format is {str(number)[:80]!r}; it must be a whole number from 1 on; copy "
+            "it again"
+        )
+    reads = (
+        f"this softfin reads {newest}"
+        if oldest == newest
+        else f"this softfin reads {oldest} to {newest}"
+    )
     if number > newest:
         raise error(f"{source}: format is {number}, of a newer softfin; {reads}; update softfin")
     if number < oldest:
@@ -66,6 +79,9 @@ def check_file_format(
     kind: str, metadata: Mapping[Any, Any] | None, source: str, error: type[InputError] = LogError
 ) -> None:
     """Check the number in the metadata of a single file: texts, or their bytes, by name."""
-    found = next((value for name, value in (metadata or {}).items() if name in (IN_FILE, IN_FILE.encode())), "1")
+    found = next(
+        (value for name, value in (metadata or {}).items() if name in (IN_FILE, IN_FILE.encode())),
+        "1",
+    )
     text = found.decode(errors="replace") if isinstance(found, bytes) else str(found)
     check_format(kind, int(text) if text.isdecimal() else text, source, error)

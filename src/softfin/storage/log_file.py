@@ -1,6 +1,7 @@
 """One log as one Parquet file: seven named columns, checked whole when written and when read.
 
-A Log goes in and the same Log comes out; a log that cannot be used for training raises a LogError with place and cause.
+A Log goes in and the same Log comes out; a log that cannot be used for training raises a LogError
+with place and cause.
 """
 
 from pathlib import Path
@@ -24,9 +25,12 @@ NUMBER_COLUMNS = (
     "force_y_n",
 )
 
-# float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s) not at all.
-SCHEMA = pa.schema([pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBER_COLUMNS)],
-                   metadata={IN_FILE: str(FILES["log"].number)})  # fmt: skip
+# float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s)
+# not at all.
+SCHEMA = pa.schema(
+    [pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBER_COLUMNS)],
+    metadata={IN_FILE: str(FILES["log"].number)},
+)
 
 RATE_TOLERANCE = 0.01
 """Largest relative error of the mean rate."""
@@ -40,36 +44,52 @@ def write_log(path: Path, log: Log) -> None:
 
 
 def encode_log(log: Log, source: str) -> bytes:
-    """The bytes of a log's file; raises LogError, under the name `source`, where `read_log` would refuse it."""
+    """The bytes of a log's file; raises LogError, under the name `source`, where `read_log` would
+    refuse it."""
     command, reading = log
-    series = (reading.time, *command, reading.angle, reading.velocity, *np.moveaxis(np.asarray(reading.force), -1, 0))
+    series = (
+        reading.time,
+        *command,
+        reading.angle,
+        reading.velocity,
+        *np.moveaxis(np.asarray(reading.force), -1, 0),
+    )
     columns = {
         field.name: np.asarray(values, field.type.to_pandas_dtype())
         for field, values in zip(SCHEMA, series, strict=True)
     }
     check_columns(columns, source)
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns, schema=SCHEMA), sink, compression="zstd", write_page_checksum=True)
+    pq.write_table(
+        pa.table(columns, schema=SCHEMA), sink, compression="zstd", write_page_checksum=True
+    )
     data: bytes = sink.getvalue().to_pybytes()
     return data
 
 
 def read_log(path: Path) -> Log:
-    """Read a log as NumPy arrays; raises LogError naming file, row, column, value and what to do."""
+    """Read a log as NumPy arrays; raises LogError naming file, row, column, value and what to
+    do."""
     table = read_parquet(path)
     names = table.schema.names
     missing = [name for name in SCHEMA.names if name not in names]
     excess = [name for name in names if name not in SCHEMA.names or names.count(name) > 1]
     for column, fix in [(missing, "is missing"), (excess, "must not be there, or only once")]:
         if column:
-            raise LogError(f"{path}: column {column[0]!r} {fix}; it has {names}; a log has {', '.join(SCHEMA.names)}")
+            raise LogError(
+                f"{path}: column {column[0]!r} {fix}; it has {names}; a log has "
+                f"{', '.join(SCHEMA.names)}"
+            )
     for field in SCHEMA:
         if (kind := table.schema.field(field.name).type) != field.type:
             raise LogError(f"{path}: column {field.name} is {kind}, must be {field.type}; cast it")
     columns = {name: table.column(name).to_numpy() for name in SCHEMA.names}
     check_columns(columns, str(path))
     time, command_angle, command_velocity, angle, velocity, *force = columns.values()
-    return Log(Command(command_angle, command_velocity), Reading(time, angle, velocity, np.stack(force, axis=1)))
+    return Log(
+        Command(command_angle, command_velocity),
+        Reading(time, angle, velocity, np.stack(force, axis=1)),
+    )
 
 
 def check_columns(columns: Columns, source: str) -> None:
@@ -80,8 +100,8 @@ def check_columns(columns: Columns, source: str) -> None:
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise LogError(
-                f"{source}: row {bad[0]}, column {name}: {values[bad[0]]} ({_count(bad.size)} in this column); "
-                "cut these rows off, or split the log around them"
+                f"{source}: row {bad[0]}, column {name}: {values[bad[0]]} ({_count(bad.size)} in "
+                "this column); cut these rows off, or split the log around them"
             )
     time = columns["time_s"]
     steps = np.diff(time)
@@ -89,25 +109,28 @@ def check_columns(columns: Columns, source: str) -> None:
     if backward.size:
         row = backward[0] + 1
         raise LogError(
-            f"{source}: row {row}, column time_s: {time[row]:.4f} s repeats or precedes row {row - 1} "
-            f"({time[row - 1]:.4f} s); remove repeated rows, sort by time_s"
+            f"{source}: row {row}, column time_s: {time[row]:.4f} s repeats or precedes row "
+            f"{row - 1} ({time[row - 1]:.4f} s); remove repeated rows, sort by time_s"
         )
     if not steps.size:
         return
     uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
-    # The mean of a second or more without a gap; else the median: at a wrong rate every step would be called a gap.
+    # The mean of a second or more without a gap; else the median: at a wrong rate every step would
+    # be called a gap.
     is_steady = not uneven.size and steps.size >= RATE_HZ
     rate = steps.size / float(time[-1] - time[0]) if is_steady else 1 / float(np.median(steps))
     low, high = (1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE) if is_steady else (2 / 3, 2)
     if not low <= rate / RATE_HZ <= high:
         raise LogError(
-            f"{source}: column time_s: {rate:.2f} Hz, must be {RATE_HZ} Hz; resample it, time_s is in seconds"
+            f"{source}: column time_s: {rate:.2f} Hz, must be {RATE_HZ} Hz; resample it, time_s is "
+            "in seconds"
         )
     if uneven.size:
         row = uneven[0] + 1
         raise LogError(
-            f"{source}: row {row}, column time_s: {steps[row - 1] * 1e3:.1f} ms after row {row - 1}, must be 10 ms "
-            f"({_count(uneven.size)} in this log); split the log there, or record it again"
+            f"{source}: row {row}, column time_s: {steps[row - 1] * 1e3:.1f} ms after row "
+            f"{row - 1}, must be 10 ms ({_count(uneven.size)} in this log); split the log there, "
+            "or record it again"
         )
 
 
@@ -125,8 +148,12 @@ def read_parquet(path: Path) -> pa.Table:
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         # Arrow's own errors are OSError too, without a reason of the system's.
         if isinstance(error, OSError) and error.strerror:
-            raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file") from None
+            raise LogError(
+                f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file"
+            ) from None
         reason = one_line(error)
-        raise LogError(f"{path}: truncated, or not a Parquet file ({reason}); copy it again") from None
+        raise LogError(
+            f"{path}: truncated, or not a Parquet file ({reason}); copy it again"
+        ) from None
     check_file_format("log", table.schema.metadata, str(path))
     return table

@@ -1,4 +1,5 @@
-"""Files and folders that a user names, looked at before any work; without NumPy and JAX, so a slip is told at once."""
+"""Files and folders that a user names, looked at before any work; without NumPy and JAX, so a slip
+is told at once."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,9 @@ VIEWS = (".gif", ".html", ".png")
 RIG_FILE = Path("rig.yaml")
 
 
-def check_readable(path: Path, kind: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = "") -> None:
+def check_readable(
+    path: Path, kind: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = ""
+) -> None:
     """Raise an error of a kind unless there is a file that may be read."""
     try:
         with path.open("rb"):
@@ -29,7 +32,10 @@ def check_readable(path: Path, kind: type[SoftfinError] = ConfigurationError, hi
 def find_recordings(path: Path) -> list[Path]:
     """Tables and bags, in order of their names; raises LogError where there are none."""
     if not path.exists():
-        raise LogError(f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one of them")
+        raise LogError(
+            f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one "
+            "of them"
+        )
     if not path.is_dir():
         check_readable(path, LogError, "; give a CSV or Parquet file, or a ROS 2 bag")
     if artifacts.is_kind(path, "dataset"):
@@ -37,7 +43,10 @@ def find_recordings(path: Path) -> list[Path]:
     else:
         found = list(_walk(path, ()))
     if not found:
-        raise LogError(f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags (.mcap)")
+        raise LogError(
+            f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags "
+            "(.mcap)"
+        )
     return found
 
 
@@ -60,18 +69,25 @@ def is_bag(path: Path) -> bool:
 def check_monitored(path: Path) -> None:
     """Raise LogError where there is no recording to follow."""
     if not path.is_file() and not path.is_dir():
-        raise LogError(f"{path}: no such file or folder; give a bag (.mcap), or the folder that bags are written to")
+        raise LogError(
+            f"{path}: no such file or folder; give a bag (.mcap), or the folder that bags are "
+            "written to"
+        )
 
 
 def check_reference_file(path: Path) -> None:
     """Raise ConfigurationError unless there is a .csv or .parquet file that may be read."""
     if path.suffix not in (".csv", ".parquet"):
-        raise ConfigurationError(f"--reference-file {path}: neither .csv nor .parquet; write it as one of them")
+        raise ConfigurationError(
+            f"--reference-file {path}: neither .csv nor .parquet; write it as one of them"
+        )
     check_readable(path, option="--reference-file ")
 
 
 def check_view(path: Path, overwrite: bool) -> None:
     """Raise unless a film or a page may be written at `path`."""
     if path.suffix not in VIEWS:
-        raise ConfigurationError(f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so")
+        raise ConfigurationError(
+            f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so"
+        )
     artifacts.check_file(path, overwrite)

@@ -1,7 +1,8 @@
 """Plants by name: ``tank``, a tank's YAML file, a surrogate's folder, ``package.module:plant``.
 
-Fins that move by themselves are ``rig``, ``ros2``, or one of these with ``:FILE``; `softfin.rig.find` opens them. A
-folder that is called as a plant is written ``./tank``. JAX is imported only where a plant is built.
+Fins that move by themselves are ``rig``, ``ros2``, or one of these with ``:FILE``;
+`softfin.rig.find` opens them. A folder that is called as a plant is written ``./tank``. JAX is
+imported only where a plant is built.
 """
 
 import importlib
@@ -25,8 +26,8 @@ LIVE = ("rig", "ros2")
 """Names of fins that move in real time."""
 
 HELP = (
-    "tank, the YAML file of a tank, the folder of a surrogate (./NAME where it is called as a plant is), or "
-    "package.module:plant (one's own simulator)"
+    "tank, the YAML file of a tank, the folder of a surrogate (./NAME where it is called as a "
+    "plant is), or package.module:plant (one's own simulator)"
 )
 
 
@@ -41,13 +42,15 @@ def is_surrogate(name: str) -> bool:
 
 
 def resolve_plant(name: str) -> "Callable[[], Plant]":
-    """Return what builds the plant that `name` stands for; raises PlantError that lists what there is."""
+    """Return what builds the plant that `name` stands for; raises PlantError that lists what there
+    is."""
     path = Path(name)
     # Surrogates and tanks are rooms above this one, found by their names.
     if is_live(name):
         folder = f"; the folder of this name is ./{name}" if path.exists() else ""
         raise PlantError(
-            f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run take it{folder}"
+            f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run "
+            f"take it{folder}"
         )
     if name == TANK or (path.suffix in (".yaml", ".yml") and path.is_file()):
         return partial(_build_tank, name)
@@ -56,12 +59,19 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     if ":" in name and not path.exists():
         _import_object(name)
         return partial(_import_object, name, build=True)
-    what = "holds no surrogate.json" if path.is_dir() else "is not a YAML file" if path.exists() else "does not exist"
+    what = (
+        "holds no surrogate.json"
+        if path.is_dir()
+        else "is not a YAML file"
+        if path.exists()
+        else "does not exist"
+    )
     raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
 
 def find_plant(name: "str | Plant") -> "Plant":
-    """Build or load the plant that `name` stands for, or return it; raises PlantError that lists what there is."""
+    """Build or load the plant that `name` stands for, or return it; raises PlantError that lists
+    what there is."""
     if not isinstance(name, str):
         return name
     from softfin.core.quantities import Limits
@@ -70,7 +80,9 @@ def find_plant(name: "str | Plant") -> "Plant":
     try:
         problem = Limits(*map(float, plant.limits)).problem()
     except (TypeError, ValueError) as error:
-        raise PlantError(f"plant {name}: limits must be a softfin.Limits of four numbers ({error})") from None
+        raise PlantError(
+            f"plant {name}: limits must be a softfin.Limits of four numbers ({error})"
+        ) from None
     if problem:
         raise PlantError(f"plant {name}: {problem}")
     return plant
@@ -89,7 +101,8 @@ def _build_tank(name: str) -> Any:
 
 
 def _import_object(name: str, build: bool = False) -> Any:
-    """Import what ``package.module:attribute`` names; with `build` return the plant: itself, or what a call makes."""
+    """Import what ``package.module:attribute`` names; with `build` return the plant: itself, or
+    what a call makes."""
     module, _, attribute = name.partition(":")
     # As `python -m` does: one's own simulator mostly lies in the folder where one works.
     here = str(Path.cwd())
@@ -110,7 +123,7 @@ def _import_object(name: str, build: bool = False) -> Any:
         sys.path.remove(here)
     if not isinstance(plant, Plant):
         raise PlantError(
-            f"plant {name}: a {type(plant).__name__} is not a plant, which has limits, init and advance; "
-            "softfin.testing.check_plant says what is missing"
+            f"plant {name}: a {type(plant).__name__} is not a plant, which has limits, init and "
+            "advance; softfin.testing.check_plant says what is missing"
         )
     return plant

@@ -1,7 +1,9 @@
-"""Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and the training log.
+"""Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and
+the training log.
 
-A checkpoint is one safetensors file: a pytree of arrays, each by its path, and metadata as JSON, with the versions that
-wrote it. It is replaced in one rename, so a kill at any moment leaves the one before or the new one.
+A checkpoint is one safetensors file: a pytree of arrays, each by its path, and metadata as JSON,
+with the versions that wrote it. It is replaced in one rename, so a kill at any moment leaves the
+one before or the new one.
 """
 
 import copy
@@ -24,7 +26,8 @@ Tree = TypeVar("Tree")
 
 CHECKPOINT = "checkpoint.safetensors"
 TRAINING_LOG = "training"
-"""Sub-folder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and of which run they are."""
+"""Sub-folder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and of which
+run they are."""
 RUN = "run.json"
 LOG = "log.jsonl"
 
@@ -32,12 +35,16 @@ LOG = "log.jsonl"
 class RunDirectory:
     """The unfinished work of one output folder."""
 
-    def __init__(self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False) -> None:
-        """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with `overwrite`.
+    def __init__(
+        self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False
+    ) -> None:
+        """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with
+        `overwrite`.
 
-        With both it is taken over if it is whole and of this very run, else emptied. The fingerprint, of configuration,
-        data and seed, tells one run from another. Raises ArtifactError where neither was asked for, or where unfinished
-        work, or a part of it, is that of another run and must not be overwritten.
+        With both it is taken over if it is whole and of this very run, else emptied. The
+        fingerprint, of configuration, data and seed, tells one run from another. Raises
+        ArtifactError where neither was asked for, or where unfinished work, or a part of it, is
+        that of another run and must not be overwritten.
         """
         self.overwrite = overwrite
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
@@ -62,7 +69,8 @@ class RunDirectory:
         elif self.folder.exists():
             if not overwrite and found:
                 raise ArtifactError(
-                    f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with --overwrite"
+                    f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with "
+                    "--overwrite"
                 )
             shutil.rmtree(self.folder)
 
@@ -75,10 +83,13 @@ class RunDirectory:
     def save(self, tree: Any, metadata: dict[str, Any]) -> None:
         """Replace the checkpoint."""
         whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
-        artifacts.write_file(self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole}))
+        artifacts.write_file(
+            self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole})
+        )
 
     def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
-        """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there is none yet.
+        """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there
+        is none yet.
 
         One that does not fit counts as none if it may be overwritten.
         """
@@ -96,9 +107,13 @@ class RunDirectory:
                 if self.overwrite:
                     return None
                 both = f"{there.get(name, 'missing')} there and {here.get(name, 'missing')} here"
-                raise ArtifactError(f"{path}: does not fit this training state ({name} is {both}); start anew with "
-                                    "--overwrite")  # fmt: skip
-        return jax.tree.unflatten(structure, [jnp.asarray(arrays[name]) for name in expected]), metadata
+                raise ArtifactError(
+                    f"{path}: does not fit this training state ({name} is {both}); start anew with "
+                    "--overwrite"
+                )
+        return jax.tree.unflatten(
+            structure, [jnp.asarray(arrays[name]) for name in expected]
+        ), metadata
 
     def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
@@ -106,22 +121,33 @@ class RunDirectory:
             with safetensors.safe_open(path, "numpy") as file:
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
                 metadata: dict[str, Any] = json.loads(file.metadata()["facts"])
-        except (OSError, KeyError, TypeError, ValueError, AttributeError, safetensors.SafetensorError) as error:
+        except (
+            OSError,
+            KeyError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            safetensors.SafetensorError,
+        ) as error:
             raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
-        before, software = metadata.pop("fingerprint", {}), metadata.pop("software", "an older softfin")
+        before = metadata.pop("fingerprint", {})
+        software = metadata.pop("software", "an older softfin")
         if software != _software():
             raise ArtifactError(
-                f"{path}: was written by {software}, and this is {_software()}; resume with that, or --overwrite"
+                f"{path}: was written by {software}, and this is {_software()}; resume with that, "
+                "or --overwrite"
             )
         check_same(path, before, self.fingerprint)
         return arrays, metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
-        """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they will come again."""
+        """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they
+        will come again."""
         return RunLog(self.folder, rewind_to)
 
     def keep_log(self, artifact: Path) -> None:
-        """Copy the training log, and those of parts, into a finished artifact, and say there of which run it is."""
+        """Copy the training log, and those of parts, into a finished artifact, and say there of
+        which run it is."""
         folder = artifact / TRAINING_LOG
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
@@ -151,12 +177,17 @@ class RunLog:
 
     def write(self, step: int, **scalars: float) -> None:
         """Append the scalars of one step; those that are not finite as null."""
-        entry = {"step": step, **{name: artifacts.plain(float(value)) for name, value in scalars.items()}}
+        entry = {
+            "step": step,
+            **{name: artifacts.plain(float(value)) for name, value in scalars.items()},
+        }
         try:
             with self.path.open("a") as file:
                 file.write(json.dumps(entry, allow_nan=False) + "\n")
         except OSError as error:
-            raise RunError(f"{self.path}: cannot be written ({error.strerror}); make room and --resume") from None
+            raise RunError(
+                f"{self.path}: cannot be written ({error.strerror}); make room and --resume"
+            ) from None
         for name, value in scalars.items():
             self._writer.add_scalar(name, float(value), step)
 
@@ -166,7 +197,8 @@ class RunLog:
 
 
 def read_log(path: Path) -> list[dict[str, Any]]:
-    """The entries of a ``log.jsonl``, up to the first line that a kill or a cut of power has left in pieces."""
+    """The entries of a ``log.jsonl``, up to the first line that a kill or a cut of power has left
+    in pieces."""
     entries = []
     for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:
         try:
@@ -182,15 +214,20 @@ def _software() -> str:
 
 
 def _named(tree: Any) -> tuple[dict[str, Any], Any]:
-    """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the structure."""
+    """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the
+    structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
 
 
 def check_same(
-    path: Path, before: Any, now: Any, remedy: str = "give the same options, another --out, or --overwrite"
+    path: Path,
+    before: Any,
+    now: Any,
+    remedy: str = "give the same options, another --out, or --overwrite",
 ) -> None:
-    """Raise ArtifactError unless the run found at a path is the run of now; both are described by nested mappings."""
+    """Raise ArtifactError unless the run found at a path is the run of now; both are described by
+    nested mappings."""
     if before != now:
         was, is_ = (
             {
@@ -200,5 +237,7 @@ def check_same(
             for run in (before, now)
         )
         names = [name for name in sorted(was | is_) if was.get(name) != is_.get(name)]
-        differing = ", ".join(f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3])
+        differing = ", ".join(
+            f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3]
+        )
         raise ArtifactError(f"{path}: is of another run ({differing}); {remedy}")

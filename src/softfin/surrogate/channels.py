@@ -1,7 +1,8 @@
-"""The channels that surrogates take and give, by name: scaling (``scaled = x * scale + offset``), and training range.
+"""The channels that surrogates take and give, by name: scaling (``scaled = x * scale + offset``),
+and training range.
 
-That range and the name of the fin go into every controller trained in a surrogate: a rig refuses a controller for
-another fin, and one far from its training data.
+That range and the name of the fin go into every controller trained in a surrogate: a rig refuses a
+controller for another fin, and one far from its training data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,10 +24,12 @@ ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
 COLUMNS = (ANGLE, *COMMAND_COLUMNS, *FORCES)
-"""Channels of the paper's networks: ForceNet's first, PosNet's within them, then what ForceNet predicts."""
+"""Channels of the paper's networks: ForceNet's first, PosNet's within them, then what ForceNet
+predicts."""
 
 SKIPPED = 100
-"""Rows at the beginning of a log that Table I does not score: the first window of PosNet and ForceNet."""
+"""Rows at the beginning of a log that Table I does not score: the first window of PosNet and
+ForceNet."""
 
 UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
 """Entries of a plant that is not a surrogate, or one without them."""
@@ -68,16 +71,22 @@ class Scaling(Configuration):
         channels = {}
         for name, (low, high) in ranges(logs, COLUMNS).items():
             if not high > low:
-                raise LogError(f"column {name} is {low:g} in every training row: nothing can be learnt from it")
+                raise LogError(
+                    f"column {name} is {low:g} in every training row: nothing can be learnt from it"
+                )
             scale = 1 / (high - low)
-            channels[name] = ChannelScaling(scale=scale, offset=-low * scale, data_min=low, data_max=high)
+            channels[name] = ChannelScaling(
+                scale=scale, offset=-low * scale, data_min=low, data_max=high
+            )
         return cls(channels=channels)
 
     def require(self, source: str) -> None:
         """Raise ArtifactError where a channel of the paper's networks has no scaling."""
         for name in COLUMNS:
             if name not in self.channels:
-                raise ArtifactError(f"{source}: no scaling for {name}; there is one for {', '.join(self.channels)}")
+                raise ArtifactError(
+                    f"{source}: no scaling for {name}; there is one for {', '.join(self.channels)}"
+                )
 
     def scaled(self, name: str, values: AnyArray) -> Any:
         """Scale values in the channel's unit."""
@@ -92,24 +101,31 @@ class Scaling(Configuration):
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
         """Some columns of a log, scaled, float32."""
         columns = columns_of([log])
-        return np.stack([self.scaled(name, columns[name]) for name in names], axis=1).astype(np.float32)
+        return np.stack([self.scaled(name, columns[name]) for name in names], axis=1).astype(
+            np.float32
+        )
 
 
 def columns_of(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
     """The columns of logs, one log after the other, by the names of the channels."""
-    each = [(*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T) for log in logs]
+    each = [
+        (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
+        for log in logs
+    ]
     joined = [np.concatenate(parts, dtype=np.float32) for parts in zip(*each, strict=True)]
     return dict(zip((*COMMAND_COLUMNS, *READINGS), joined, strict=True))
 
 
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
-    """Least and greatest value of some channels in logs; of the readings it is the training range of a surrogate."""
+    """Least and greatest value of some channels in logs; of the readings it is the training range
+    of a surrogate."""
     columns = columns_of(logs)
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
 
 
 def learnt_from(plant: object) -> dict[str, Any]:
-    """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has them; else unknown."""
+    """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has
+    them; else unknown."""
     if not isinstance(plant, str | Path) or not artifacts.is_kind(Path(plant), "surrogate"):
         return dict(UNKNOWN)
     description = artifacts.load_description(Path(plant), "surrogate")
@@ -117,7 +133,9 @@ def learnt_from(plant: object) -> dict[str, Any]:
     # Imported ones have kept the range of their channels in their scaling.
     if entries["training_range"] is None and (scaling := description.get("scaling")):
         entries["training_range"] = {
-            name: [scaling[name]["data_min"], scaling[name]["data_max"]] if name in scaling else None
+            name: [scaling[name]["data_min"], scaling[name]["data_max"]]
+            if name in scaling
+            else None
             for name in READINGS
         }
     return entries

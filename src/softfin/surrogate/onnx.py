@@ -1,7 +1,9 @@
-"""A surrogate's step of 10 ms as ONNX: command and state in, readings and next state out, for Simulink or Gazebo.
+"""A surrogate's step of 10 ms as ONNX: command and state in, readings and next state out, for
+Simulink or Gazebo.
 
-The step is traced from the surrogate's own formulas in JAX (`softfin.surrogate.onnx_graph`); before the file is kept,
-onnxruntime runs free for 30 s of random commands and is compared with JAX. Needs the extra ``softfin[onnx]``.
+The step is traced from the surrogate's own formulas in JAX (`softfin.surrogate.onnx_graph`); before
+the file is kept, onnxruntime runs free for 30 s of random commands and is compared with JAX. Needs
+the extra ``softfin[onnx]``.
 """
 
 import hashlib
@@ -16,7 +18,15 @@ from softfin.core.plant import roll
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.data.excitation import ExcitationConfig
 from softfin.storage import artifact as artifacts
-from softfin.storage.onnx_file import FORCE_FRAME, NEXT, Exported, encode_model, import_extra, keep_model, open_session
+from softfin.storage.onnx_file import (
+    FORCE_FRAME,
+    NEXT,
+    Exported,
+    encode_model,
+    import_extra,
+    keep_model,
+    open_session,
+)
 from softfin.surrogate.onnx_graph import OPERATORS, build_graph
 from softfin.surrogate.store import SURROGATE_KIND, AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
@@ -25,14 +35,16 @@ CHECK_S = 30
 """Duration of the free run in which onnxruntime is compared with JAX [s]."""
 
 MAX_READING_DIFFERENCE = 1e-3
-"""A file whose angle [rad], velocity [rad/s] or force [N] differs by more from JAX's is not written."""
+"""A file whose angle [rad], velocity [rad/s] or force [N] differs by more from JAX's is not
+written."""
 
 COMPARED_OUTPUTS = ("angle", "velocity", "force")
 """Outputs that are compared."""
 
 
 def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Exported:
-    """Write the step of the surrogate in a folder to a file, checked by onnx and run by onnxruntime.
+    """Write the step of the surrogate in a folder to a file, checked by onnx and run by
+    onnxruntime.
 
     Raises:
         ConfigurationError: the extra is missing.
@@ -55,14 +67,19 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
             reading = jax.tree.map(lambda channel: channel.mean(axis=0), each)
             more = {"force_members": each.force[:, 0], "distance": surrogate.distance(after)}
         else:
-            (after, reading), more = surrogate.advance(now, command, 1), {}
+            (after, reading) = surrogate.advance(now, command, 1)
+            more = {}
         own = {name: getattr(reading, name)[0] for name in COMPARED_OUTPUTS}
         return {**own, **more, f"{NEXT}state": ravel_pytree(after[1:])[0]}
 
     model = build_graph(step, {"command_angle": (), "command_velocity": (), "state": flat.shape})
     initial = {"state": np.asarray(flat)}
-    data = encode_model(model, f"{surrogate.model} surrogate", initial, _metadata(surrogate, folder))
-    return keep_model(file, data, "readings", _difference(data, surrogate, initial), MAX_READING_DIFFERENCE)
+    data = encode_model(
+        model, f"{surrogate.model} surrogate", initial, _metadata(surrogate, folder)
+    )
+    return keep_model(
+        file, data, "readings", _difference(data, surrogate, initial), MAX_READING_DIFFERENCE
+    )
 
 
 def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
@@ -75,8 +92,10 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
     }
     if isinstance(surrogate, StreamingSurrogate):
         outputs |= {
-            "force_members": "(members, 2), the force that each member predicts [N]; force is their mean",
-            "distance": "distance of the motion from the training data: 1 at their edge, more beyond it",
+            "force_members": "(members, 2), the force that each member predicts [N]; force is "
+            "their mean",
+            "distance": "distance of the motion from the training data: 1 at their edge, more "
+            "beyond it",
         }
     return {
         "surrogate": folder.resolve().name,
@@ -97,11 +116,13 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
 
 
 def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarray]) -> float:
-    """Run free under random commands, both with a state of their own; returns the greatest difference."""
+    """Run free under random commands, both with a state of their own; returns the greatest
+    difference."""
     commands = Command(*ExcitationConfig()(jax.random.key(0), CHECK_S * RATE_HZ, surrogate.limits))
     start = surrogate.init(jax.random.key(0))
     reading = jax.jit(lambda start, commands: roll(surrogate, start, commands)[1])(start, commands)
-    session, worst = open_session(data), 0.0
+    session = open_session(data)
+    worst = 0.0
     names = [each.name for each in session.get_outputs()]
     angles, velocities = (np.asarray(part, np.float32) for part in commands)
     for index, (angle, velocity) in enumerate(zip(angles, velocities, strict=True)):
@@ -110,7 +131,9 @@ def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarra
         found = dict(zip(names, values, strict=True))
         state = {name: found[f"{NEXT}{name}"] for name in state}
         for name in COMPARED_OUTPUTS:
-            difference = float(np.abs(found[name] - np.asarray(getattr(reading, name)[index])).max())
+            difference = float(
+                np.abs(found[name] - np.asarray(getattr(reading, name)[index])).max()
+            )
             # Not a number is a difference, too.
             worst = max(worst, difference) if difference == difference else np.inf
     return worst

@@ -1,7 +1,9 @@
-"""A traced JAX function as a graph of ONNX: each primitive of its jaxpr becomes an operator of opset 17.
+"""A traced JAX function as a graph of ONNX: each primitive of its jaxpr becomes an operator of
+opset 17.
 
-What does not depend on the arguments, such as weights that are transposed, is computed now and becomes a constant. So
-formulas stand once, in JAX. Only what surrogates use is here; any other primitive is refused by name.
+What does not depend on the arguments, such as weights that are transposed, is computed now and
+becomes a constant. So formulas stand once, in JAX. Only what surrogates use is here; any other
+primitive is refused by name.
 """
 
 import importlib
@@ -22,11 +24,30 @@ OPERATORS = "spox.opset.ai.onnx.v17"
 """Module of the operators, which spox puts together to a graph; it comes with ndonnx."""
 
 NAMES = {
-    "add": "add", "sub": "sub", "mul": "mul", "div": "div", "pow": "pow", "neg": "neg", "abs": "abs", "sign": "sign",
-    "exp": "exp", "log": "log", "sqrt": "sqrt", "sin": "sin", "cos": "cos", "tanh": "tanh", "logistic": "sigmoid",
-    "lt": "less", "le": "less_or_equal", "gt": "greater", "ge": "greater_or_equal", "eq": "equal",
-    "stop_gradient": "identity", "copy": "identity", "copy_p": "identity",
-}  # fmt: skip
+    "add": "add",
+    "sub": "sub",
+    "mul": "mul",
+    "div": "div",
+    "pow": "pow",
+    "neg": "neg",
+    "abs": "abs",
+    "sign": "sign",
+    "exp": "exp",
+    "log": "log",
+    "sqrt": "sqrt",
+    "sin": "sin",
+    "cos": "cos",
+    "tanh": "tanh",
+    "logistic": "sigmoid",
+    "lt": "less",
+    "le": "less_or_equal",
+    "gt": "greater",
+    "ge": "greater_or_equal",
+    "eq": "equal",
+    "stop_gradient": "identity",
+    "copy": "identity",
+    "copy_p": "identity",
+}
 """Primitives that are one operator of the same operands."""
 
 Value = Any
@@ -58,23 +79,29 @@ class GraphBuilder:
         return self.op.const(np.asarray(value)) if _is_known(value) else value
 
     def _equation(self, equation: Any, values: list[Value]) -> list[Value]:
-        name, params = equation.primitive.name, equation.params
+        name = equation.primitive.name
+        params = equation.params
         inner = params.get("jaxpr", params.get("call_jaxpr"))
         if name == "scan":
             return self._scan(equation, values)
         if inner is not None:
             closed = hasattr(inner, "consts")
-            return self.run(inner.jaxpr if closed else inner, inner.consts if closed else (), values)
+            return self.run(
+                inner.jaxpr if closed else inner, inner.consts if closed else (), values
+            )
         if all(map(_is_known, values)):
             out = equation.primitive.bind(*values, **params)
-            return [np.asarray(each) for each in (out if equation.primitive.multiple_results else [out])]
+            return [
+                np.asarray(each) for each in (out if equation.primitive.multiple_results else [out])
+            ]
         if name in NAMES:
             return [getattr(self.op, NAMES[name])(*map(self.variable, values))]
         translate: Callable[..., Value] | None = getattr(self, f"_{name}", None)
         if translate is None:
             raise RunError(
-                f"ONNX: JAX {importlib.metadata.version('jax')} computes this surrogate with {name!r}, which softfin "
-                "does not translate; use another version of JAX, or tell softfin's authors"
+                f"ONNX: JAX {importlib.metadata.version('jax')} computes this surrogate with "
+                f"{name!r}, which softfin does not translate; use another version of JAX, or tell "
+                "softfin's authors"
             )
         found = translate(equation, *values)
         return list(found) if isinstance(found, tuple) else [found]
@@ -82,18 +109,29 @@ class GraphBuilder:
     def _scan(self, equation: Any, values: list[Value]) -> list[Value]:
         """Write out every iteration: surrogates step by one tick.
 
-        Versions of JAX say in different ways how many values are carried: they are those of which no series comes out.
+        Versions of JAX say in different ways how many values are carried: they are those of which
+        no series comes out.
         """
-        params, body = equation.params, equation.params["jaxpr"]
-        carries = sum(out.aval.ndim == each.ndim for out, each in zip(equation.outvars, body.out_avals, strict=True))
-        before = sum(given.aval.ndim == each.ndim for given, each in zip(equation.invars, body.in_avals, strict=True))
-        fixed, carry, series = values[: before - carries], values[before - carries : before], values[before:]
+        params = equation.params
+        body = equation.params["jaxpr"]
+        carries = sum(
+            out.aval.ndim == each.ndim
+            for out, each in zip(equation.outvars, body.out_avals, strict=True)
+        )
+        before = sum(
+            given.aval.ndim == each.ndim
+            for given, each in zip(equation.invars, body.in_avals, strict=True)
+        )
+        fixed = values[: before - carries]
+        carry = values[before - carries : before]
+        series = values[before:]
         order = range(params["length"])
         each: list[list[Value]] = [[] for _ in order]
         for index in reversed(order) if params["reverse"] else order:
             now = [self._row(values, index) for values in series]
             found = self.run(body.jaxpr, body.consts, [*fixed, *carry, *now])
-            carry, each[index] = found[:carries], found[carries:]
+            carry = found[:carries]
+            each[index] = found[carries:]
         return [*carry, *(self._stacked(rows, 0) for rows in zip(*each, strict=True))]
 
     def _row(self, value: Value, index: int) -> Value:
@@ -105,7 +143,9 @@ class GraphBuilder:
         if all(map(_is_known, values)):
             return np.stack(values, axis)
         at = self._sizes([axis])
-        return self.op.concat([self.op.unsqueeze(self.variable(value), at) for value in values], axis=axis)
+        return self.op.concat(
+            [self.op.unsqueeze(self.variable(value), at) for value in values], axis=axis
+        )
 
     def _sizes(self, numbers: Any) -> Any:
         return self.op.const(np.array(numbers, np.int64))
@@ -120,7 +160,8 @@ class GraphBuilder:
         return self._reshaped(equation, value)
 
     def _broadcast_in_dim(self, equation: Any, value: Any) -> Any:
-        shape, places = equation.params["shape"], equation.params["broadcast_dimensions"]
+        shape = equation.params["shape"]
+        places = equation.params["broadcast_dimensions"]
         sizes = [1] * len(shape)
         for place, size in zip(places, equation.invars[0].aval.shape, strict=True):
             sizes[place] = size
@@ -138,7 +179,8 @@ class GraphBuilder:
 
     def _slice(self, equation: Any, value: Any) -> Any:
         params = equation.params
-        starts, ends = params["start_indices"], params["limit_indices"]
+        starts = params["start_indices"]
+        ends = params["limit_indices"]
         steps = params["strides"] or [1] * len(starts)
         return self.op.slice(value, *map(self._sizes, (starts, ends, range(len(starts)), steps)))
 
@@ -146,14 +188,19 @@ class GraphBuilder:
         """Cut out a part whose place is known now."""
         if not all(map(_is_known, starts)):
             raise RunError("ONNX: a slice whose place depends on the state is not translated")
-        sizes, whole = equation.params["slice_sizes"], equation.invars[0].aval.shape
+        sizes = equation.params["slice_sizes"]
+        whole = equation.invars[0].aval.shape
         # As JAX does, a slice is moved to lie within.
-        begin = [min(max(int(start), 0), n - size) for start, size, n in zip(starts, sizes, whole, strict=True)]
+        begin = [
+            min(max(int(start), 0), n - size)
+            for start, size, n in zip(starts, sizes, whole, strict=True)
+        ]
         end = [start + size for start, size in zip(begin, sizes, strict=True)]
         return self.op.slice(value, *map(self._sizes, (begin, end, range(len(begin)))))
 
     def _split(self, equation: Any, value: Any) -> tuple[Any, ...]:
-        sizes, axis = equation.params["sizes"], equation.params["axis"]
+        sizes = equation.params["sizes"]
+        axis = equation.params["axis"]
         return tuple(self.op.split(value, self._sizes(sizes), outputs_count=len(sizes), axis=axis))
 
     def _tile(self, equation: Any, value: Any) -> Any:
@@ -161,7 +208,8 @@ class GraphBuilder:
 
     def _gather(self, equation: Any, value: Any, indices: Value) -> Any:
         """Take whole rows along one axis, at places that are known now."""
-        shape, numbers = equation.invars[0].aval.shape, equation.params["dimension_numbers"]
+        shape = equation.invars[0].aval.shape
+        numbers = equation.params["dimension_numbers"]
         (axis,) = numbers.start_index_map
         sizes = tuple(1 if place == axis else size for place, size in enumerate(shape))
         batch = equation.outvars[0].aval.ndim - len(shape) + 1
@@ -169,10 +217,13 @@ class GraphBuilder:
         simple = numbers.collapsed_slice_dims == (axis,) and numbers.offset_dims == rows
         if not (_is_known(indices) and simple and equation.params["slice_sizes"] == sizes):
             raise RunError("ONNX: only whole rows at known places are translated")
-        return self.op.gather(value, self._sizes(np.clip(indices[..., 0], 0, shape[axis] - 1)), axis=axis)
+        return self.op.gather(
+            value, self._sizes(np.clip(indices[..., 0], 0, shape[axis] - 1)), axis=axis
+        )
 
     def _dot_general(self, equation: Any, one: Value, other: Value) -> Any:
-        """Bring the operands into matrices ``(batch, rows, sum)`` and ``(batch, sum, columns)``, and multiply."""
+        """Bring the operands into matrices ``(batch, rows, sum)`` and ``(batch, sum, columns)``,
+        and multiply."""
         (left, right), (left_batch, right_batch) = equation.params["dimension_numbers"]
         shapes = [atom.aval.shape for atom in equation.invars]
         rows = [place for place in range(len(shapes[0])) if place not in (*left, *left_batch)]
@@ -218,8 +269,11 @@ def _is_known(value: Value) -> bool:
     return isinstance(value, np.ndarray | np.generic | jax.Array)
 
 
-def build_graph(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, tuple[int, ...]]) -> Any:
-    """Build the ONNX model of a function of float32 arrays by name, given their shapes; its results have names, too."""
+def build_graph(
+    function: Callable[..., Mapping[str, Any]], inputs: Mapping[str, tuple[int, ...]]
+) -> Any:
+    """Build the ONNX model of a function of float32 arrays by name, given their shapes; its results
+    have names, too."""
     spox = importlib.import_module("spox")
     builder = GraphBuilder()
     examples = {name: jnp.zeros(shape, jnp.float32) for name, shape in inputs.items()}
@@ -231,9 +285,13 @@ def build_graph(function: Callable[..., Mapping[str, Any]], inputs: Mapping[str,
         return results
 
     closed = jax.make_jaxpr(traced)(examples)
-    arguments = {name: spox.argument(spox.Tensor(np.float32, shape)) for name, shape in inputs.items()}
+    arguments = {
+        name: spox.argument(spox.Tensor(np.float32, shape)) for name, shape in inputs.items()
+    }
     # JAX flattens dictionaries in the order of their names.
-    found = builder.run(closed.jaxpr, closed.consts, [arguments[name] for name in sorted(arguments)])
+    found = builder.run(
+        closed.jaxpr, closed.consts, [arguments[name] for name in sorted(arguments)]
+    )
     results = dict(zip(sorted(names), map(builder.variable, found), strict=True))
     model = spox.build(arguments, {name: results[name] for name in names})
     # spox names the oldest opset that has these operators.

@@ -1,4 +1,5 @@
-"""A surrogate's folder: ``surrogate.json`` (networks, scaling, scores, provenance) and ``weights.safetensors``."""
+"""A surrogate's folder: ``surrogate.json`` (networks, scaling, scores, provenance) and
+``weights.safetensors``."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +15,9 @@ SURROGATE_KIND = "surrogate"
 
 AnySurrogate: TypeAlias = Surrogate | StreamingSurrogate
 
-MODELS: dict[str, type[AnySurrogate]] = {kind.model: kind for kind in (Surrogate, StreamingSurrogate)}
+MODELS: dict[str, type[AnySurrogate]] = {
+    kind.model: kind for kind in (Surrogate, StreamingSurrogate)
+}
 
 
 def save_surrogate(
@@ -26,7 +29,8 @@ def save_surrogate(
     overwrite: bool = False,
     **metadata: Any,
 ) -> None:
-    """Write the folder, whole or not at all; `extra_files` adds some, `metadata` are further entries of the JSON."""
+    """Write the folder, whole or not at all; `extra_files` adds some, `metadata` are further
+    entries of the JSON."""
     entries, weights = surrogate.to_files()
     description = {
         "model": surrogate.model,
@@ -41,21 +45,30 @@ def save_surrogate(
 
 
 def load_surrogate(path: Path) -> AnySurrogate:
-    """Load the surrogate in a folder; raises ArtifactError where it is damaged or of another rate or channels."""
+    """Load the surrogate in a folder; raises ArtifactError where it is damaged or of another rate
+    or channels."""
     description, weights = artifacts.load(path, SURROGATE_KIND)
     source = str(path / f"{SURROGATE_KIND}.json")
     if description.get("rate_hz") != RATE_HZ:
-        raise ArtifactError(f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz")
+        raise ArtifactError(
+            f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz"
+        )
     model = description.get("model", "paper")
     if model not in MODELS:
-        raise ArtifactError(f"{source}: model {model!r}; this softfin has {', '.join(MODELS)}; update it")
+        raise ArtifactError(
+            f"{source}: model {model!r}; this softfin has {', '.join(MODELS)}; update it"
+        )
     try:
         surrogate = MODELS[model].from_files(description, weights, source)
         # Those of the paper's networks follow from the scaling.
         Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate
     except ConfigurationError as error:
-        raise ArtifactError(f"{error}; this softfin has no such networks, so fit it again") from None
+        raise ArtifactError(
+            f"{error}; this softfin has no such networks, so fit it again"
+        ) from None
     except (KeyError, TypeError, ValueError) as error:
         reason = one_line(error)
-        raise ArtifactError(f"{source}: not a surrogate's description ({reason}); fit it again") from None
+        raise ArtifactError(
+            f"{source}: not a surrogate's description ({reason}); fit it again"
+        ) from None

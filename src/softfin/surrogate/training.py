@@ -1,4 +1,5 @@
-"""Functions for both kinds of networks: keeping the best weights during training, and the names of weights in files."""
+"""Functions for both kinds of networks: keeping the best weights during training, and the names of
+weights in files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -16,7 +17,8 @@ UPDATES_A_CALL = 50
 
 
 class TrainingState(NamedTuple):
-    """Everything that a resumed run needs of several networks, or of one with a leading axis ``members``."""
+    """Everything that a resumed run needs of several networks, or of one with a leading axis
+    ``members``."""
 
     nets: Any
     optimiser: Any
@@ -26,13 +28,22 @@ class TrainingState(NamedTuple):
     """Loss: one number for each of several networks, or an array ``(members,)``."""
 
 
-def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tuple[TrainingState, bool]:
-    """Keep each network's weights if its held-out loss is the lowest; return if any is. RunError if not finite."""
+def keep_best(
+    state: TrainingState, losses: Any, held_out: Any, name: str
+) -> tuple[TrainingState, bool]:
+    """Keep each network's weights if its held-out loss is the lowest; return if any is. RunError if
+    not finite."""
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
-        raise RunError(f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew")
+        raise RunError(
+            f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew"
+        )
 
     def pick(better: Array, new: Any, old: Any) -> Any:
-        return jax.tree.map(lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y), new, old)
+        return jax.tree.map(
+            lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y),
+            new,
+            old,
+        )
 
     loss = jax.tree.map(jnp.float32, held_out)
     better = jax.tree.map(lambda new, old: jnp.asarray(new < old), loss, state.best_loss)
@@ -42,7 +53,8 @@ def keep_best(state: TrainingState, losses: Any, held_out: Any, name: str) -> tu
 
 
 def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
-    """Logs to learn from and, the last ones, to hold out; raises LogError where there are fewer than two."""
+    """Logs to learn from and, the last ones, to hold out; raises LogError where there are fewer
+    than two."""
     if (count := len(logs)) < 2:
         raise LogError(
             f"{count} training log: at least 2 are needed, one to learn from and one held out; "
@@ -56,16 +68,22 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
     """Raise LogError where a log is too short to predict a single row of."""
     for index, log in enumerate(logs):
         if (rows := len(log.reading.time)) <= window:
-            raise LogError(f"{part} log {index}: {rows} rows; more than a window of {window} are needed; record longer")
+            raise LogError(
+                f"{part} log {index}: {rows} rows; more than a window of {window} are needed; "
+                "record longer"
+            )
 
 
 def named(nets: Any) -> dict[str, np.ndarray]:
     """Arrays by their places, such as ``posnet.3.kernel``."""
-    return {_name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)}
+    return {
+        _name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)
+    }
 
 
 def restored(shapes: Any, arrays: Mapping[str, np.ndarray], source: str) -> Any:
-    """Networks of these shapes with the arrays of `named`; ArtifactError if one is missing or does not fit."""
+    """Networks of these shapes with the arrays of `named`; ArtifactError if one is missing or does
+    not fit."""
 
     def leaf(path: Any, like: Any) -> Any:
         array = arrays.get(_name(path))
@@ -77,7 +95,10 @@ def restored(shapes: Any, arrays: Mapping[str, np.ndarray], source: str) -> Any:
             return jnp.asarray(array, like.dtype)
         else:
             problem = "is not finite"
-        raise ArtifactError(f"{source}: {_name(path)} {problem}, must have {like.shape}; copy the whole folder again")
+        raise ArtifactError(
+            f"{source}: {_name(path)} {problem}, must have {like.shape}; copy the whole folder "
+            "again"
+        )
 
     return jax.tree_util.tree_map_with_path(leaf, shapes)
 

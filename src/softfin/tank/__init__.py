@@ -1,8 +1,22 @@
 """The virtual tank: a soft fin in still water behind the Plant contract."""
 
-from softfin.tank.randomization import DomainRandomization, RandomizedTank, sample_tank, with_parameters
+from softfin.tank.randomization import (
+    DomainRandomization,
+    RandomizedTank,
+    sample_tank,
+    with_parameters,
+)
 from softfin.tank.sensor import IDEAL, SensorConfig
 from softfin.tank.tank import Tank, TankConfig, TankState
 
-__all__ = ["IDEAL", "DomainRandomization", "RandomizedTank", "SensorConfig", "Tank", "TankConfig", "TankState",
-           "sample_tank", "with_parameters"]  # fmt: skip
+__all__ = [
+    "IDEAL",
+    "DomainRandomization",
+    "RandomizedTank",
+    "SensorConfig",
+    "Tank",
+    "TankConfig",
+    "TankState",
+    "sample_tank",
+    "with_parameters",
+]

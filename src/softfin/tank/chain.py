@@ -1,8 +1,9 @@
-"""A planar chain of rigid plates hinged end to end: where it is, how it moves, what a load on a plate does to it.
+"""A planar chain of rigid plates hinged end to end: where it is, how it moves, what a load on a
+plate does to it.
 
-Plate i lies from its inner end, nearer the shaft, along d(phi) = (-cos phi, sin phi); its normal is n = d' =
-(sin phi, cos phi). The absolute angles phi are the only coordinates, so length is kept exactly. Loads, momenta and
-motions of a plate are given along n and d and about its inner end.
+Plate i lies from its inner end, nearer the shaft, along d(phi) = (-cos phi, sin phi); its normal is
+n = d' = (sin phi, cos phi). The absolute angles phi are the only coordinates, so length is kept
+exactly. Loads, momenta and motions of a plate are given along n and d and about its inner end.
 """
 
 from collections.abc import Callable
@@ -17,14 +18,16 @@ Scalar = Float[Array, ""]
 
 
 class Pose(NamedTuple):
-    """How the turning of plate j moves the inner end of plate i > j; rows i, columns j, zero elsewhere [m]."""
+    """How the turning of plate j moves the inner end of plate i > j; rows i, columns j, zero
+    elsewhere [m]."""
 
     normal: Float[Array, "plates plates"]
     along: Float[Array, "plates plates"]
 
 
 class Motion(NamedTuple):
-    """Motion of each plate: velocity of its inner end along n and d [m/s], rate of turning [rad/s]."""
+    """Motion of each plate: velocity of its inner end along n and d [m/s], rate of turning
+    [rad/s]."""
 
     normal: PerPlate
     along: PerPlate
@@ -32,7 +35,8 @@ class Motion(NamedTuple):
 
 
 class Wrench(NamedTuple):
-    """Force on each plate along n and d [N], moment about the inner end [N m]. Likewise momenta [N s, N m s]."""
+    """Force on each plate along n and d [N], moment about the inner end [N m]. Likewise momenta [N
+    s, N m s]."""
 
     normal: PerPlate
     along: PerPlate
@@ -40,9 +44,11 @@ class Wrench(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Moments of what resists each plate, mass [kg] or drag [kg/s]: order 0 to 2 along n, and the whole along d.
+    """Moments of what resists each plate, mass [kg] or drag [kg/s]: order 0 to 2 along n, and the
+    whole along d.
 
-    With m(s) the mass per length along n, they are the integrals of m, m s and m s^2 over the plate.
+    With m(s) the mass per length along n, they are the integrals of m, m s and m s^2 over the
+    plate.
     """
 
     zeroth: PerPlate
@@ -61,7 +67,8 @@ class Moments(NamedTuple):
 
 def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
     """Return the pose of a chain whose plates lie at absolute `angles` [rad]."""
-    cos, sin = jnp.cos(angles), jnp.sin(angles)
+    cos = jnp.cos(angles)
+    sin = jnp.sin(angles)
     lever = jnp.tril(jnp.ones((angles.size, angles.size), angles.dtype), -1) * plate_length
     return Pose(
         lever * (cos[:, None] * cos[None] + sin[:, None] * sin[None]),
@@ -76,7 +83,8 @@ def motion(pose: Pose, rates: PerPlate) -> Motion:
 
 def components(angles: PerPlate, velocity: Float[Array, "2"]) -> Motion:
     """Resolve one velocity (x, y) [m/s] along every plate's axes."""
-    cos, sin = jnp.cos(angles), jnp.sin(angles)
+    cos = jnp.cos(angles)
+    sin = jnp.sin(angles)
     x, y = velocity
     return Motion(x * sin + y * cos, y * sin - x * cos, jnp.zeros_like(angles))
 
@@ -88,8 +96,10 @@ def project(pose: Pose, wrench: Wrench) -> PerPlate:
 
 
 def matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
-    """The symmetric matrix that takes rates of turning to generalised momenta, or to the moments that resist them."""
-    normal, along = pose.normal, pose.along
+    """The symmetric matrix that takes rates of turning to generalised momenta, or to the moments
+    that resist them."""
+    normal = pose.normal
+    along = pose.along
     outer = normal[:, :, None] * (moments.zeroth[:, None] * normal)[:, None, :]
     outer += along[:, :, None] * (moments.along[:, None] * along)[:, None, :]
     arm = moments.first[:, None] * normal
@@ -97,7 +107,8 @@ def matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
 
 
 def centripetal(pose: Pose, inertia: Moments, motion: Motion) -> Wrench:
-    """Minus the rate of change of each plate's momentum at constant rates of turning (Kirchhoff's equations)."""
+    """Minus the rate of change of each plate's momentum at constant rates of turning (Kirchhoff's
+    equations)."""
     squares = motion.turning**2
     rise = (pose.along * squares).sum(1) - motion.along * motion.turning
     slide = motion.normal * motion.turning - (pose.normal * squares).sum(1)
@@ -111,26 +122,35 @@ def centripetal(pose: Pose, inertia: Moments, motion: Motion) -> Wrench:
 
 def resultant(angles: PerPlate, wrench: Wrench) -> Float[Array, "2"]:
     """The sum of the forces in the axes of the tank, (x, y)."""
-    cos, sin = jnp.cos(angles), jnp.sin(angles)
+    cos = jnp.cos(angles)
+    sin = jnp.sin(angles)
     return jnp.stack(
-        [(wrench.normal * sin - wrench.along * cos).sum(), (wrench.normal * cos + wrench.along * sin).sum()]
+        [
+            (wrench.normal * sin - wrench.along * cos).sum(),
+            (wrench.normal * cos + wrench.along * sin).sum(),
+        ]
     )
 
 
 def condense(
     matrix: Float[Array, "plates plates"], right: PerPlate
 ) -> tuple[Scalar, Scalar, Callable[[Scalar], PerPlate]]:
-    """Eliminate all plates but the first from ``matrix @ rates = right``, the matrix symmetric positive definite.
+    """Eliminate all plates but the first from ``matrix @ rates = right``, the matrix symmetric
+    positive definite.
 
-    What is left at the root is ``inertia * rate = impulse``, to be solved with whatever holds the fin. Returns inertia,
-    impulse, and the function from the first plate's rate to those of all.
+    What is left at the root is ``inertia * rate = impulse``, to be solved with whatever holds the
+    fin. Returns inertia, impulse, and the function from the first plate's rate to those of all.
     """
     if len(right) == 1:
         return matrix[0, 0], right[0], lambda first: first[None]
-    column, inner = matrix[1:, 0], matrix[1:, 1:]
+    column = matrix[1:, 0]
+    inner = matrix[1:, 1:]
     # Its derivative is one more solution, not that of each step of the elimination.
     free, dragged = jax.lax.custom_linear_solve(
-        lambda x: x @ inner, jnp.stack([right[1:], column]), lambda _, b: _eliminated(inner, b), symmetric=True
+        lambda x: x @ inner,
+        jnp.stack([right[1:], column]),
+        lambda _, b: _eliminated(inner, b),
+        symmetric=True,
     )
 
     def expand(first: Scalar) -> PerPlate:
@@ -139,9 +159,11 @@ def condense(
     return matrix[0, 0] - column @ dragged, right[0] - column @ free, expand
 
 
-def _eliminated(matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]) -> Float[Array, "rights n"]:
-    """Elimination without pivoting, unrolled: a batch of such small systems is a handful of long vector operations,
-    where a call of LAPACK is one call a fin."""
+def _eliminated(
+    matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]
+) -> Float[Array, "rights n"]:
+    """Elimination without pivoting, unrolled: a batch of such small systems is a handful of long
+    vector operations, where a call of LAPACK is one call a fin."""
     size = matrix.shape[0]
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
     sides = [rights[:, i] for i in range(size)]

@@ -1,9 +1,11 @@
-"""The drive: a positioning controller in profile position mode, motor and gearbox; commands in, the shaft's motion out.
+"""The drive: a positioning controller in profile position mode, motor and gearbox; commands in, the
+shaft's motion out.
 
-A trapezoidal velocity profile runs to the target angle at the commanded velocity, within an acceleration limit. It is
-planned anew at each step from the present motion, so a command may come at any time, mid-stroke too. A servo with a
-torque limit makes the motor follow it, against the fin's load; a gearbox with play stands between motor and fin. The
-encoder sits on the motor. Angles, torques and inertias are those at the fin's side of the gearbox.
+A trapezoidal velocity profile runs to the target angle at the commanded velocity, within an
+acceleration limit. It is planned anew at each step from the present motion, so a command may come
+at any time, mid-stroke too. A servo with a torque limit makes the motor follow it, against the
+fin's load; a gearbox with play stands between motor and fin. The encoder sits on the motor. Angles,
+torques and inertias are those at the fin's side of the gearbox.
 """
 
 from typing import NamedTuple
@@ -25,8 +27,9 @@ DEAD_TICKS = 20
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.
 
-    Velocity, acceleration, dead time and lag are a calibration's against the published fin (docs/tank.md); motor and
-    gearbox are catalogue values for a reduction of 111:1, which is assumed.
+    Velocity, acceleration, dead time and lag are a calibration's against the published fin
+    (docs/tank.md); motor and gearbox are catalogue values for a reduction of 111:1, which is
+    assumed.
     """
 
     slowest_rad_s: float = Field(1.0, gt=0)
@@ -48,7 +51,8 @@ class DriveConfig(Configuration):
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
     """Play of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
-    """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not quantised."""
+    """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not
+    quantised."""
 
 
 class DriveState(NamedTuple):
@@ -82,9 +86,15 @@ class Drive(eqx.Module):
 
     def __init__(self, config: DriveConfig):
         (
-            self.acceleration, self.dead_time, self.lag, self.stiffness, self.inertia, self.torque_limit,
-            self.backlash, self.encoder_step,
-        ) = arrays_of(config, without=("slowest_rad_s", "fastest_rad_s"))  # fmt: skip
+            self.acceleration,
+            self.dead_time,
+            self.lag,
+            self.stiffness,
+            self.inertia,
+            self.torque_limit,
+            self.backlash,
+            self.encoder_step,
+        ) = arrays_of(config, without=("slowest_rad_s", "fastest_rad_s"))
 
     def rest(self) -> DriveState:
         """Return the state at rest at angle 0, commanded to stay there."""
@@ -93,21 +103,33 @@ class Drive(eqx.Module):
         return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
-        """Take the command that is issued now; return the one that the profile obeys for the next tick, too."""
-        queue = Command(*(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True)))
+        """Take the command that is issued now; return the one that the profile obeys for the next
+        tick, too."""
+        queue = Command(
+            *(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True))
+        )
         waiting = Command(*(channel[:-1] for channel in queue))
         return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)
 
     def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
         """Return the state with the profile a step of time further under a command."""
-        velocity = next_velocity(state.profile_angle, state.profile_velocity, command, self.acceleration, seconds)
+        velocity = next_velocity(
+            state.profile_angle, state.profile_velocity, command, self.acceleration, seconds
+        )
         mean = (velocity + state.profile_velocity) / 2
-        return state._replace(profile_angle=state.profile_angle + seconds * mean, profile_velocity=velocity)
+        return state._replace(
+            profile_angle=state.profile_angle + seconds * mean, profile_velocity=velocity
+        )
 
     def shaft(
-        self, before: DriveState, planned: DriveState, seconds: float, carried: Float[Array, ""] | float = 0.0
+        self,
+        before: DriveState,
+        planned: DriveState,
+        seconds: float,
+        carried: Float[Array, ""] | float = 0.0,
     ) -> Shaft:
-        """Return the shaft on which the fin hangs while the profile goes from one state to the next."""
+        """Return the shaft on which the fin hangs while the profile goes from one state to the
+        next."""
         half = seconds / 2
         pull, grip, rotor = self._servo(before, planned, half)
 
@@ -115,15 +137,21 @@ class Drive(eqx.Module):
             free = (rotor * before.rate + pull + load) / (rotor + grip + drag)
             torque = pull - grip * free
             limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
-            return jnp.where(limited == torque, free, (rotor * before.rate + limited + load) / (rotor + drag))
+            return jnp.where(
+                limited == torque, free, (rotor * before.rate + limited + load) / (rotor + drag)
+            )
 
         return Shaft(before.angle, self.backlash, turn, carried)
 
-    def follow(self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float) -> DriveState:
+    def follow(
+        self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float
+    ) -> DriveState:
         """Return the state after a step in which the motor turned at that mean rate [rad/s]."""
         pull, grip, _ = self._servo(before, planned, seconds / 2)
         torque = jnp.clip(pull - grip * mean, -self.torque_limit, self.torque_limit)
-        return planned._replace(angle=before.angle + seconds * mean, rate=2 * mean - before.rate, torque=torque)
+        return planned._replace(
+            angle=before.angle + seconds * mean, rate=2 * mean - before.rate, torque=torque
+        )
 
     def read(self, state: DriveState) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """Return the readings of the encoder: angle [rad] and velocity [rad/s]."""
@@ -132,9 +160,11 @@ class Drive(eqx.Module):
     def _servo(
         self, before: DriveState, planned: DriveState, half: float
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; last, its inertia over half a step.
+        """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; last, its inertia
+        over half a step.
 
-        Proportional to the following error less the lag's share, and critically damped about the profile.
+        Proportional to the following error less the lag's share, and critically damped about the
+        profile.
         """
         damping = 2 * jnp.sqrt(self.stiffness * self.inertia)
         profile_angle = (before.profile_angle + planned.profile_angle) / 2
@@ -150,7 +180,8 @@ def next_velocity(
     acceleration: Float[Array, ""],
     seconds: float,
 ) -> Float[Array, ""]:
-    """Return the fastest velocity from which the profile, in steps of time, stops at the target without overshoot."""
+    """Return the fastest velocity from which the profile, in steps of time, stops at the target
+    without overshoot."""
     ahead = command.angle - angle - seconds * velocity / 2
     gain = acceleration * seconds
     braking = jnp.sqrt((gain / 2) ** 2 + 2 * acceleration * jnp.abs(ahead)) - gain / 2
@@ -162,7 +193,8 @@ def next_velocity(
 def delayed(commands: Command, delay: Float[Array, ""]) -> Command:
     """Return the command of `delay` ticks ago among the last ones, newest first.
 
-    A delay between whole ticks is a mean of the two commands beside it, so that it has a derivative.
+    A delay between whole ticks is a mean of the two commands beside it, so that it has a
+    derivative.
     """
     age = jnp.arange(commands.angle.shape[0], dtype=delay.dtype)
     weights = jnp.maximum(1 - jnp.abs(age - delay), 0.0)

@@ -1,9 +1,11 @@
-"""The soft fin: a tapered silicone plate, bending in the plane of beating, as a chain of plates with sprung joints.
+"""The soft fin: a tapered silicone plate, bending in the plane of beating, as a chain of plates
+with sprung joints.
 
-The first joint holds the fin on the shaft, and loads it back. One step of time takes bending, structural damping, the
-water's resistance and the shaft by the implicit midpoint rule, and what is left of the nonlinearity at a midpoint that
-the last accelerations predict: second order in the step, one linear solve. No stiffness and no damping makes it
-unstable; turning far in one step does (docs/tank.md, "Step of time").
+The first joint holds the fin on the shaft, and loads it back. One step of time takes bending,
+structural damping, the water's resistance and the shaft by the implicit midpoint rule, and what is
+left of the nonlinearity at a midpoint that the last accelerations predict: second order in the
+step, one linear solve. No stiffness and no damping makes it unstable; turning far in one step does
+(docs/tank.md, "Step of time").
 """
 
 from collections.abc import Callable
@@ -27,12 +29,13 @@ Series: TypeAlias = NDArray[np.floating[Any]]
 class FinConfig(Configuration):
     """Geometry and material; thickness and span change linearly from root to tip.
 
-    Length, bracket, modulus and damping are a calibration's against the published fin (docs/tank.md); span and
-    thickness were held, as no recording tells them from modulus and drag.
+    Length, bracket, modulus and damping are a calibration's against the published fin
+    (docs/tank.md); span and thickness were held, as no recording tells them from modulus and drag.
     """
 
     plates: int = Field(8, ge=1, le=32)
-    """Rigid plates in the chain [-]; the error of the force falls at least as their number squared."""
+    """Rigid plates in the chain [-]; the error of the force falls at least as their number
+    squared."""
     length_m: float = Field(0.187, gt=0)
     """Length from the shaft to the tip [m]."""
     root_length_m: float = Field(0.0195, ge=0)
@@ -46,11 +49,13 @@ class FinConfig(Configuration):
     tip_thickness_ratio: float = Field(1.0, gt=0)
     """Thickness at the tip over that at the shaft [-]."""
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
-    """Young's modulus in bending [Pa]; by the hardness, Shore A 22, 0.8e6 (Gent 1958), 1.1e6 in a plate."""
+    """Young's modulus in bending [Pa]; by the hardness, Shore A 22, 0.8e6 (Gent 1958), 1.1e6 in a
+    plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
     """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
     damping_s: float = Field(0.0273, ge=0)
-    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6 Hz."""
+    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6
+    Hz."""
 
     def span(self, along: Series) -> Series:
         """Return the span of the fin at distances from the shaft [m]."""
@@ -65,8 +70,11 @@ BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
 """Bending stiffness over span of the aluminium bracket [N m]: 70 GPa, taken to be 3 mm thick."""
 
 
-def plate_moments(config: FinConfig, density: Callable[[Series], Series]) -> tuple[PerPlate, PerPlate, PerPlate]:
-    """Integrals of a density per length, times distance from the inner end to the power 0, 1, 2, over each plate."""
+def plate_moments(
+    config: FinConfig, density: Callable[[Series], Series]
+) -> tuple[PerPlate, PerPlate, PerPlate]:
+    """Integrals of a density per length, times distance from the inner end to the power 0, 1, 2,
+    over each plate."""
     plate = config.length_m / config.plates
     # Exact for the cubic densities of a linear taper.
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -77,21 +85,25 @@ def plate_moments(config: FinConfig, density: Callable[[Series], Series]) -> tup
 
 
 def compliance(config: FinConfig) -> Series:
-    """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to that of the next.
+    """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to
+    that of the next.
 
-    The joints bend where their plates meet, the beam all along between. So each part of beam counts by the work that a
-    load on the tip does in bending it, which makes the deflection under such a load that of the beam, however few the
-    plates.
+    The joints bend where their plates meet, the beam all along between. So each part of beam counts
+    by the work that a load on the tip does in bending it, which makes the deflection under such a
+    load that of the beam, however few the plates.
     """
     plate = config.length_m / config.plates
     joints = np.arange(config.plates) * plate
     middles = joints[:-1] + plate / 2
-    start, stop = np.append(0.0, middles), np.append(middles, config.length_m)
+    start = np.append(0.0, middles)
+    stop = np.append(middles, config.length_m)
 
     def work(start: Series, stop: Series, bracket: float) -> Series:
         nodes, weights = np.polynomial.legendre.leggauss(8)
         along = start + (nodes[:, None] + 1) / 2 * (stop - start)
-        bending = config.span(along) * (config.youngs_modulus_pa * config.thickness(along) ** 3 / 12 + bracket)
+        bending = config.span(along) * (
+            config.youngs_modulus_pa * config.thickness(along) ** 3 / 12 + bracket
+        )
         shares = weights[:, None] / 2 * (config.length_m - along) ** 2 / bending
         return np.asarray((stop - start) * shares.sum(axis=0))
 
@@ -114,9 +126,11 @@ class FinState(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Motion of the robot that carries the fin, at the shaft, during a tick; in the axes of the tank, which turn along.
+    """Motion of the robot that carries the fin, at the shaft, during a tick; in the axes of the
+    tank, which turn along.
 
-    Motion along the shaft, and turning about other axes than the shaft's, are left out: they move the fin edgewise.
+    Motion along the shaft, and turning about other axes than the shaft's, are left out: they move
+    the fin edgewise.
     """
 
     velocity: Float[Array, "2"]
@@ -133,9 +147,11 @@ class Shaft(NamedTuple):
     angle: Scalar
     """Angle of the shaft [rad]."""
     play: Scalar
-    """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's backlash."""
+    """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's
+    backlash."""
     turn: Callable[[Scalar, Scalar], Scalar]
-    """Function from load and drag to the shaft's mean rate [rad/s], where the fin exerts load - drag * rate on it."""
+    """Function from load and drag to the shaft's mean rate [rad/s], where the fin exerts load -
+    drag * rate on it."""
     carried: Scalar | float = 0.0
     """Angular velocity of the mount, to which the shaft's own rate adds [rad/s]."""
 
@@ -146,7 +162,8 @@ class Surroundings(NamedTuple):
     inertia: Moments
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
     stream: Float[Array, "2"]
-    """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion relative to it."""
+    """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion
+    relative to it."""
     loads: Callable[[Motion], tuple[Moments, Wrench]]
     """Effects of water on moving plates besides inertia: resistance [kg/s] and forces [N]."""
     acceleration: Float[Array, "2"] | None = None
@@ -164,7 +181,8 @@ class Fin(eqx.Module):
     inertia: Moments
     """Inertia of the fin itself, without the water [kg, kg m, kg m2]."""
     thickness: Float[Array, " points"]
-    """Thickness at the shaft and the outer end of each plate [m]: not needed for motion, only to be drawn."""
+    """Thickness at the shaft and the outer end of each plate [m]: not needed for motion, only to be
+    drawn."""
 
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
@@ -184,7 +202,9 @@ class Fin(eqx.Module):
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
         """Return the shaft and the outer end of each plate, in the axes of the tank [m]."""
-        plates = self.plate_length * jnp.stack([-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1)
+        plates = self.plate_length * jnp.stack(
+            [-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1
+        )
         return jnp.concatenate([jnp.zeros((1, 2), plates.dtype), jnp.cumsum(plates, axis=0)])
 
     def relative(self, state: FinState, around: Surroundings) -> Motion:
@@ -193,15 +213,21 @@ class Fin(eqx.Module):
         relative: Motion = jax.tree.map(jnp.subtract, self._motion(state), stream)
         return relative
 
-    def momenta(self, state: FinState, around: Surroundings) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """Return the momenta of the fin itself and of the water that it carries, in the axes of the tank [N s]."""
+    def momenta(
+        self, state: FinState, around: Surroundings
+    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+        """Return the momenta of the fin itself and of the water that it carries, in the axes of the
+        tank [N s]."""
         return (
             chain.resultant(state.angles, self.inertia.times(self._motion(state))),
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
-    def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> Float[Array, "2"]:
-        """Return the part of the momenta's rate of change that comes of the mount's motion, in its axes [N].
+    def inertial_force(
+        self, state: FinState, around: Surroundings, mount: Mount
+    ) -> Float[Array, "2"]:
+        """Return the part of the momenta's rate of change that comes of the mount's motion, in its
+        axes [N].
 
         The rest is the change of `momenta` in those axes, at the mount's velocity.
         """
@@ -210,7 +236,9 @@ class Fin(eqx.Module):
             return mount.turn * jnp.stack([vector[1], -vector[0]])
 
         def needed(inertia: Moments, acceleration: Float[Array, "2"]) -> Float[Array, "2"]:
-            return chain.resultant(state.angles, inertia.times(chain.components(state.angles, acceleration)))
+            return chain.resultant(
+                state.angles, inertia.times(chain.components(state.angles, acceleration))
+            )
 
         own, added = self.momenta(state, around)
         acceleration = mount.acceleration
@@ -223,9 +251,11 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
-        """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads' mean force [N]."""
+        """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads'
+        mean force [N]."""
         half = seconds / 2
-        # The midpoint rule leaves stiff modes ringing from step to step; over two steps their accelerations cancel.
+        # The midpoint rule leaves stiff modes ringing from step to step; over two steps their
+        # accelerations cancel.
         predicted = state.rates + half * (state.accelerations + state.earlier) / 2
         angles = state.angles + half * (state.rates + predicted) / 2 - half * shaft.carried
         pose = chain.pose(angles, self.plate_length)
@@ -237,7 +267,9 @@ class Fin(eqx.Module):
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
         driven = push
         if around.acceleration is not None:
-            driven = jax.tree.map(jnp.subtract, push, inertia.times(chain.components(angles, around.acceleration)))
+            driven = jax.tree.map(
+                jnp.subtract, push, inertia.times(chain.components(angles, around.acceleration))
+            )
         impulse = jax.tree.map(
             lambda p, c, w, f: p + half * (c + w + f),
             inertia.times(chain.motion(pose, state.rates)),
@@ -252,7 +284,9 @@ class Fin(eqx.Module):
         right = chain.project(pose, impulse) - _between(strains)
         root_inertia, root_impulse, expand = chain.condense(left + _joint_matrix(grips), right)
         bend = state.angles[0] - shaft.angle
-        first, rate = _held(root_inertia, root_impulse, shaft, self.stiffness[0], grips[0], bend, half)
+        first, rate = _held(
+            root_inertia, root_impulse, shaft, self.stiffness[0], grips[0], bend, half
+        )
         mean = expand(first)
         force = jax.tree.map(lambda f, r: f - r, push, resistance.times(chain.motion(pose, mean)))
         after = FinState(
@@ -268,14 +302,21 @@ class Fin(eqx.Module):
 
 
 def _held(
-    inertia: Scalar, impulse: Scalar, shaft: Shaft, stiffness: Scalar, grip: Scalar, bend: Scalar, half: float
+    inertia: Scalar,
+    impulse: Scalar,
+    shaft: Shaft,
+    stiffness: Scalar,
+    grip: Scalar,
+    bend: Scalar,
+    half: float,
 ) -> tuple[Scalar, Scalar]:
     """Mean rates over a step, of the first plate and of the shaft on its mount.
 
-    The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, where it is tight, a grip: angular
-    impulse over relative rate [N m s2/rad]. Where the step's midpoint would be within the joint's play if it were
-    loose, it is loose; beyond, it is strained from that edge of the play. So a contact is found in the step in which it
-    happens, and takes the motion up softly.
+    The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, where it is
+    tight, a grip: angular impulse over relative rate [N m s2/rad]. Where the step's midpoint would
+    be within the joint's play if it were loose, it is loose; beyond, it is strained from that edge
+    of the play. So a contact is found in the step in which it happens, and takes the motion up
+    softly.
     """
 
     def rates(strain: Scalar, grip: Scalar) -> tuple[Scalar, Scalar]:
@@ -291,7 +332,8 @@ def _held(
     middle = bend + half * (first - rate - shaft.carried)
     for beyond, slack in ((middle >= edge, edge), (middle <= -edge, -edge)):
         tight = rates(half * stiffness * (bend - slack), grip)
-        first, rate = jnp.where(beyond, tight[0], first), jnp.where(beyond, tight[1], rate)
+        first = jnp.where(beyond, tight[0], first)
+        rate = jnp.where(beyond, tight[1], rate)
     return first, rate
 
 
@@ -302,7 +344,8 @@ def _between(torques: PerPlate) -> PerPlate:
 
 
 def _joint_matrix(joints: PerPlate) -> Float[Array, "plates plates"]:
-    """The tridiagonal matrix that takes angles of plates to what the joints between them take from each."""
+    """The tridiagonal matrix that takes angles of plates to what the joints between them take from
+    each."""
     inner = joints.at[0].set(0.0)
     below = jnp.diag(inner[1:], -1)
     return jnp.diag(inner + jnp.append(inner[1:], 0.0)) - below - below.T

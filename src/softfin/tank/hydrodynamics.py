@@ -1,15 +1,19 @@
-"""The water round the fin: the loads on each plate of the chain, and the flow that the fin itself has set going.
+"""The water round the fin: the loads on each plate of the chain, and the flow that the fin itself
+has set going.
 
-- Reactive: the added mass of a thin plate, along its normal alone, stands in the chain's inertia (Lighthill 1960); its
-  momentum leaves over the tip by the large-amplitude elongated-body theory (Lighthill 1971; Candelier, Boyer and
-  Leroyer 2011): force m w u n - m w^2/2 d there, with w and u the tip's velocities along its n and outwards along d.
-- Resistive: quadratic drag along the normal (Taylor 1952; Morison 1950), with a coefficient that is constant or falls
-  with the Keulegan-Carpenter number of the plate's recent strokes; skin friction along the plate (Blasius).
-- Memory: the momentum that drag, friction and tip take from the fin stays in the water round it, which streams on until
-  that has died down. All loads are those of the motion relative to this stream; the added mass's own momentum is not
-  in it, as the fin takes that back.
+- Reactive: the added mass of a thin plate, along its normal alone, stands in the chain's inertia
+  (Lighthill 1960); its momentum leaves over the tip by the large-amplitude elongated-body theory
+  (Lighthill 1971; Candelier, Boyer and Leroyer 2011): force m w u n - m w^2/2 d there, with w and u
+  the tip's velocities along its n and outwards along d.
+- Resistive: quadratic drag along the normal (Taylor 1952; Morison 1950), with a coefficient that is
+  constant or falls with the Keulegan-Carpenter number of the plate's recent strokes; skin friction
+  along the plate (Blasius).
+- Memory: the momentum that drag, friction and tip take from the fin stays in the water round it,
+  which streams on until that has died down. All loads are those of the motion relative to this
+  stream; the added mass's own momentum is not in it, as the fin takes that back.
 
-Left out: free surface and walls, history (Basset) forces, and the pressure of an accelerating stream.
+Left out: free surface and walls, history (Basset) forces, and the pressure of an accelerating
+stream.
 """
 
 from typing import NamedTuple
@@ -31,7 +35,8 @@ from softfin.tank.sensor import remaining
 class WaterConfig(Configuration):
     """The water, the coefficients of its loads, and its memory.
 
-    Drag and stream are a calibration's against the published fin (docs/tank.md); added mass, tip, friction are theory.
+    Drag and stream are a calibration's against the published fin (docs/tank.md); added mass, tip,
+    friction are theory.
     """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
@@ -39,18 +44,21 @@ class WaterConfig(Configuration):
     added_mass_coefficient: float = Field(1.0, ge=0)
     """Added mass per length over that of a long flat plate, rho pi/4 span^2 [-]."""
     drag_coefficient: float = Field(5.46, ge=0)
-    """Against the stream that the fin meets, at a Keulegan-Carpenter number of 5 where it depends on that [-]."""
+    """Against the stream that the fin meets, at a Keulegan-Carpenter number of 5 where it depends
+    on that [-]."""
     drag_exponent: float = Field(0.0, ge=0, le=1)
-    """Power with which drag falls with the Keulegan-Carpenter number [-]: 0 constant, 1/3 thin plates (Graham 1980)."""
+    """Power with which drag falls with the Keulegan-Carpenter number [-]: 0 constant, 1/3 thin
+    plates (Graham 1980)."""
     friction_coefficient: float = Field(1.328, ge=0)
-    """Blasius: skin friction is this / sqrt(Reynolds number of the length) on each of both faces [-]."""
+    """Blasius: skin friction is this / sqrt(Reynolds number of the length) on each of both faces
+    [-]."""
     tip_coefficient: float = Field(1.0, ge=0)
     """Share of the elongated-body tip term [-]; 0 leaves it out."""
     wake_memory_s: float = Field(1.0, gt=0)
     """Time over which strokes are remembered [s]; matters where drag depends on them."""
     stream_mass_kg: float = Field(2.17, ge=0.2)
-    """Mass of water that takes up the momentum of the fin [kg]: about a cube of 0.13 m. Lighter than 0.2 the
-    stream would outrun the tick in which it is held."""
+    """Mass of water that takes up the momentum of the fin [kg]: about a cube of 0.13 m. Lighter
+    than 0.2 the stream would outrun the tick in which it is held."""
     stream_decay_s: float = Field(0.241, ge=0)
     """Time constant with which the stream dies down [s]; 0: the water stays still."""
 
@@ -62,7 +70,8 @@ LEAST_STROKE = 0.5
 """Keulegan-Carpenter number below which drag grows no more."""
 
 SLOWEST_FRICTION_M_S = 0.01
-"""Below this speed skin friction grows linearly with it, as Stokes's does, so that its slope at rest is finite."""
+"""Below this speed skin friction grows linearly with it, as Stokes's does, so that its slope at
+rest is finite."""
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 """Two points along a plate integrate its drag well wherever its ends move to the same side."""
@@ -92,7 +101,8 @@ class Water(eqx.Module):
     friction: PerPlate
     """Tangential force per length over velocity to the power 3/2 [kg/m2 (m/s)^(1/2)]."""
     tip: PerPlate
-    """Added mass per length at the outer end of each plate where water leaves the fin: zero but for the last [kg/m]."""
+    """Added mass per length at the outer end of each plate where water leaves the fin: zero but for
+    the last [kg/m]."""
     span: PerPlate
     """Span at the middle of each plate [m]."""
     drag_exponent: Float[Array, ""]
@@ -101,7 +111,8 @@ class Water(eqx.Module):
     stream_decay: Float[Array, ""]
 
     def __init__(self, config: WaterConfig, fin: FinConfig):
-        rho, nu = _density(config.temperature_c), _viscosity(config.temperature_c)
+        rho = _density(config.temperature_c)
+        nu = _viscosity(config.temperature_c)
         plate = fin.length_m / fin.plates
         inner = np.arange(fin.plates) * plate
         section = float(config.added_mass_coefficient * rho * np.pi / 4)
@@ -110,8 +121,12 @@ class Water(eqx.Module):
         self.plate_length = jnp.asarray(plate, float)
         self.temperature = jnp.asarray(config.temperature_c, float)
         self.inertia = Moments(zeroth, first, second, jnp.zeros_like(zeroth))
-        self.drag = jnp.asarray(0.5 * rho * config.drag_coefficient * fin.span(inner + plate * GAUSS[:, None]))
-        self.friction = jnp.asarray(config.friction_coefficient * np.sqrt(nu / fin.length_m) * rho * span)
+        self.drag = jnp.asarray(
+            0.5 * rho * config.drag_coefficient * fin.span(inner + plate * GAUSS[:, None])
+        )
+        self.friction = jnp.asarray(
+            config.friction_coefficient * np.sqrt(nu / fin.length_m) * rho * span
+        )
         leaving = config.tip_coefficient * section * (fin.span_m * fin.tip_span_ratio) ** 2
         self.tip = jnp.asarray(leaving * np.eye(fin.plates)[-1])
         self.span = jnp.asarray(span)
@@ -120,17 +135,25 @@ class Water(eqx.Module):
         self.stream_mass = jnp.asarray(config.stream_mass_kg, float)
         self.stream_decay = jnp.asarray(config.stream_decay_s, float)
 
-    def varied(self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0) -> "Water":
-        """Return water of another temperature [degrees Celsius], its loads multiplied; the tip goes with added mass."""
+    def varied(
+        self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0
+    ) -> "Water":
+        """Return water of another temperature [degrees Celsius], its loads multiplied; the tip goes
+        with added mass."""
         density = _density(temperature) / _density(self.temperature)
         friction = density * jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
         inertia = jax.tree.map(lambda moment: moment * density * added_mass, self.inertia)
         changed: Water = eqx.tree_at(
             lambda water: (water.temperature, water.inertia, water.tip, water.drag, water.friction),
             self,
-            (temperature, inertia, self.tip * density * added_mass, self.drag * density * drag,
-             self.friction * friction),
-        )  # fmt: skip
+            (
+                temperature,
+                inertia,
+                self.tip * density * added_mass,
+                self.drag * density * drag,
+                self.friction * friction,
+            ),
+        )
         return changed
 
     def rest(self) -> Flow:
@@ -141,27 +164,35 @@ class Water(eqx.Module):
     def around(self, flow: Flow) -> Surroundings:
         """Return what the fin moves in while the flow is such."""
         # 2 pi amplitude / span, for the amplitude of a sine with that mean square.
-        number = jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + LEAST_STROKE**2) / REFERENCE_STROKE
+        number = (
+            jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + LEAST_STROKE**2)
+            / REFERENCE_STROKE
+        )
         drag = self.drag * number**-self.drag_exponent
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
 
     def stirred(self, flow: Flow, motion: Motion, force: Float[Array, "2"]) -> Flow:
-        """Return the flow a tick after the plates moved so relative to it, under the mean force of its loads [N]."""
+        """Return the flow a tick after the plates moved so relative to it, under the mean force of
+        its loads [N]."""
         share = remaining(self.stream_decay)
         stream = share * flow.stream - (1 - share) * self.stream_decay / self.stream_mass * force
         share = remaining(self.wake_memory)
-        excursion = share * flow.excursion + TICK_S * (motion.normal + self.plate_length / 2 * motion.turning)
+        excursion = share * flow.excursion + TICK_S * (
+            motion.normal + self.plate_length / 2 * motion.turning
+        )
         return Flow(stream, excursion, share * flow.square + (1 - share) * excursion**2)
 
     def _loads(self, motion: Motion, drag: Float[Array, "2 plates"]) -> tuple[Moments, Wrench]:
-        """Resistance to the motion relative to the stream [kg/s], and the suction at the tip [N]."""
+        """Resistance to the motion relative to the stream [kg/s], and the suction at the tip
+        [N]."""
         length = self.plate_length
         places = [length * place for place in GAUSS.tolist()]
         drags = [
-            d * length / 2 * jnp.abs(motion.normal + s * motion.turning) for d, s in zip(drag, places, strict=True)
+            d * length / 2 * jnp.abs(motion.normal + s * motion.turning)
+            for d, s in zip(drag, places, strict=True)
         ]
-        # Water that comes over the tip from outside is at rest and brings no momentum with it. So the tip never feeds
-        # energy into the fin: the power of its force is -m w^2 |u|/2.
+        # Water that comes over the tip from outside is at rest and brings no momentum with it. So
+        # the tip never feeds energy into the fin: the power of its force is -m w^2 |u|/2.
         leaving = self.tip * jnp.maximum(-motion.along, 0.0)
         speed = jnp.sqrt(jnp.sqrt(motion.along**2 + SLOWEST_FRICTION_M_S**2))
         resistance = Moments(
@@ -171,12 +202,15 @@ class Water(eqx.Module):
             self.friction * length * speed,
         )
         zero = jnp.zeros_like(motion.along)
-        suction = Wrench(zero, -0.5 * self.tip * (motion.normal + length * motion.turning) ** 2, zero)
+        suction = Wrench(
+            zero, -0.5 * self.tip * (motion.normal + length * motion.turning) ** 2, zero
+        )
         return resistance, suction
 
 
 def _density(temperature_c: Scalar | float) -> Scalar | float:
-    """Density of fresh water at 1 atm [kg/m3], 0 to 40 degrees Celsius (Tanaka et al. 2001, Metrologia 38, 301)."""
+    """Density of fresh water at 1 atm [kg/m3], 0 to 40 degrees Celsius (Tanaka et al. 2001,
+    Metrologia 38, 301)."""
     t = temperature_c
     return 999.974950 * (1 - (t - 3.983035) ** 2 * (t + 301.797) / (522528.9 * (t + 69.34881)))
 

@@ -1,7 +1,8 @@
 """Domain randomization: tanks whose physical parameters are sampled about those of one tank.
 
-Every parameter depends on the key and its own name alone, so one that is added later leaves the others unchanged.
-Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of parameters.
+Every parameter depends on the key and its own name alone, so one that is added later leaves the
+others unchanged. Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of
+parameters.
 """
 
 import zlib
@@ -45,21 +46,31 @@ class DomainRandomization(Configuration):
     drift: float = Field(0.5, ge=0, lt=1)
     """Standard deviation of the force sensor's drift, relative [-]."""
     misalignment_rad: float = Field(0.02, ge=0, le=0.5)
-    """Misalignment of the force sensor, either side of the tank's [rad]; a mount screwed down by hand."""
+    """Misalignment of the force sensor, either side of the tank's [rad]; a mount screwed down by
+    hand."""
 
     @classmethod
     def of(cls, part: float) -> "DomainRandomization":
-        """Material, water and servo within the same part of their values either side, on one and the same fin.
+        """Material, water and servo within the same part of their values either side, on one and
+        the same fin.
 
-        Temperature, drift and mount have their usual range from a part of 0.15 on; below, it is smaller in proportion,
-        so that 0 is the very same tank. Raises ConfigurationError outside 0 <= part < 1.
+        Temperature, drift and mount have their usual range from a part of 0.15 on; below, it is
+        smaller in proportion, so that 0 is the very same tank. Raises ConfigurationError outside 0
+        <= part < 1.
         """
         if not 0 <= part < 1:
-            raise ConfigurationError(f"--randomize {part:g}: give a part from 0, the very same tank, to less than 1")
-        usual, share = cls(), min(1.0, part / USUAL_PART)
-        own = {name: share * getattr(usual, name) for name in ("temperature_c", "drift", "misalignment_rad")}
+            raise ConfigurationError(
+                f"--randomize {part:g}: give a part from 0, the very same tank, to less than 1"
+            )
+        usual = cls()
+        share = min(1.0, part / USUAL_PART)
+        own = {
+            name: share * getattr(usual, name)
+            for name in ("temperature_c", "drift", "misalignment_rad")
+        }
         return usual.merged(
-            own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag", "dead_time"), part), "spread"
+            own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag", "dead_time"), part),
+            "spread",
         )
 
     @property
@@ -81,11 +92,17 @@ def with_parameters(
     misalignment_rad: Scalar | float = 0.0,
 ) -> Tank:
     """Return the tank with other parameters: offsets where the name has a unit, else factors."""
-    water, fin = tank.water, tank.fin
+    water = tank.water
+    fin = tank.fin
     changed: Tank = eqx.tree_at(
         lambda tank: (
-            tank.fin.stiffness, tank.fin.damping, tank.water, tank.drive.lag, tank.drive.dead_time,
-            tank.sensor.drift, tank.sensor.misalignment,
+            tank.fin.stiffness,
+            tank.fin.damping,
+            tank.water,
+            tank.drive.lag,
+            tank.drive.dead_time,
+            tank.sensor.drift,
+            tank.sensor.misalignment,
         ),
         tank,
         (
@@ -99,12 +116,13 @@ def with_parameters(
             tank.sensor.drift * drift,
             tank.sensor.misalignment + misalignment_rad,
         ),
-    )  # fmt: skip
+    )
     return changed
 
 
 def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | None = None) -> Tank:
-    """Return the tank with parameters sampled within `widths`; the same tank, to the last bit, where all are 0."""
+    """Return the tank with parameters sampled within `widths`; the same tank, to the last bit,
+    where all are 0."""
     widths = widths or DomainRandomization()
     if widths.is_none:
         return tank
@@ -113,7 +131,9 @@ def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | Non
         own = jax.random.fold_in(key, zlib.crc32(name.encode()))
         return (name not in ADDED_PARAMETERS) + jax.random.uniform(own, minval=-width, maxval=width)
 
-    return with_parameters(tank, **{name: one(name, width) for name, width in widths.model_dump().items()})
+    return with_parameters(
+        tank, **{name: one(name, width) for name, width in widths.model_dump().items()}
+    )
 
 
 RandomizedTankState: TypeAlias = tuple[Tank, TankState]
@@ -143,7 +163,9 @@ class RandomizedTank(eqx.Module):
         tank, inner = state
         return tank.true_force(inner)
 
-    def advance(self, state: RandomizedTankState, command: Command, ticks: int) -> tuple[RandomizedTankState, Reading]:
+    def advance(
+        self, state: RandomizedTankState, command: Command, ticks: int
+    ) -> tuple[RandomizedTankState, Reading]:
         """Advance the sampled tank."""
         tank, inner = state
         inner, reading = tank.advance(inner, command, ticks)

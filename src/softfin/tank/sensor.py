@@ -1,9 +1,11 @@
-"""The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at 100 Hz out.
+"""The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at
+100 Hz out.
 
-Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution, range, in this order.
-Before each experiment the sensor is zeroed while the fin rests, when the true force is known to be zero.
-The numbers are assumptions of the right order, not a datasheet's; `IDEAL` turns every one of them off. Drive and water
-use what is here of sampling: relaxation within a sample, rounding to a resolution.
+Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution,
+range, in this order. Before each experiment the sensor is zeroed while the fin rests, when the true
+force is known to be zero. The numbers are assumptions of the right order, not a datasheet's;
+`IDEAL` turns every one of them off. Drive and water use what is here of sampling: relaxation within
+a sample, rounding to a resolution.
 """
 
 from collections.abc import Collection, Iterator
@@ -25,29 +27,37 @@ MIN_TIME_CONSTANT_S = 1e-6
 
 def arrays_of(config: Configuration, without: Collection[str] = ()) -> Iterator[Float[Array, ""]]:
     """Yield the numbers of a configuration as arrays, in the order of its fields."""
-    return (jnp.asarray(value, float) for name, value in config.model_dump().items() if name not in without)
+    return (
+        jnp.asarray(value, float)
+        for name, value in config.model_dump().items()
+        if name not in without
+    )
 
 
 def remaining(time_constant: Float[Array, ""]) -> Float[Array, ""]:
-    """Return the fraction of a deviation that is left after a sample of 10 ms; 0 where the time constant [s] is 0."""
+    """Return the fraction of a deviation that is left after a sample of 10 ms; 0 where the time
+    constant [s] is 0."""
     return jnp.exp(-TICK_S / jnp.maximum(time_constant, MIN_TIME_CONSTANT_S))
 
 
 def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[Array, "*shape"]:
-    """Return the nearest multiple of `step`, or `value` itself where the step is 0; its derivative is 1 either way."""
+    """Return the nearest multiple of `step`, or `value` itself where the step is 0; its derivative
+    is 1 either way."""
     positive = jnp.where(step > 0, step, 1.0)
     rounded = jnp.where(step > 0, jnp.round(value / positive) * positive, value)
     return value + jax.lax.stop_gradient(rounded - value)
 
 
 def mean_of_past(duration: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants goes with its value now.
+    """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants goes with
+    its value now.
 
-    The process has variance 1. Given the value x, the mean is normal: c x on average, with c = (1 - exp(-a)) / a, and
-    of variance V - c^2, where V = 2 (a - 1 + exp(-a)) / a^2 is the variance of the mean for any x. Returns c and
-    V - c^2.
+    The process has variance 1. Given the value x, the mean is normal: c x on average, with c = (1 -
+    exp(-a)) / a, and of variance V - c^2, where V = 2 (a - 1 + exp(-a)) / a^2 is the variance of
+    the mean for any x. Returns c and V - c^2.
     """
-    # Terms cancel where a is small: there the series in a is exact to 1e-4 of V - c^2 in single precision.
+    # Terms cancel where a is small: there the series in a is exact to 1e-4 of V - c^2 in single
+    # precision.
     is_short = duration < 0.1
     a = jnp.where(is_short, 1.0, duration)
     decay = -jnp.expm1(-a)
@@ -74,7 +84,8 @@ class SensorConfig(Configuration):
     range_n: float = Field(500.0, ge=0)
     """Readings end at this before the zero is subtracted, either way, on each axis [N]."""
     zero_s: float = Field(2.0, ge=0)
-    """Time at rest over which the mean reading is taken as zero before each experiment [s]; 0: not zeroed."""
+    """Time at rest over which the mean reading is taken as zero before each experiment [s]; 0: not
+    zeroed."""
 
 
 IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, range_n=0.0)
@@ -106,15 +117,23 @@ class Sensor(eqx.Module):
 
     def __init__(self, config: SensorConfig):
         (
-            self.filter_time, self.misalignment, self.noise, self.drift, self.drift_time, self.resolution, self.range,
+            self.filter_time,
+            self.misalignment,
+            self.noise,
+            self.drift,
+            self.drift_time,
+            self.resolution,
+            self.range,
             self.zero_time,
-        ) = arrays_of(config)  # fmt: skip
+        ) = arrays_of(config)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
-        """Return the state at rest after zeroing; the drift starts at a value from its stationary distribution.
+        """Return the state at rest after zeroing; the drift starts at a value from its stationary
+        distribution.
 
-        The zero is the mean reading over the last T seconds: the mean drift, which goes with the drift of this moment
-        as `mean_of_past` says, and what white noise leaves in a mean of T / TICK_S samples.
+        The zero is the mean reading over the last T seconds: the mean drift, which goes with the
+        drift of this moment as `mean_of_past` says, and what white noise leaves in a mean of T /
+        TICK_S samples.
         """
         drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
@@ -122,7 +141,9 @@ class Sensor(eqx.Module):
         variance = self.noise**2 / samples + spread * self.drift**2
         # Noise and drift may both be 0, where the square root has no derivative.
         deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 0.0)
-        zero = slope * drift + deviation * jax.random.normal(jax.random.fold_in(key, 1), (2,), self.drift.dtype)
+        zero = slope * drift + deviation * jax.random.normal(
+            jax.random.fold_in(key, 1), (2,), self.drift.dtype
+        )
         return SensorState(jnp.zeros_like(drift), drift, jnp.where(self.zero_time > 0, zero, 0.0))
 
     def read(
@@ -132,8 +153,12 @@ class Sensor(eqx.Module):
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
         filtered = force + (state.filtered - force) * remaining(self.filter_time)
         share = remaining(self.drift_time)
-        drift = share * state.drift + jnp.sqrt(-jnp.expm1(-2 * TICK_S / self.drift_time)) * self.drift * walk
-        cos, sin = jnp.cos(self.misalignment), jnp.sin(self.misalignment)
+        drift = (
+            share * state.drift
+            + jnp.sqrt(-jnp.expm1(-2 * TICK_S / self.drift_time)) * self.drift * walk
+        )
+        cos = jnp.cos(self.misalignment)
+        sin = jnp.sin(self.misalignment)
         x, y = filtered
         turned = jnp.stack([cos * x + sin * y, cos * y - sin * x])
         raw = to_multiple(turned + drift + self.noise * white, self.resolution)

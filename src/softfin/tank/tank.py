@@ -1,6 +1,7 @@
 """The virtual tank: drive, soft fin, water and force sensor composed behind the Plant contract.
 
-A `Tank` is a pytree of arrays, so tanks that differ in their parameters can be stacked and run side by side by `vmap`.
+A `Tank` is a pytree of arrays, so tanks that differ in their parameters can be stacked and run side
+by side by `vmap`.
 """
 
 from typing import NamedTuple
@@ -32,11 +33,13 @@ class TankConfig(Configuration):
     sensor: SensorConfig = SensorConfig()
     """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.4% at 2 (rms)."""
+    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.4%
+    at 2 (rms)."""
 
 
 class TankState(NamedTuple):
-    """State of everything that moves, the samples read so far, and the key of the sensor's noise."""
+    """State of everything that moves, the samples read so far, and the key of the sensor's
+    noise."""
 
     ticks: Int[Array, ""]
     drive: DriveState
@@ -66,7 +69,8 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """The commands that the drive takes: angles of the paper (Sec. III-A), velocities of its configuration."""
+    """The commands that the drive takes: angles of the paper (Sec. III-A), velocities of its
+    configuration."""
 
     def __init__(self, config: TankConfig | None = None):
         config = config or TankConfig()
@@ -80,16 +84,23 @@ class Tank(eqx.Module):
         )
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """The fin at rest at angle 0, the sensor just zeroed; the key draws the sensor's drift and its noise."""
+        """The fin at rest at angle 0, the sensor just zeroed; the key draws the sensor's drift and
+        its noise."""
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
         return TankState(
-            jnp.int32(0), self.drive.rest(), self.fin.rest(), self.water.rest(), sensor, jnp.zeros_like(sensor.drift),
+            jnp.int32(0),
+            self.drive.rest(),
+            self.fin.rest(),
+            self.water.rest(),
+            sensor,
+            jnp.zeros_like(sensor.drift),
             noise,
-        )  # fmt: skip
+        )
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields
+        ``(ticks,)``."""
         check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
         command = Command(jnp.asarray(command.angle, dtype), jnp.asarray(command.velocity, dtype))
@@ -101,22 +112,30 @@ class Tank(eqx.Module):
         return jax.lax.scan(tick, state, length=ticks)
 
     def true_force(self, state: TankState) -> Float[Array, "2"]:
-        """Return the mean force on the mount over the last tick, without the errors of the sensor [N]."""
+        """Return the mean force on the mount over the last tick, without the errors of the sensor
+        [N]."""
         return state.force
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
-        """Return where the fin is: the shaft and the outer end of each plate, in the axes of the tank [m]."""
+        """Return where the fin is: the shaft and the outer end of each plate, in the axes of the
+        tank [m]."""
         return self.fin.shape(state.fin)
 
-    def tick(self, state: TankState, command: Command, mount: Mount | None = None) -> tuple[TankState, Reading, Load]:
+    def tick(
+        self, state: TankState, command: Command, mount: Mount | None = None
+    ) -> tuple[TankState, Reading, Load]:
         """Hold a command for one sample of 10 ms, on a mount that moves or stands still.
 
-        The mount's motion is held within the tick; all forces are in its axes. The wake stays with the fin.
+        The mount's motion is held within the tick; all forces are in its axes. The wake stays with
+        the fin.
         """
         seconds = TICK_S / self.steps_per_tick
-        around, carried = self.water.around(state.flow), 0.0 if mount is None else mount.turn
+        around = self.water.around(state.flow)
+        carried = 0.0 if mount is None else mount.turn
         if mount is not None:
-            around = around._replace(stream=around.stream - mount.velocity, acceleration=mount.acceleration)
+            around = around._replace(
+                stream=around.stream - mount.velocity, acceleration=mount.acceleration
+            )
         drive, obeyed = self.drive.receive(state.drive, command)
 
         def step(
@@ -124,15 +143,22 @@ class Tank(eqx.Module):
         ) -> tuple[tuple[DriveState, FinState], tuple[Float[Array, "2"], Float[Array, ""]]]:
             drive, fin = moving
             planned = self.drive.plan(drive, obeyed, seconds)
-            fin, rate, force = self.fin.step(fin, self.drive.shaft(drive, planned, seconds, carried), around, seconds)
+            fin, rate, force = self.fin.step(
+                fin, self.drive.shaft(drive, planned, seconds, carried), around, seconds
+            )
             drive = self.drive.follow(drive, planned, rate, seconds)
             return (drive, fin), (force, drive.torque)
 
-        (drive, fin), (forces, torques) = jax.lax.scan(step, (drive, state.fin), length=self.steps_per_tick)
-        # The fin presses on its mount with what the water exerts on it less what goes into its own momentum.
+        (drive, fin), (forces, torques) = jax.lax.scan(
+            step, (drive, state.fin), length=self.steps_per_tick
+        )
+        # The fin presses on its mount with what the water exerts on it less what goes into its own
+        # momentum.
         own, added = (
             (after - before) / TICK_S
-            for before, after in zip(self.fin.momenta(state.fin, around), self.fin.momenta(fin, around), strict=True)
+            for before, after in zip(
+                self.fin.momenta(state.fin, around), self.fin.momenta(fin, around), strict=True
+            )
         )
         loads = forces.mean(0)
         force = loads - added - own
@@ -144,6 +170,11 @@ class Tank(eqx.Module):
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        # The fin turns the gearbox's housing with what the motor does not need to speed up its own inertia.
+        # The fin turns the gearbox's housing with what the motor does not need to speed up its own
+        # inertia.
         torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
-        return TankState(ticks, drive, fin, flow, sensor, force, state.key), reading, Load(force, torque)
+        return (
+            TankState(ticks, drive, fin, flow, sensor, force, state.key),
+            reading,
+            Load(force, torque),
+        )

@@ -1,4 +1,5 @@
-"""The words of a command line for a range of reference forces and for cells, read by the standard library alone."""
+"""The words of a command line for a range of reference forces and for cells, read by the standard
+library alone."""
 
 import re
 from pathlib import Path
@@ -23,14 +24,16 @@ def read_range(text: str) -> tuple[float, float, float, float]:
 
 
 def read_cells(text: str) -> CellsSource:
-    """Find the source of the cells; raises ConfigurationError for any other text, or a file that is missing."""
+    """Find the source of the cells; raises ConfigurationError for any other text, or a file that is
+    missing."""
     if text == "paper":
         return None
     if match := re.fullmatch(r"(\d+)\s*x\s*(\d+)", text.strip()):
         return int(match[1]), int(match[2])
     if Path(text).suffix not in (".yaml", ".yml"):
         raise ConfigurationError(
-            f"--cells {text}: neither paper, nor a lattice such as 3x3 (cells along x, cells along y), nor a .yaml file"
+            f"--cells {text}: neither paper, nor a lattice such as 3x3 (cells along x, cells along "
+            "y), nor a .yaml file"
         )
     check_readable(Path(text))
     return Path(text)

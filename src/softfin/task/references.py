@@ -1,12 +1,14 @@
-"""Reference forces to train for: the paper's, cells of a grid, and boxes from which references are drawn at random.
+"""Reference forces to train for: the paper's, cells of a grid, and boxes from which references are
+drawn at random.
 
-On a command line the cells are ``paper``, a lattice such as ``3x3`` over a range, or a YAML file of boxes:
+On a command line the cells are ``paper``, a lattice such as ``3x3`` over a range, or a YAML file of
+boxes:
 
     cells: [{low: [0, -1], high: [1, 1]}, {low: [1, -1], high: [3, 1]}]
     allow_gaps: false
 
-Cells never overlap: a reference must have one policy. Those of a file fill their bounding box unless it allows gaps;
-the paper's six leave a third of it uncovered.
+Cells never overlap: a reference must have one policy. Those of a file fill their bounding box
+unless it allows gaps; the paper's six leave a third of it uncovered.
 """
 
 from collections.abc import Sequence
@@ -50,18 +52,22 @@ class References(NamedTuple):
     @classmethod
     def of(cls, cell: Cell, reachable: Reachable | None = None) -> "References":
         """The references of a cell."""
-        return cls(jnp.asarray(cell.low, jnp.float32), jnp.asarray(cell.high, jnp.float32), reachable)
+        return cls(
+            jnp.asarray(cell.low, jnp.float32), jnp.asarray(cell.high, jnp.float32), reachable
+        )
 
     def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
         """One reference, uniform over the box."""
         return self.at(jax.random.uniform(key, (2,)))
 
     def at(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
-        """The reference at (0 to 1, 0 to 1) of the box; beyond the fin's reach, the one on the edge of the reach."""
+        """The reference at (0 to 1, 0 to 1) of the box; beyond the fin's reach, the one on the edge
+        of the reach."""
         return self.nearest(self.low + place * (self.high - self.low))
 
     def nearest(self, force: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """The reference of the box that is nearest to a force; beyond the fin's reach, the one on its edge."""
+        """The reference of the box that is nearest to a force; beyond the fin's reach, the one on
+        its edge."""
         inside = jnp.clip(force, self.low, self.high)
         return inside if self.reachable is None else jnp.asarray(self.reachable.project(inside))
 
@@ -79,14 +85,16 @@ class CellsFile(Configuration):
     cells: tuple[Cell, ...]
     """Boxes of references [N], in the order of the policies."""
     allow_gaps: bool = False
-    """Whether references between the cells may go without a policy of their own; the nearest cell answers these."""
+    """Whether references between the cells may go without a policy of their own; the nearest cell
+    answers these."""
 
 
 def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
     """The cells of a text; a lattice fills `within`, the others have places of their own.
 
     Raises:
-        ConfigurationError: not a lattice or file, or cells that overlap, have no width, or leave gaps without leave.
+        ConfigurationError: not a lattice or file, or cells that overlap, have no width, or leave
+        gaps without leave.
     """
     source = read_cells(text)
     if source is None:
@@ -105,42 +113,53 @@ def range_of(text: str) -> Cell:
 
 
 def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
-    """Equal cells, `columns` along x and `rows` along y, that fill a range; those of the least x first."""
+    """Equal cells, `columns` along x and `rows` along y, that fill a range; those of the least x
+    first."""
     asked = f"--cells {columns}x{rows}"
     if not 1 <= columns * rows <= MOST:
-        raise ConfigurationError(f"{asked}: {columns * rows} cells; give 1 .. {MOST}, one or more along each axis")
+        raise ConfigurationError(
+            f"{asked}: {columns * rows} cells; give 1 .. {MOST}, one or more along each axis"
+        )
     check_width(within, f"{asked}: the range ({within})")
     # Neighbours share an edge to the last bit.
     xs, ys = (
         np.linspace(low, high, count + 1).tolist()
         for low, high, count in zip(within.low, within.high, (columns, rows), strict=True)
     )
-    return tuple(Cell(low=(x0, y0), high=(x1, y1)) for x0, x1 in pairwise(xs) for y0, y1 in pairwise(ys))
+    return tuple(
+        Cell(low=(x0, y0), high=(x1, y1)) for x0, x1 in pairwise(xs) for y0, y1 in pairwise(ys)
+    )
 
 
 def check_width(cell: Cell, named: str) -> None:
     """Raise ConfigurationError where a box has no width."""
     for axis, low, high in zip("xy", cell.low, cell.high, strict=True):
         if high - low <= SAME_EDGE_N:
-            raise ConfigurationError(f"{named} has no width in {axis}; let it reach from a lesser to a greater force")
+            raise ConfigurationError(
+                f"{named} has no width in {axis}; let it reach from a lesser to a greater force"
+            )
 
 
 def check_apart(cells: Sequence[Cell], source: str) -> None:
     """Raise ConfigurationError where two cells overlap."""
     for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
-        low, high = np.maximum(one.low, other.low), np.minimum(one.high, other.high)
+        low = np.maximum(one.low, other.low)
+        high = np.minimum(one.high, other.high)
         if (high - low > SAME_EDGE_N).all():
             shared = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
             raise ConfigurationError(
-                f"{source}: cells {i} ({one}) and {j} ({other}) overlap in {shared}; move an edge, so that each "
-                "reference has one cell"
+                f"{source}: cells {i} ({one}) and {j} ({other}) overlap in {shared}; move an edge, "
+                "so that each reference has one cell"
             )
 
 
 def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
-    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are not allowed."""
+    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are not
+    allowed."""
     if not cells:
-        raise ConfigurationError(f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}")
+        raise ConfigurationError(
+            f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}"
+        )
     for number, cell in enumerate(cells, 1):
         check_width(cell, f"{source}: cell {number} ({cell})")
     check_apart(cells, source)
@@ -148,7 +167,8 @@ def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
     gaps = area(bounding_box(cells)) - sum(map(area, cells))
     if not allow_gaps and gaps > GAP_N2:
         raise ConfigurationError(
-            f"{source}: the cells leave {gaps:.3g} N^2 of their bounding box ({bounding_box(cells)}) uncovered; add "
+            f"{source}: the cells leave {gaps:.3g} N^2 of their bounding box "
+            f"({bounding_box(cells)}) uncovered; add "
             "cells there, or write allow_gaps: true in the file"
         )
 

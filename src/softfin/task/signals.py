@@ -1,11 +1,11 @@
 """References that move, by formula or from a file: one reference force for every tick of 10 ms.
 
-Tick k holds from time k * 10 ms on, for 10 ms. A controller reads the reference when it acts, three times a second, so
-it meets a change between two actions at the second one.
+Tick k holds from time k * 10 ms on, for 10 ms. A controller reads the reference when it acts, three
+times a second, so it meets a change between two actions at the second one.
 
-A file is a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; others unread. Each row is asked from
-its time on until the next one. Logs of softfin have these columns too; their times begin one tick after the start, at
-0.01 s: a first row up to one tick late is asked from 0 on.
+A file is a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; others unread.
+Each row is asked from its time on until the next one. Logs of softfin have these columns too; their
+times begin one tick after the start, at 0.01 s: a first row up to one tick late is asked from 0 on.
 """
 
 from abc import abstractmethod
@@ -90,7 +90,9 @@ class Ramp(Signal):
     @model_validator(mode="after")
     def _ordered(self) -> "Ramp":
         if self.end_s <= self.begin_s:
-            raise ValueError(f"a ramp from {self.begin_s:g} s to {self.end_s:g} s; end_s must be after begin_s")
+            raise ValueError(
+                f"a ramp from {self.begin_s:g} s to {self.end_s:g} s; end_s must be after begin_s"
+            )
         return self
 
     def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
@@ -98,7 +100,10 @@ class Ramp(Signal):
         return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n))
 
     def __str__(self) -> str:
-        return f"ramp {_pair(self.start_n)} to {_pair(self.to_n)} N from {self.begin_s:g} s to {self.end_s:g} s"
+        return (
+            f"ramp {_pair(self.start_n)} to {_pair(self.to_n)} N from {self.begin_s:g} s to "
+            f"{self.end_s:g} s"
+        )
 
 
 class Sinusoid(Signal):
@@ -117,11 +122,15 @@ class Sinusoid(Signal):
         return np.asarray(np.asarray(self.centre_n) + turn * np.asarray(self.amplitude_n))
 
     def __str__(self) -> str:
-        return f"sine about {_pair(self.centre_n)} N, amplitude {_pair(self.amplitude_n)} N, of {self.period_s:g} s"
+        return (
+            f"sine about {_pair(self.centre_n)} N, amplitude {_pair(self.amplitude_n)} N, of "
+            f"{self.period_s:g} s"
+        )
 
 
 class Recorded(Signal):
-    """Forces from given moments on, each held until the next one, the last one for good; nothing is interpolated."""
+    """Forces from given moments on, each held until the next one, the last one for good; nothing is
+    interpolated."""
 
     kind: Literal["recorded"] = "recorded"
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
@@ -133,21 +142,31 @@ class Recorded(Signal):
     def _ordered(self) -> "Recorded":
         times = np.asarray(self.time_s)
         if len(times) != len(self.force_n):
-            raise ValueError(f"{len(times)} times and {len(self.force_n)} forces; give one force for each time")
+            raise ValueError(
+                f"{len(times)} times and {len(self.force_n)} forces; give one force for each time"
+            )
         if abs(times[0]) > CLOCK_S:
-            raise ValueError(f"the first time is {times[0]:g} s; begin at 0, as the reference before it is unknown")
+            raise ValueError(
+                f"the first time is {times[0]:g} s; begin at 0, as the reference before it is "
+                "unknown"
+            )
         if late := np.flatnonzero(np.diff(times) <= 0).tolist():
-            raise ValueError(f"time {times[late[0] + 1]:g} s after {times[late[0]]:g} s; times must grow")
+            raise ValueError(
+                f"time {times[late[0] + 1]:g} s after {times[late[0]]:g} s; times must grow"
+            )
         return self
 
     @property
     def seconds(self) -> int:
         """The whole seconds that it takes, its last force held for as long as the one before."""
-        last, before = self.time_s[-1], self.time_s[-2] if len(self.time_s) > 1 else 0.0
+        last = self.time_s[-1]
+        before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
         return int(np.ceil(2 * last - before - CLOCK_S))
 
     def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
-        return np.asarray(self.force_n)[np.searchsorted(self.time_s, time_s + CLOCK_S, side="right") - 1]
+        return np.asarray(self.force_n)[
+            np.searchsorted(self.time_s, time_s + CLOCK_S, side="right") - 1
+        ]
 
     def __str__(self) -> str:
         if len(self.force_n) == 2:
@@ -160,7 +179,8 @@ def _pair(force: Force) -> str:
 
 
 def read_reference_file(path: Path) -> Recorded:
-    """The reference over time; raises ConfigurationError naming the row, what is wrong with it and the way out."""
+    """The reference over time; raises ConfigurationError naming the row, what is wrong with it and
+    the way out."""
     check_reference_file(path)
     source = f"--reference-file {path}"
     try:
@@ -172,26 +192,40 @@ def read_reference_file(path: Path) -> Recorded:
         for name, unit in REFERENCE_COLUMNS.items():
             if table.column_names.count(name) != 1:
                 raise ConfigurationError(
-                    f"{source}: no column {name}, or several, among {', '.join(table.column_names)}; it needs one in "
+                    f"{source}: no column {name}, or several, among "
+                    f"{', '.join(table.column_names)}; it needs one in "
                     f"{unit}: convert it, and name it {name}"
                 )
-        values = np.stack([table.column(name).cast(pa.float64()).to_numpy() for name in REFERENCE_COLUMNS], axis=1)
+        values = np.stack(
+            [table.column(name).cast(pa.float64()).to_numpy() for name in REFERENCE_COLUMNS], axis=1
+        )
     except (OSError, LogError, UnicodeDecodeError, pa.ArrowException) as error:
         reason = one_line(error)
-        raise ConfigurationError(f"{source}: not a table of numbers ({reason}); mend it, or write it again") from None
+        raise ConfigurationError(
+            f"{source}: not a table of numbers ({reason}); mend it, or write it again"
+        ) from None
     if not 0 < len(values) <= MAX_REFERENCE_ROWS:
         raise ConfigurationError(
-            f"{source}: has {len(values):,} rows; 1 to {MAX_REFERENCE_ROWS:,} are followed, from 0 s on"
+            f"{source}: has {len(values):,} rows; 1 to {MAX_REFERENCE_ROWS:,} are followed, from 0 "
+            "s on"
         )
     for row, column in np.argwhere(~np.isfinite(values)).tolist():
-        met = f"row {row + 1}, column {list(REFERENCE_COLUMNS)[column]}: {values[row, column]:g} is not a finite number"
-        raise ConfigurationError(f"{source}: {met}; write one, or leave that row out, and the force before it is held")
+        met = (
+            f"row {row + 1}, column {list(REFERENCE_COLUMNS)[column]}: {values[row, column]:g} "
+            "is not a finite number"
+        )
+        raise ConfigurationError(
+            f"{source}: {met}; write one, or leave that row out, and the force before it is held"
+        )
     if -CLOCK_S <= values[0, 0] <= TICK_S + CLOCK_S:
         values[0, 0] = 0.0
-    recorded = Recorded.build({"time_s": values[:, 0].tolist(), "force_n": values[:, 1:].tolist()}, source)
+    recorded = Recorded.build(
+        {"time_s": values[:, 0].tolist(), "force_n": values[:, 1:].tolist()}, source
+    )
     if recorded.seconds > LONGEST_S:
         raise ConfigurationError(
-            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s; at most {LONGEST_S:g} s are "
-            "followed: are these milliseconds? Then divide them by 1000; else cut the file"
+            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s; at most "
+            f"{LONGEST_S:g} s are followed: are these milliseconds? Then divide them by 1000; else "
+            "cut the file"
         )
     return recorded

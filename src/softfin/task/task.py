@@ -1,10 +1,13 @@
-"""Force tracking as pure functions over any plant (paper Sec. III-C2): action in, plant moved, reward and state out.
+"""Force tracking as pure functions over any plant (paper Sec. III-C2): action in, plant moved,
+reward and state out.
 
-    action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
-    observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k, and on demand sin, cos of the clock's phase]
+    action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces observation =
+    [angle, reference x, reference y, A_t, A_t-1, .. A_t-k, and on demand sin, cos of the clock's
+    phase]
 
-Actions follow one another on the 33/33/34 clock. How long one is held is a value in the program, so that a program
-holds the task once: all actions have 34 rows, and the last one of a shorter action does not count.
+Actions follow one another on the 33/33/34 clock. How long one is held is a value in the program, so
+that a program holds the task once: all actions have 34 rows, and the last one of a shorter action
+does not count.
 """
 
 from dataclasses import dataclass
@@ -28,7 +31,8 @@ Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
 
 FORCE_BLOCKS = 8
-"""Parts of the window whose mean forces the critic observes, which shows what forces are about to leave the window."""
+"""Parts of the window whose mean forces the critic observes, which shows what forces are about to
+leave the window."""
 
 
 class RewardTerms(NamedTuple):
@@ -43,22 +47,26 @@ class RewardTerms(NamedTuple):
 class RewardConfig(Configuration):
     """Weights of the reward (paper Sec. III-C2): mean force against its reference, and smoothness.
 
-    The paper names them and gives no values. Another term is another field of `RewardTerms`, with its weight here.
+    The paper names them and gives no values. Another term is another field of `RewardTerms`, with
+    its weight here.
     """
 
     weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
     """Weight w of x and y."""
     smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
-    """Weight lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in the form `mean`."""
+    """Weight lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in
+    the form `mean`."""
     sobolev: Literal["sum", "mean"] = "sum"
-    """Form of the Sobolev term: the root of the sum of squared steps, as in the paper, or of their mean."""
+    """Form of the Sobolev term: the root of the sum of squared steps, as in the paper, or of their
+    mean."""
     target: Literal["now", "window"] = "now"
-    """Target of the window's mean force: the reference of this moment, as in the paper, or the mean of the references
-    over the window, which does not reward making up for earlier ones."""
+    """Target of the window's mean force: the reference of this moment, as in the paper, or the mean
+    of the references over the window, which does not reward making up for earlier ones."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
         """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
-        weight, smoothness = jnp.asarray(self.weight), jnp.asarray(self.smoothness)
+        weight = jnp.asarray(self.weight)
+        smoothness = jnp.asarray(self.smoothness)
         return -jnp.sum(weight * (terms.error + smoothness * terms.smoothness), axis=-1)
 
 
@@ -75,7 +83,8 @@ class TaskConfig(Configuration):
     """The force-tracking task."""
 
     past_actions: int = Field(default=3, ge=0)
-    """Number k of actions before the last one that are observed; 3 makes 11 observations. The paper gives no k."""
+    """Number k of actions before the last one that are observed; 3 makes 11 observations. The paper
+    gives no k."""
     window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
     episode_actions: int = Field(default=90, ge=3, multiple_of=3)
@@ -83,12 +92,13 @@ class TaskConfig(Configuration):
     reference_actions: PositiveInt = 90
     """Actions until another reference is drawn."""
     ramps: float = Field(default=0.0, ge=0, le=1)
-    """Share of the references that are ramps, which arrive when the next one is due; the others are steps."""
+    """Share of the references that are ramps, which arrive when the next one is due; the others are
+    steps."""
     force_scale_n: PositiveFloat = 3.0
     """Unit in which references are observed [N], so that they are of about unit size."""
     phase: bool = False
-    """Whether the phase of the six actions that fill the window is observed, as a sine and a cosine; the paper's state
-    has none, and a policy then has to invent a gait of its own."""
+    """Whether the phase of the six actions that fill the window is observed, as a sine and a
+    cosine; the paper's state has none, and a policy then has to invent a gait of its own."""
     reward: RewardConfig = RewardConfig()
     sensing: SensingConfig = SensingConfig()
 
@@ -112,7 +122,8 @@ class TaskState(NamedTuple):
     actions: Float[Array, "remembered 2"]
     """Past actions, the last one first."""
     forces: Float[Array, "window 2"]
-    """Last readings, the newest last; only the last `samples` of them were recorded since the reset."""
+    """Last readings, the newest last; only the last `samples` of them were recorded since the
+    reset."""
     past_references: Float[Array, "window 2"]
     """The reference at each of these [N]."""
     samples: Int[Array, ""]
@@ -130,7 +141,8 @@ class Outcome(NamedTuple):
     force_error: Float[Array, "2"]
     """F_e: the window's mean force less its target [N]."""
     forces: Float[Array, "ticks 2"]
-    """Forces while the action was held [N]; the last of the 34 rows counts only for an action of 34 ticks."""
+    """Forces while the action was held [N]; the last of the 34 rows counts only for an action of 34
+    ticks."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +174,8 @@ class ForceTracking:
         return observation(self.config, state.angle, state.reference, state.actions, state.age)
 
     def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
-        """The observation, and what only a simulator has: the window's forces, how many count, the clock."""
+        """The observation, and what only a simulator has: the window's forces, how many count, the
+        clock."""
         scale = self.config.force_scale_n
         window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
         mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
@@ -172,21 +185,32 @@ class ForceTracking:
 
     def step(self, state: TaskState, action: Action, ticks: Ticks) -> tuple[TaskState, Outcome]:
         """Hold an action for 33 or 34 ticks."""
-        config, sensing = self.config.reward, self.config.sensing
-        plant, reading = hold_action(self.plant, state.plant, command_of(self.plant.limits, action), ticks)
-        past_references = _last(state.past_references, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks)
+        config = self.config.reward
+        sensing = self.config.sensing
+        plant, reading = hold_action(
+            self.plant, state.plant, command_of(self.plant.limits, action), ticks
+        )
+        past_references = _last(
+            state.past_references, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks
+        )
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
-        target = state.reference if config.target == "now" else window_mean(past_references, samples)
+        target = (
+            state.reference if config.target == "now" else window_mean(past_references, samples)
+        )
         force_error = window_error(forces, samples, target)
         terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, config.sobolev))
-        # A chain: each key is used once, so neither another action nor the next episode draws the same numbers.
+        # A chain: each key is used once, so neither another action nor the next episode draws the
+        # same numbers.
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
         age = state.age + 1
-        # The next reference, where one is due: a step or a ramp. One draw: each takes a quarter of a second to compile.
-        is_due, chance = age % self.config.reference_actions == 0, jax.random.uniform(reference_key, (3,))
-        sampled, ramp = state.references.at(chance[:2]), chance[2] < self.config.ramps
+        # The next reference, where one is due: a step or a ramp. One draw: each takes a quarter of
+        # a second to compile.
+        is_due = age % self.config.reference_actions == 0
+        chance = jax.random.uniform(reference_key, (3,))
+        sampled = state.references.at(chance[:2])
+        ramp = chance[2] < self.config.ramps
         towards = (sampled - state.reference) / self.config.reference_actions
         drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
         return TaskState(
@@ -214,7 +238,9 @@ class ForceTracking:
         return state.age >= self.config.episode_actions
 
 
-def _last(before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks) -> Float[Array, "window 2"]:
+def _last(
+    before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks
+) -> Float[Array, "window 2"]:
     """The window with `ticks` rows more."""
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
@@ -226,11 +252,15 @@ def observation(
     actions: Float[Array, "remembered 2"],
     age: Int[Array, ""],
 ) -> Float[Array, "observations"]:
-    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and `force_scale_n`.
+    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and
+    `force_scale_n`.
 
-    With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action, `age` counted from 0.
+    With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action,
+    `age` counted from 0.
     """
-    part = Observation(past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n)
+    part = Observation(
+        past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n
+    )
     now = jnp.concatenate([angle[None], reference])
     return jnp.asarray(part.observe(jax_operations(), now, actions.reshape(-1), age) / part.units())
 
@@ -238,7 +268,9 @@ def observation(
 def action_of(limits: Limits, command: Command) -> Action:
     """The action of a command: the plant's limits onto [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
-    velocity = (command.velocity - limits.velocity_min) / (limits.velocity_max - limits.velocity_min)
+    velocity = (command.velocity - limits.velocity_min) / (
+        limits.velocity_max - limits.velocity_min
+    )
     return 2 * jnp.stack([jnp.asarray(angle), jnp.asarray(velocity)]) - 1
 
 

@@ -38,11 +38,18 @@ def test_a_slow_drive_that_is_always_on_its_way_has_the_same_dead_time():
     # Only its drive matters: two plates are compiled in half the time.
     slow = Tank(
         TankConfig().changed(
-            ["drive.slowest_rad_s=0.3", "drive.fastest_rad_s=1.57", "fin.plates=2", "steps_per_tick=4"]
+            [
+                "drive.slowest_rad_s=0.3",
+                "drive.fastest_rad_s=1.57",
+                "fin.plates=2",
+                "steps_per_tick=4",
+            ]
         )
     )
     columns = columns_of(recorded(slow, 1, 6000)[0])
-    assert command_lag(columns["command_angle_rad"], columns["angle_rad"]) == pytest.approx(29, abs=6)
+    assert command_lag(columns["command_angle_rad"], columns["angle_rad"]) == pytest.approx(
+        29, abs=6
+    )
 
 
 def test_strokes_to_and_fro_have_the_same_dead_time():

@@ -5,7 +5,17 @@ from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.importing import ImportConfig
 from softfin.surrogate import import_keras
 from softfin.tank import IDEAL, Tank, TankConfig
-from tests.data.faulty import ROWS, Columns, columns_of, cut, delayed, log_of, named, recorded, tank_logs
+from tests.data.faulty import (
+    ROWS,
+    Columns,
+    columns_of,
+    cut,
+    delayed,
+    log_of,
+    named,
+    recorded,
+    tank_logs,
+)
 
 
 def inspected(change=None, config: ImportConfig | None = None) -> Inspection:
@@ -37,19 +47,26 @@ def test_nothing_is_wrong_with_logs_of_the_virtual_tank():
 
 
 def test_nothing_is_wrong_with_short_logs_of_the_virtual_tank():
-    assert not grave(inspect(named(*(cut(log, k, k + 700) for log in tank_logs(5) for k in (0, 700)))))
+    assert not grave(
+        inspect(named(*(cut(log, k, k + 700) for log in tank_logs(5) for k in (0, 700))))
+    )
 
 
 def test_nothing_is_wrong_with_logs_of_an_ideal_tank_whose_readings_stand_still_at_rest():
     ideal = Tank(TankConfig(sensor=IDEAL))
-    # As many and as long as those of the default tank, whose program this is; half of two are inspected.
+    # As many and as long as those of the default tank, whose program this is; half of two are
+    # inspected.
     logs = [cut(log, 0, 3000) for log in recorded(ideal, 5, ROWS)[:2]]
     assert not grave(inspect(named(*logs)))
 
 
 @pytest.fixture(scope="module")
 def published_logs(published):
-    fin = import_keras(published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json")
+    fin = import_keras(
+        published / "cnn_pos_net.keras",
+        published / "lstm_force_net.keras",
+        published / "scalers.json",
+    )
     return recorded(fin, 2, 6000)
 
 
@@ -104,7 +121,10 @@ def test_short_logs_are_checked_together():
         mirrored_command(one)
     inspection = inspect(named(*map(log_of, columns)))
     assert grave(inspection)["command sign"] == "--negate command_angle"
-    assert next(one.log for one in inspection.issues if one.name == "command sign") == "the first 4 logs together"
+    assert (
+        next(one.log for one in inspection.issues if one.name == "command sign")
+        == "the first 4 logs together"
+    )
 
 
 def angle_in_degrees(columns: Columns) -> None:
@@ -252,7 +272,9 @@ FAULTS = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "name", "fix"), FAULTS, ids=[fault.__name__ for fault, _, _ in FAULTS])
+@pytest.mark.parametrize(
+    ("fault", "name", "fix"), FAULTS, ids=[fault.__name__ for fault, _, _ in FAULTS]
+)
 def test_each_fault_is_found_by_name_with_its_fix(fault, name, fix):
     found = grave(inspected(fault))
     assert name in found
@@ -260,9 +282,23 @@ def test_each_fault_is_found_by_name_with_its_fix(fault, name, fix):
 
 
 ALONE = [
-    swap, negate_x, negate_y, turn, degrees, late_force, late_command, mirrored_command, mirrored_angle, spikes,
-    many_spikes, clipped, velocity_sign, offset, still_velocity, counts,
-]  # fmt: skip
+    swap,
+    negate_x,
+    negate_y,
+    turn,
+    degrees,
+    late_force,
+    late_command,
+    mirrored_command,
+    mirrored_angle,
+    spikes,
+    many_spikes,
+    clipped,
+    velocity_sign,
+    offset,
+    still_velocity,
+    counts,
+]
 
 
 @pytest.mark.parametrize("fault", ALONE, ids=[fault.__name__ for fault in ALONE])
@@ -273,7 +309,9 @@ def test_a_fault_is_not_taken_for_others(fault):
 def test_a_velocity_of_zeros_is_an_error_in_one_log_of_several_and_not_on_a_fin_at_rest():
     faulty, still = (columns_of(log) for log in tank_logs(2))
     still_velocity(faulty)
-    issue = next(one for one in inspect(named(*tank_logs(2), log_of(faulty))).issues if one.name != "columns")
+    issue = next(
+        one for one in inspect(named(*tank_logs(2), log_of(faulty))).issues if one.name != "columns"
+    )
     assert (issue.severity, issue.name, issue.logs) == ("error", "constant velocity", ("test/2",))
     for name in ("angle_rad", "command_angle_rad"):
         still[name][:] = 0
@@ -290,7 +328,9 @@ def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
             columns[name] = np.round(columns[name])
 
     fix = grave(inspected(change))["degrees"]
-    assert fix.startswith("--angles deg; if these whole numbers are counts of an encoder instead, convert them")
+    assert fix.startswith(
+        "--angles deg; if these whole numbers are counts of an encoder instead, convert them"
+    )
 
 
 def test_messages_hold_the_numbers():
@@ -301,7 +341,9 @@ def test_messages_hold_the_numbers():
     assert message(inspected(spikes), "spikes").startswith("3 spikes, up to 30")
     assert "for 4.00 s" in message(inspected(stuck_force), "stuck")
     assert "+0.81 N" in message(inspected(offset), "force offset")
-    assert message(inspected(mirrored_command), "command sign").startswith("the angle goes against its command")
+    assert message(inspected(mirrored_command), "command sign").startswith(
+        "the angle goes against its command"
+    )
 
 
 def test_an_issue_lists_all_its_logs_and_its_first_place():
@@ -320,7 +362,8 @@ def test_fixes_go_on_from_the_options_that_were_given():
 
 def test_one_log_with_another_clock_and_another_offset_stands_out():
     logs = tank_logs(4)
-    late, shifted = columns_of(logs[3]), columns_of(logs[2])
+    late = columns_of(logs[3])
+    shifted = columns_of(logs[2])
     late_force(late)
     shifted["force_y_n"] += 0.9
     found = grave(inspect(named(logs[0], logs[1], log_of(shifted), log_of(late))))

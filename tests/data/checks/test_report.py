@@ -42,7 +42,8 @@ def test_lags_and_axes_of_all_logs_are_drawn():
     drawn = [line.get_ydata() for line in lags.get_lines()]
     np.testing.assert_allclose(drawn[1], [one.force_lag_ms for one in inspection.logs])
     widths = {
-        label.get_text(): bar.get_width() for label, bar in zip(frames.get_yticklabels(), frames.patches, strict=True)
+        label.get_text(): bar.get_width()
+        for label, bar in zip(frames.get_yticklabels(), frames.patches, strict=True)
     }
     assert max(widths, key=widths.__getitem__) == "x,-y"
 
@@ -50,7 +51,9 @@ def test_lags_and_axes_of_all_logs_are_drawn():
 def test_the_folder_holds_json_and_both_figures(tmp_path):
     logs = named(*tank_logs(2))
     written = write_inspection(inspect(logs), logs, tmp_path / "i", {"source": "here"})
-    assert json.loads((tmp_path / "i" / "inspection.json").read_text()) == json.loads(json.dumps(written))
+    assert json.loads((tmp_path / "i" / "inspection.json").read_text()) == json.loads(
+        json.dumps(written)
+    )
     assert written["issues"] == []
     ElementTree.parse(tmp_path / "i" / "inspection.svg")
     assert (tmp_path / "i" / "inspection.png").stat().st_size > 10_000

@@ -123,7 +123,9 @@ def test_a_short_gap_is_bridged_by_interpolation():
     assert len(log.log.reading.time) == 1000
     assert not issues
     angle = one.channels["angle"]
-    np.testing.assert_allclose(log.log.reading.angle[401], angle[399] + (angle[403] - angle[399]) / 2, atol=1e-6)
+    np.testing.assert_allclose(
+        log.log.reading.angle[401], angle[399] + (angle[403] - angle[399]) / 2, atol=1e-6
+    )
     np.testing.assert_allclose(log.log.reading.angle[600:], angle[600:], atol=1e-6)
     # The last command before the gap holds until the next.
     assert log.log.command.angle[402] == one.channels["command_angle"].astype(np.float32)[399]
@@ -144,8 +146,9 @@ def test_rows_without_a_value_are_errors_and_split_where_there_are_many():
     assert [len(piece.log.reading.time) for piece in pieces] == [300, 680]
     errors = [issue for issue in issues if issue.severity == "error"]
     assert [(e.name, e.column, e.row) for e in errors] == [
-        ("not a number", "angle", 700), ("not a number", "force_x", 300),
-    ]  # fmt: skip
+        ("not a number", "angle", 700),
+        ("not a number", "force_x", 300),
+    ]
     assert "20 of 1,000 rows" in errors[1].message
     assert all(np.isfinite(piece.log.reading.force).all() for piece in pieces)
 
@@ -177,7 +180,9 @@ def test_a_fast_source_is_resampled_and_that_is_noted():
     assert kinds(issues) == ["resampled"]
     assert "faster than 100 Hz" in issues[0].message
     np.testing.assert_allclose(log.log.reading.time[:3], [0, 0.01, 0.02])
-    np.testing.assert_allclose(log.log.reading.force[20:-20, 0], np.sin(log.log.reading.time[20:-20] + 4), atol=1e-3)
+    np.testing.assert_allclose(
+        log.log.reading.force[20:-20, 0], np.sin(log.log.reading.time[20:-20] + 4), atol=1e-3
+    )
 
 
 def test_a_slow_source_is_a_warning():
@@ -198,18 +203,25 @@ def test_a_velocity_that_is_not_there_is_the_angles_central_difference():
     del one.channels["velocity"]
     (log,), _ = logs(one)
     angle = one.channels["angle"]
-    np.testing.assert_allclose(log.log.reading.velocity[100], (angle[101] - angle[99]) / 0.02, rtol=1e-4)
+    np.testing.assert_allclose(
+        log.log.reading.velocity[100], (angle[101] - angle[99]) / 0.02, rtol=1e-4
+    )
 
 
 def test_three_clocks_meet_where_all_have_begun_and_commands_hold():
     time = np.arange(0, 10, 0.01)
     joint = Track(time + 0.003, {"angle": time, "velocity": np.ones_like(time)})
-    wrench = Track(np.arange(0.5, 9, 0.001), {name: np.arange(0.5, 9, 0.001) for name in ("force_x", "force_y")})
+    wrench = Track(
+        np.arange(0.5, 9, 0.001),
+        {name: np.arange(0.5, 9, 0.001) for name in ("force_x", "force_y")},
+    )
     command = Track(
-        np.array([1.0, 2.0, 5.004]), {"command_angle": np.array([1.0, 2, 3]), "command_velocity": np.ones(3)}
+        np.array([1.0, 2.0, 5.004]),
+        {"command_angle": np.array([1.0, 2, 3]), "command_velocity": np.ones(3)},
     )
     (log,), _ = logs(joint, wrench, command)
-    reading, time = log.log.reading, log.start_s + log.log.reading.time
+    reading = log.log.reading
+    time = log.start_s + log.log.reading.time
     assert log.start_s == 0.003
     assert time[0] == pytest.approx(1.0)
     assert time[-1] == pytest.approx(9.0, abs=0.011)
@@ -229,7 +241,9 @@ def test_clocks_that_never_meet_are_refused():
         logs(joint, wrench, Track(time, {"command_angle": time, "command_velocity": time}))
 
 
-@pytest.mark.parametrize(("option", "channel"), [("force_lag_ms", "force_x"), ("command_lag_ms", "command_angle")])
+@pytest.mark.parametrize(
+    ("option", "channel"), [("force_lag_ms", "force_x"), ("command_lag_ms", "command_angle")]
+)
 def test_a_lag_that_is_given_is_taken_out(option, channel):
     late = track()
     names = [name for name in NAMES if name.split("_")[0] == channel.split("_")[0]]
@@ -237,11 +251,18 @@ def test_a_lag_that_is_given_is_taken_out(option, channel):
         late.channels[name][5:] = late.channels[name][:-5].copy()
     (log,), _ = logs(late, **{option: 50})
     (plain,), _ = logs(track())
-    series = {"force_x": lambda one: one.reading.force[:, 0], "command_angle": lambda one: one.command.angle}[channel]
+    series = {
+        "force_x": lambda one: one.reading.force[:, 0],
+        "command_angle": lambda one: one.command.angle,
+    }[channel]
     row = int(np.flatnonzero(np.isclose(plain.log.reading.time, log.log.reading.time[0]))[0])
     count = min(len(log.log.reading.time), 900)
-    np.testing.assert_allclose(series(log.log)[:count], series(plain.log)[row : row + count], atol=1e-5)
-    np.testing.assert_allclose(log.log.reading.angle[:count], plain.log.reading.angle[row : row + count], atol=1e-5)
+    np.testing.assert_allclose(
+        series(log.log)[:count], series(plain.log)[row : row + count], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        log.log.reading.angle[:count], plain.log.reading.angle[row : row + count], atol=1e-5
+    )
 
 
 def test_too_few_rows_are_refused():

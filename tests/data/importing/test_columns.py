@@ -10,7 +10,10 @@ from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig, compose
 from softfin.storage.log_file import SCHEMA
 
 AUTHORS = ["command angle", "command velocity", "position", "force x", "force y"]
-MAPPED = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
+MAPPED = (
+    "angle=position,command_angle=command angle,command_velocity=command "
+    "velocity,force_x=force x,force_y=force y"
+)
 
 
 def chosen(names, source="x.csv", **options) -> dict[str, str]:
@@ -34,14 +37,18 @@ def option_in(message: str) -> str:
 
 def test_softfins_own_names_need_no_mapping_and_no_note():
     found = choose_columns(SCHEMA.names, ImportConfig(), "log")
-    assert {channel: column.name for channel, column in found.items()} == dict(zip(found, SCHEMA.names, strict=True))
+    assert {channel: column.name for channel, column in found.items()} == dict(
+        zip(found, SCHEMA.names, strict=True)
+    )
     assert describe_columns(found) == ""
 
 
 def test_names_without_units_are_taken_as_si_and_shown():
     names = ["time", "command_angle", "command_velocity", "angle", "force_x", "force_y"]
     found = choose_columns(names, ImportConfig(), "log.csv")
-    assert {channel: column.name for channel, column in found.items()} == {name: name for name in names}
+    assert {channel: column.name for channel, column in found.items()} == {
+        name: name for name in names
+    }
     assert describe_columns(found) == (
         "time='time' in s (assumed), command_angle='command_angle' in rad (assumed), "
         "command_velocity='command_velocity' in rad/s (assumed), angle='angle' in rad (assumed), "
@@ -70,15 +77,29 @@ def test_a_mapping_counts_before_softfins_own_names_and_before_guesses():
 
 def test_the_control_table_of_a_dynamixel_is_read_and_shown():
     names = [
-        "time", "goal_position", "goal_velocity", "profile_velocity", "profile_acceleration", "present_position",
-        "present_velocity", "present_current", "position_trajectory", "force_x", "force_y",
-    ]  # fmt: skip
+        "time",
+        "goal_position",
+        "goal_velocity",
+        "profile_velocity",
+        "profile_acceleration",
+        "present_position",
+        "present_velocity",
+        "present_current",
+        "position_trajectory",
+        "force_x",
+        "force_y",
+    ]
     found = choose_columns(names, ImportConfig(), "dynamixel.csv")
     taken = {channel: column.name for channel, column in found.items()}
     assert taken == {
-        "time": "time", "command_angle": "goal_position", "command_velocity": "profile_velocity",
-        "angle": "present_position", "velocity": "present_velocity", "force_x": "force_x", "force_y": "force_y",
-    }  # fmt: skip
+        "time": "time",
+        "command_angle": "goal_position",
+        "command_velocity": "profile_velocity",
+        "angle": "present_position",
+        "velocity": "present_velocity",
+        "force_x": "force_x",
+        "force_y": "force_y",
+    }
     assert "angle='present_position' in rad (assumed)" in describe_columns(found)
     assert "or 'profile_speed'" in refusal([*names, "profile_speed"])
 
@@ -86,7 +107,8 @@ def test_the_control_table_of_a_dynamixel_is_read_and_shown():
 def test_two_columns_that_may_be_the_same_channel_are_refused_with_the_option_that_decides():
     message = refusal([*AUTHORS, "theta [deg]"])
     assert message == (
-        "x.csv: which column is angle? It may be 'position' or 'theta [deg]'; decide it: --columns angle=position"
+        "x.csv: which column is angle? It may be 'position' or 'theta [deg]'; decide it: --columns "
+        "angle=position"
     )
     assert chosen([*AUTHORS, "theta [deg]"], columns=option_in(message))["angle"] == "position"
     message = refusal([*AUTHORS, "speed", "omega"])
@@ -120,12 +142,20 @@ def test_a_readable_column_is_taken_where_another_has_an_unknown_unit():
 
 def test_a_told_unit_counts_before_the_names():
     names = ["t_ms", "cmd_deg", "cmd_vel_deg_s", "angle_deg", "Fx [mN]", "Fy [mN]"]
-    config = ImportConfig.build({"time_unit": "s", "angles": "angle=rad,command_velocity=deg", "force_unit": "N"})
-    units = {channel: column.unit for channel, column in choose_columns(names, config, "x.csv").items()}
+    config = ImportConfig.build(
+        {"time_unit": "s", "angles": "angle=rad,command_velocity=deg", "force_unit": "N"}
+    )
+    units = {
+        channel: column.unit for channel, column in choose_columns(names, config, "x.csv").items()
+    }
     assert units == {
-        "time": "s", "command_angle": "deg", "command_velocity": "deg/s", "angle": "rad",
-        "force_x": "N", "force_y": "N",
-    }  # fmt: skip
+        "time": "s",
+        "command_angle": "deg",
+        "command_velocity": "deg/s",
+        "angle": "rad",
+        "force_x": "N",
+        "force_y": "N",
+    }
 
 
 def test_without_a_commanded_velocity_the_option_that_tells_it_is_named():
@@ -147,7 +177,11 @@ def test_a_rate_and_a_velocity_that_are_told_keep_columns_from_being_guessed():
 
 def test_a_mapping_to_a_column_that_is_not_there_names_the_nearest():
     with pytest.raises(LogError, match="did you mean 'position'"):
-        choose_columns(AUTHORS, ImportConfig.build({"columns": MAPPED.replace("=position", "=positon")}), "x.csv")
+        choose_columns(
+            AUTHORS,
+            ImportConfig.build({"columns": MAPPED.replace("=position", "=positon")}),
+            "x.csv",
+        )
 
 
 def test_without_a_column_of_time_the_rate_must_be_told():
@@ -164,12 +198,18 @@ def test_without_a_column_of_time_the_rate_must_be_told():
         ({"columns": "angle"}, "write NAME=VALUE"),
         ({"topics": "wrnch=/w"}, "topics.wrnch.* Input should be 'command', 'joint' or 'wrench'"),
         ({"angles": "grad"}, "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, "),
-        ({"angles": "angle=grad"}, "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, or"),
+        (
+            {"angles": "angle=grad"},
+            "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, or",
+        ),
         ({"angles": "angle=rpm"}, "'rpm' is not a unit of angles"),
         ({"force_unit": "V"}, "'N', 'mN', 'kN', 'gf', 'kgf' or 'lbf'"),
         ({"velocity_rad_s": 180}, "less than or equal to 40"),
         ({"negate": "force_x"}, "force_x"),
-        ({"negate": "command_velocity"}, "negate.* Input should be 'command_angle', 'angle' or 'velocity'"),
+        (
+            {"negate": "command_velocity"},
+            "negate.* Input should be 'command_angle', 'angle' or 'velocity'",
+        ),
         ({"force": "x,x"}, "force"),
         ({"rate_hz": 0}, "greater than 0"),
     ],
@@ -181,7 +221,9 @@ def test_options_that_cannot_be_are_refused_in_a_line(option, message):
 
 def test_degrees_signs_and_axes_are_converted():
     one = np.array([1.0, 2.0])
-    channels = dict.fromkeys(("angle", "velocity", "command_angle", "command_velocity"), np.degrees(one))
+    channels = dict.fromkeys(
+        ("angle", "velocity", "command_angle", "command_velocity"), np.degrees(one)
+    )
     channels |= {"force_x": one, "force_y": 10 * one}
     config = ImportConfig.build({"angles": "deg", "negate": "angle,command_angle", "force": "y,-x"})
     result = converted(channels, config)
@@ -205,4 +247,6 @@ def test_two_frames_one_after_the_other_are_one(given, then):
     channels = {"force_x": np.array([2.0]), "force_y": np.array([3.0])}
     twice = converted(converted(channels, ImportConfig(force=given)), ImportConfig(force=then))
     once = converted(channels, ImportConfig(force=compose_frames(given, then)))
-    assert {name: float(value[0]) for name, value in once.items()} == {k: float(v[0]) for k, v in twice.items()}
+    assert {name: float(value[0]) for name, value in once.items()} == {
+        k: float(v[0]) for k, v in twice.items()
+    }

@@ -18,7 +18,17 @@ CASES = {"lower": str.lower, "upper": str.upper, "title": str.title, "as it is":
 
 SEPARATORS = (" ", "_", "-", ".", "/")
 
-UNIT_STYLES = ("{} [{}]", "{}[{}]", "{} ({})", "{}({})", "{}_{}", "{} {}", "{}, {}", "{} / {}", "{} in {}")
+UNIT_STYLES = (
+    "{} [{}]",
+    "{}[{}]",
+    "{} ({})",
+    "{}({})",
+    "{}_{}",
+    "{} {}",
+    "{}, {}",
+    "{} / {}",
+    "{} in {}",
+)
 
 
 @st.composite
@@ -51,7 +61,25 @@ def test_every_synonym_in_every_case_with_every_separator_and_unit_is_read_as_me
 
 @given(
     st.sampled_from(sorted(PHRASES)),
-    st.sampled_from(["mm", "cm", "counts", "qc", "inc", "V", "mV", "%", "A", "Nm", "bar", "grad", "h", "hours", "-"]),
+    st.sampled_from(
+        [
+            "mm",
+            "cm",
+            "counts",
+            "qc",
+            "inc",
+            "V",
+            "mV",
+            "%",
+            "A",
+            "Nm",
+            "bar",
+            "grad",
+            "h",
+            "hours",
+            "-",
+        ]
+    ),
 )
 def test_a_name_with_a_unit_that_is_not_known_is_not_read(channel, unit):
     assert read_name(f"{PHRASES[channel][0]} [{unit}]") is None
@@ -66,36 +94,79 @@ def test_any_text_is_read_or_not_but_never_fails(text):
 @pytest.mark.parametrize(
     ("name", "channel", "unit"),
     [
-        ("position", "angle", None), ("ActualPosition", "angle", None), ("theta_deg", "angle", "deg"),
-        ("cmd_pos", "command_angle", None), ("targetAngle", "command_angle", None),
-        ("desired position", "command_angle", None), ("set_point [deg]", "command_angle", "deg"),
-        ("cmd", "command_angle", None), ("cmd_rad_s", "command_velocity", "rad/s"),
+        ("position", "angle", None),
+        ("ActualPosition", "angle", None),
+        ("theta_deg", "angle", "deg"),
+        ("cmd_pos", "command_angle", None),
+        ("targetAngle", "command_angle", None),
+        ("desired position", "command_angle", None),
+        ("set_point [deg]", "command_angle", "deg"),
+        ("cmd", "command_angle", None),
+        ("cmd_rad_s", "command_velocity", "rad/s"),
         ("target_rpm", "command_velocity", "rpm"),
-        ("speed", "velocity", None), ("vel [rad s^-1]", "velocity", "rad/s"), ("vel [rad·s⁻¹]", "velocity", "rad/s"),
-        ("omega (deg per sec)", "velocity", "deg/s"), ("velRad_per_s", "velocity", "rad/s"),
+        ("speed", "velocity", None),
+        ("vel [rad s^-1]", "velocity", "rad/s"),
+        ("vel [rad·s⁻¹]", "velocity", "rad/s"),
+        ("omega (deg per sec)", "velocity", "deg/s"),
+        ("velRad_per_s", "velocity", "rad/s"),
         ("ω [°/s]", "velocity", "deg/s"),
-        ("Fx", "force_x", None), ("force_y [N]", "force_y", "N"), ("Force (x) [mN]", "force_x", "mN"),
-        ("wrench.force.x", "force_x", None), ("force_x_mN", "force_x", "mN"), ("theta(t) [deg]", "angle", "deg"),
-        ("/fin/joint_states/fin/position", "angle", None), ("timestamp_us", "time", "us"), ("t/ms", "time", "ms"),
-        ("present_position", "angle", None), ("Goal Position", "command_angle", None),
-        ("Present Position [°]", "angle", "deg"), ("dxl_present_velocity_rpm", "velocity", "rpm"),
-        ("/dynamixel_workbench/joint_states/position", "angle", None), ("Present Speed", "velocity", None),
-        ("profile_velocity", "command_velocity", None), ("goal_velocity", "command_velocity", None),
+        ("Fx", "force_x", None),
+        ("force_y [N]", "force_y", "N"),
+        ("Force (x) [mN]", "force_x", "mN"),
+        ("wrench.force.x", "force_x", None),
+        ("force_x_mN", "force_x", "mN"),
+        ("theta(t) [deg]", "angle", "deg"),
+        ("/fin/joint_states/fin/position", "angle", None),
+        ("timestamp_us", "time", "us"),
+        ("t/ms", "time", "ms"),
+        ("present_position", "angle", None),
+        ("Goal Position", "command_angle", None),
+        ("Present Position [°]", "angle", "deg"),
+        ("dxl_present_velocity_rpm", "velocity", "rpm"),
+        ("/dynamixel_workbench/joint_states/position", "angle", None),
+        ("Present Speed", "velocity", None),
+        ("profile_velocity", "command_velocity", None),
+        ("goal_velocity", "command_velocity", None),
         ("Moving Speed [rpm]", "command_velocity", "rpm"),
-        ("millis", "time", "ms"), ("time [µs]", "time", "us"), ("AngleDeg", "angle", "deg"), ("timeMs", "time", "ms"),
+        ("millis", "time", "ms"),
+        ("time [µs]", "time", "us"),
+        ("AngleDeg", "angle", "deg"),
+        ("timeMs", "time", "ms"),
     ],
-)  # fmt: skip
+)
 def test_names_as_people_write_them(name, channel, unit):
     assert read_name(name) == (channel, unit)
 
 
 @pytest.mark.parametrize(
     "name",
-    ["temperature", "Fz", "", "torque_x", "target_force_x", "reference_x_n", "reference", "command id", "pos_x", "s",
-     "n", "min", "rad", "tin", "tread", "step", "command time", "[deg]",
-     "present_current", "present_load", "position_trajectory", "profile_acceleration", "realtime_tick",
-     "present_position [pulse]"],
-)  # fmt: skip
+    [
+        "temperature",
+        "Fz",
+        "",
+        "torque_x",
+        "target_force_x",
+        "reference_x_n",
+        "reference",
+        "command id",
+        "pos_x",
+        "s",
+        "n",
+        "min",
+        "rad",
+        "tin",
+        "tread",
+        "step",
+        "command time",
+        "[deg]",
+        "present_current",
+        "present_load",
+        "position_trajectory",
+        "profile_acceleration",
+        "realtime_tick",
+        "present_position [pulse]",
+    ],
+)
 def test_what_is_no_channel_is_not_taken_for_one(name):
     assert read_name(name) is None
 
@@ -107,11 +178,17 @@ def test_the_factors_are_those_of_the_units():
     assert all(next(iter(units.values())) == 1.0 for units in UNITS.values())
 
 
-@given(st.sampled_from(sorted(PHRASES)), st.sampled_from(sorted(COMMAND_WORDS)), st.booleans(), st.data())
+@given(
+    st.sampled_from(sorted(PHRASES)),
+    st.sampled_from(sorted(COMMAND_WORDS)),
+    st.booleans(),
+    st.data(),
+)
 def test_words_parted_by_capitals_are_told_apart(base, command, commanded, data):
     words = data.draw(st.sampled_from(PHRASES[base])).split()
     channel = base
     if commanded and base in ("angle", "velocity"):
-        words, channel = data.draw(st.permutations([*words, command])), f"command_{base}"
+        words = data.draw(st.permutations([*words, command]))
+        channel = f"command_{base}"
     assume(all(len(word) > 1 for word in words))
     assert read_name("".join(map(str.title, words))) == (channel, None)

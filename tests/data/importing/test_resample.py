@@ -28,11 +28,15 @@ def test_a_source_of_100_hz_or_slower_is_interpolated_alone():
     time = np.arange(0, 5, 0.02)
     values = np.random.default_rng(0).normal(size=len(time))
     np.testing.assert_array_equal(interpolated(time, values, time[3:9]), values[3:9])
-    np.testing.assert_allclose(interpolated(time, values, time[3:9] + 0.01), (values[3:9] + values[4:10]) / 2)
+    np.testing.assert_allclose(
+        interpolated(time, values, time[3:9] + 0.01), (values[3:9] + values[4:10]) / 2
+    )
 
 
 def test_a_constant_stays_what_it_is_up_to_the_ends():
-    np.testing.assert_allclose(interpolated(FAST, np.full(len(FAST), 3.0), np.arange(0, 4.99, 0.01)), 3.0)
+    np.testing.assert_allclose(
+        interpolated(FAST, np.full(len(FAST), 3.0), np.arange(0, 4.99, 0.01)), 3.0
+    )
 
 
 def test_a_fast_series_shorter_than_the_filter_is_its_mean():
@@ -41,7 +45,10 @@ def test_a_fast_series_shorter_than_the_filter_is_its_mean():
 
 
 @settings(max_examples=50)
-@given(st.lists(st.floats(0.001, 0.5), min_size=2, max_size=30), st.lists(st.floats(0, 1), min_size=1, max_size=30))
+@given(
+    st.lists(st.floats(0.001, 0.5), min_size=2, max_size=30),
+    st.lists(st.floats(0, 1), min_size=1, max_size=30),
+)
 def test_a_held_command_is_the_last_that_was_issued(steps, places):
     time = np.cumsum(steps)
     values = np.arange(len(time), dtype=float)

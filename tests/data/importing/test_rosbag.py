@@ -33,9 +33,12 @@ def opened(path, **options):
 
 
 def check(one, columns):
-    log, reading = one.log, one.log.reading
+    log = one.log
+    reading = one.log.reading
     assert reading.time[0] < 0.011
-    np.testing.assert_allclose(one.start_s + reading.time - START_S, columns["time_s"][: len(reading.time)], atol=1e-5)
+    np.testing.assert_allclose(
+        one.start_s + reading.time - START_S, columns["time_s"][: len(reading.time)], atol=1e-5
+    )
     np.testing.assert_allclose(reading.angle, columns["angle_rad"][: len(reading.time)], atol=1e-5)
     np.testing.assert_array_equal(
         log.command.angle, columns["command_angle_rad"][: len(reading.time)].astype(np.float32)
@@ -68,7 +71,9 @@ def test_without_stamps_the_time_of_logging_counts_and_is_told(tmp_path, columns
 
 def test_a_command_may_be_an_array_of_angle_and_velocity(tmp_path, columns):
     topics = topics_of(columns)
-    topics["/fin/command"] = [(time, array(m.position[0], m.velocity[0])) for time, m in topics["/fin/command"]]
+    topics["/fin/command"] = [
+        (time, array(m.position[0], m.velocity[0])) for time, m in topics["/fin/command"]
+    ]
     write_bag(tmp_path / "run", topics)
     (one,), _ = opened(tmp_path / "run")
     check(one, columns)
@@ -91,45 +96,66 @@ def test_topics_are_named_and_one_joint_of_several(tmp_path, columns):
 
 def test_a_joint_without_velocities_has_its_derived(tmp_path, columns):
     topics = topics_of(columns)
-    topics["/fin/joint_states"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/joint_states"]]
+    topics["/fin/joint_states"] = [
+        (t, joint(t, m.position[0], None)) for t, m in topics["/fin/joint_states"]
+    ]
     write_bag(tmp_path / "run", topics)
     (one,), issues = opened(tmp_path / "run")
     assert "velocity derived" in [issue.name for issue in issues]
     angle = one.log.reading.angle.astype(float)
-    np.testing.assert_allclose(one.log.reading.velocity[5:-5], (angle[6:-4] - angle[4:-6]) / 0.02, atol=1e-3)
+    np.testing.assert_allclose(
+        one.log.reading.velocity[5:-5], (angle[6:-4] - angle[4:-6]) / 0.02, atol=1e-3
+    )
 
 
 def test_a_velocity_that_is_not_to_be_read_is_derived(bag):
     (one,), issues = opened(bag, columns="velocity=-")
     assert "velocity derived" in [issue.name for issue in issues]
-    np.testing.assert_allclose(one.log.reading.velocity, np.gradient(one.log.reading.angle, 0.01), atol=1e-3)
+    np.testing.assert_allclose(
+        one.log.reading.velocity, np.gradient(one.log.reading.angle, 0.01), atol=1e-3
+    )
 
 
 def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns):
     topics = topics_of(columns)
     topics["/fin/command"] = [(t, joint(t, m.position[0], None)) for t, m in topics["/fin/command"]]
     write_bag(tmp_path / "run", topics)
-    with pytest.raises(LogError, match=r"/fin/command: no velocity in the commands; --velocity 3\.1 takes its place"):
+    with pytest.raises(
+        LogError,
+        match=r"/fin/command: no velocity in the commands; --velocity 3\.1 takes its place",
+    ):
         opened(tmp_path / "run")
     (one,), issues = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
     assert set(one.log.command.velocity.tolist()) == {2.5}
     assert "no velocity: 2.5 rad/s throughout, by --velocity" in issues[0].message
 
 
-def test_the_force_at_rest_that_a_session_measured_is_subtracted_from_then_to_the_next(tmp_path, columns):
+def test_the_force_at_rest_that_a_session_measured_is_subtracted_from_then_to_the_next(
+    tmp_path, columns
+):
     topics = topics_of(columns, force_hz=100)
     write_bag(tmp_path / "raw", topics)
-    events = [(0.02, "active"), (1.0, zero_event((0.5, -0.25))), (6.0, zero_event((2.0, 0.0))), (7.0, "inactive")]
-    write_bag(tmp_path / "run", topics | {"/fin/events": [(time, text(words)) for time, words in events]})
+    events = [
+        (0.02, "active"),
+        (1.0, zero_event((0.5, -0.25))),
+        (6.0, zero_event((2.0, 0.0))),
+        (7.0, "inactive"),
+    ]
+    write_bag(
+        tmp_path / "run", topics | {"/fin/events": [(time, text(words)) for time, words in events]}
+    )
     (raw,), before = opened(tmp_path / "raw", force="y,-x")
     (one,), issues = opened(tmp_path / "run", force="y,-x")
     assert "zeroed" not in [issue.name for issue in before]
     (note,) = [issue for issue in issues if issue.name == "zeroed"]
-    assert "the force at rest is subtracted, which /fin/events holds (2 measurements)" in note.message
+    assert (
+        "the force at rest is subtracted, which /fin/events holds (2 measurements)" in note.message
+    )
     # Before the first measurement its zero holds, too: the sensor is the same.
     offset = raw.log.reading.force - one.log.reading.force
     time = raw.start_s + raw.log.reading.time - START_S
-    early, late = offset[time < 5.98], offset[time > 6.02]
+    early = offset[time < 5.98]
+    late = offset[time > 6.02]
     np.testing.assert_allclose(early, np.tile([-0.25, -0.5], (len(early), 1)), atol=1e-5)
     np.testing.assert_allclose(late, np.tile([0.0, -2.0], (len(late), 1)), atol=1e-5)
 
@@ -143,7 +169,9 @@ def test_a_force_of_another_topic_keeps_its_own_zero(tmp_path, columns):
     assert abs(one.log.reading.force[:, 0].mean() - columns["force_x_n"][:999].mean()) < 0.1
 
 
-def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(tmp_path, columns, bag):
+def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(
+    tmp_path, columns, bag
+):
     with pytest.raises(LogError, match="no topic /cmd for the command; it has /fin/command"):
         opened(bag, topics="command=/cmd")
     with pytest.raises(LogError, match="a wrench must be geometry_msgs/msg/WrenchStamped"):
@@ -174,7 +202,10 @@ def test_what_a_bag_calls_its_topics_cannot_break_the_line(tmp_path, columns):
 
 def test_what_no_log_can_hold_is_found_as_no_value(tmp_path, columns):
     topics = topics_of(columns)
-    topics["/fin/wrench"][10] = (topics["/fin/wrench"][10][0], wrench(topics["/fin/wrench"][10][0], 1e300, 0))
+    topics["/fin/wrench"][10] = (
+        topics["/fin/wrench"][10][0],
+        wrench(topics["/fin/wrench"][10][0], 1e300, 0),
+    )
     write_bag(tmp_path / "run", topics)
     _, issues = opened(tmp_path / "run")
     assert ("error", "not a number") in [(issue.severity, issue.name) for issue in issues]

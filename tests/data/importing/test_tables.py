@@ -10,10 +10,16 @@ from softfin.data.importing.tables import read_table
 from tests.data.faulty import columns_of, tank_logs
 
 AUTHORS = {
-    "command_angle_rad": "command angle", "command_velocity_rad_s": "command velocity", "angle_rad": "position",
-    "force_x_n": "force x", "force_y_n": "force y",
-}  # fmt: skip
-MAPPED = "angle=position,command_angle=command angle,command_velocity=command velocity,force_x=force x,force_y=force y"
+    "command_angle_rad": "command angle",
+    "command_velocity_rad_s": "command velocity",
+    "angle_rad": "position",
+    "force_x_n": "force x",
+    "force_y_n": "force y",
+}
+MAPPED = (
+    "angle=position,command_angle=command angle,command_velocity=command "
+    "velocity,force_x=force x,force_y=force y"
+)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +51,9 @@ def test_the_authors_csv_is_read_with_a_mapping_and_a_rate(tmp_path, columns):
     np.testing.assert_allclose(track.channels["angle"], columns["angle_rad"])
     np.testing.assert_allclose(track.time, np.arange(6000) / 100)
     assert kinds(recording) == ["columns", "velocity derived"]
-    assert recording.issues[0].message.startswith("command_angle='command angle' in rad (assumed), ")
+    assert recording.issues[0].message.startswith(
+        "command_angle='command angle' in rad (assumed), "
+    )
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
@@ -67,9 +75,13 @@ def test_logs_end_to_end_are_parted_by_their_rows(tmp_path, columns):
     write_csv(tmp_path / "final.csv", authors(columns))
     recordings = read(tmp_path / "final.csv", columns=MAPPED, rate_hz=100, rows_per_log=2500)
     assert [one.name for one in recordings] == [
-        "final.csv rows 0..2499", "final.csv rows 2500..4999", "final.csv rows 5000..5999",
-    ]  # fmt: skip
-    np.testing.assert_allclose(recordings[1].tracks[0].channels["angle"], columns["angle_rad"][2500:5000])
+        "final.csv rows 0..2499",
+        "final.csv rows 2500..4999",
+        "final.csv rows 5000..5999",
+    ]
+    np.testing.assert_allclose(
+        recordings[1].tracks[0].channels["angle"], columns["angle_rad"][2500:5000]
+    )
 
 
 def test_columns_that_are_not_read_are_named(tmp_path, columns):
@@ -79,9 +91,12 @@ def test_columns_that_are_not_read_are_named(tmp_path, columns):
 
 
 def test_empty_cells_are_not_a_number(tmp_path):
-    (tmp_path / "a.csv").write_text("time,c,v,p,x,y\n0.00,0,1,0,,1\n0.01,0,1,nan,1,1\n0.02,0,1,NaN,1,\n")
+    (tmp_path / "a.csv").write_text(
+        "time,c,v,p,x,y\n0.00,0,1,0,,1\n0.01,0,1,nan,1,1\n0.02,0,1,NaN,1,\n"
+    )
     (recording,) = read(
-        tmp_path / "a.csv", columns="time=time,command_angle=c,command_velocity=v,angle=p,force_x=x,force_y=y"
+        tmp_path / "a.csv",
+        columns="time=time,command_angle=c,command_velocity=v,angle=p,force_x=x,force_y=y",
     )
     values = recording.tracks[0].channels
     assert np.isnan(values["force_x"]).tolist() == [True, False, False]
@@ -109,7 +124,11 @@ def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, c
     (recording,) = read(path, velocity_rad_s=3.1)
     (track,) = recording.tracks
     np.testing.assert_allclose(track.time, columns["time_s"])
-    for channel, own in (("command_angle", "command_angle_rad"), ("angle", "angle_rad"), ("force_y", "force_y_n")):
+    for channel, own in (
+        ("command_angle", "command_angle_rad"),
+        ("angle", "angle_rad"),
+        ("force_y", "force_y_n"),
+    ):
         np.testing.assert_allclose(track.channels[channel], columns[own], atol=1e-12)
     assert set(track.channels["command_velocity"]) == {3.1}
     assert kinds(recording) == ["columns", "unread columns", "velocity derived"]
@@ -123,9 +142,12 @@ def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, c
 def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
     write_csv(tmp_path / "a.csv", columns)
     (recording,) = read(tmp_path / "a.csv", velocity_rad_s=3.1, rate_hz=100)
-    np.testing.assert_array_equal(recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"])
+    np.testing.assert_array_equal(
+        recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"]
+    )
     assert recording.issues[0].message == (
-        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: 'time_s' holds it"
+        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: "
+        "'time_s' holds it"
     )
 
 
@@ -143,12 +165,18 @@ def test_parquet_with_other_names_and_types_is_read(tmp_path, columns):
         ("", "empty: it has no header"),
         ("1,2,3\n4,5,6\n", "write the columns' names above it"),
         ("a,a\n1,2\n", "'a' is there twice"),
-        ("command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n", "empty: it has no rows"),
+        (
+            "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n",
+            "empty: it has no rows",
+        ),
         (
             "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3,4,x\n",
             "not a table of numbers",
         ),
-        ("command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3\n", "not a table of numbers"),
+        (
+            "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3\n",
+            "not a table of numbers",
+        ),
     ],
 )
 def test_a_csv_that_is_no_table_is_refused_in_one_line(tmp_path, text, message):

@@ -16,11 +16,18 @@ from softfin.evaluation.baselines.baselines import (
     shared_limits,
     write_baselines,
 )
-from softfin.evaluation.baselines.open_loop import OpenLoopSearch, SearchConfig, force_errors, repeated
+from softfin.evaluation.baselines.open_loop import (
+    OpenLoopSearch,
+    SearchConfig,
+    force_errors,
+    repeated,
+)
 from softfin.evaluation.evaluate import evaluate
 from tests.plants import AnalyticFin, MisreadFin
 
-SEARCH = SearchConfig(seconds=4, centres=5, amplitudes=3, frequencies_hz=(1.0,), kept=2, refinements=1, gaits=40)
+SEARCH = SearchConfig(
+    seconds=4, centres=5, amplitudes=3, frequencies_hz=(1.0,), kept=2, refinements=1, gaits=40
+)
 REFERENCES = ((1, -1), (1.5, 0))
 CONFIG = BaselinesConfig(references=REFERENCES, seconds=4, seeds=2, search=SEARCH)
 
@@ -59,7 +66,9 @@ def mean_error(found, name):
 
 
 def test_every_baseline_has_the_layout_of_an_evaluation(found):
-    inverses = {f"{kind}_{f}_hz" for kind in ("inverse", "recalibrated") for f in ("2.1", "1.1", "1")}
+    inverses = {
+        f"{kind}_{f}_hz" for kind in ("inverse", "recalibrated") for f in ("2.1", "1.1", "1")
+    }
     assert set(found["baselines"]) == {"still", "sine", "random_search"} | inverses
     assert found["left_out"] == {}
     for summary in found["baselines"].values():
@@ -79,9 +88,13 @@ def test_baselines_are_judged_by_the_true_force_as_controllers_are():
     commands = Command(np.zeros((2, 400)), np.full((2, 400), PAPER_LIMITS.velocity_min))
     baseline = evaluate_commands(MisreadFin(), commands, CONFIG.experiments).summary()
     controller = evaluate(Still(), MisreadFin(), CONFIG.experiments).summary()
-    assert baseline["conditions"]["judged_by"] == controller["conditions"]["judged_by"] == "true force"
+    assert (
+        baseline["conditions"]["judged_by"] == controller["conditions"]["judged_by"] == "true force"
+    )
     for axis in "xy":
-        assert baseline["mean"][axis]["error_n"] == pytest.approx(controller["mean"][axis]["error_n"], abs=1e-4)
+        assert baseline["mean"][axis]["error_n"] == pytest.approx(
+            controller["mean"][axis]["error_n"], abs=1e-4
+        )
     assert abs(baseline["mean"]["x"]["reading_error_n"] - baseline["mean"]["x"]["error_n"]) > 0.1
 
 
@@ -128,7 +141,10 @@ def test_more_gaits_are_never_worse_and_the_same_seed_gives_the_same():
 
     np.testing.assert_array_equal(gaits(40).angle, gaits(40).angle)
     assert not np.array_equal(gaits(40).angle, gaits(40, seed=1).angle)
-    many, few = (np.diag(force_errors(searching().forces(repeated(gaits(n), 4)), references)) for n in (40, 1))
+    many, few = (
+        np.diag(force_errors(searching().forces(repeated(gaits(n), 4)), references))
+        for n in (40, 1)
+    )
     assert (many <= few).all()
 
 
@@ -147,7 +163,9 @@ def test_a_fin_that_pulls_is_left_out_in_words():
 def test_commands_are_those_that_both_plants_take():
     limits = shared_limits(Limits(-1, 1.5, 0, 2), Limits(-1.5, 1.2, 1, 7))
     assert limits == Limits(-1, 1.2, 1, 2)
-    with pytest.raises(PlantError, match=r"no commands that both plants take.*search in a surrogate of the fin"):
+    with pytest.raises(
+        PlantError, match=r"no commands that both plants take.*search in a surrogate of the fin"
+    ):
         shared_limits(Limits(-1, 1, 0, 0.9), Limits(-1, 1, 1, 7))
 
 
@@ -160,7 +178,10 @@ def test_the_file_holds_all_of_it(found, tmp_path):
 
 @pytest.mark.parametrize(
     ("values", "words"),
-    [({"inverse_frequencies_hz": [0]}, "greater than 0"), ({"search": {"gaits": 0}}, "greater than 0")],
+    [
+        ({"inverse_frequencies_hz": [0]}, "greater than 0"),
+        ({"search": {"gaits": 0}}, "greater than 0"),
+    ],
 )
 def test_what_makes_no_sense_is_refused(values, words):
     with pytest.raises(ConfigurationError, match=words):

@@ -6,7 +6,13 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.evaluation.baselines.baselines import evaluate_commands
-from softfin.evaluation.baselines.open_loop import CHUNK, OpenLoopSearch, SearchConfig, ShaftSine, force_errors
+from softfin.evaluation.baselines.open_loop import (
+    CHUNK,
+    OpenLoopSearch,
+    SearchConfig,
+    ShaftSine,
+    force_errors,
+)
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.tank import Tank
 from tests.plants import AnalyticFin, Flapper, PlainFin
@@ -26,7 +32,11 @@ def test_the_same_commands_score_the_same_as_from_a_controller():
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
     ours = evaluate_commands(plant, commands, CONFIG)
     theirs = evaluate(Flapper(), plant, CONFIG)
-    jax.tree.map(lambda mine, other: np.testing.assert_allclose(mine, other, atol=1e-4), ours.scores, theirs.scores)
+    jax.tree.map(
+        lambda mine, other: np.testing.assert_allclose(mine, other, atol=1e-4),
+        ours.scores,
+        theirs.scores,
+    )
     np.testing.assert_array_equal(ours.recording.command.angle, theirs.recording.command.angle)
     assert ours.summary().keys() == theirs.summary().keys()
 
@@ -37,7 +47,9 @@ def test_a_plant_without_randomness_counts_as_one_repetition():
 
 
 def test_forces_of_more_cases_than_run_side_by_side_are_those_one_by_one():
-    sines = ShaftSine(np.linspace(-1, 1, CHUNK + 3), np.full(CHUNK + 3, 0.4), np.full(CHUNK + 3, 1.0))
+    sines = ShaftSine(
+        np.linspace(-1, 1, CHUNK + 3), np.full(CHUNK + 3, 0.4), np.full(CHUNK + 3, 1.0)
+    )
     commands = jax.tree.map(np.asarray, sines.commands(PAPER_LIMITS, 50)[0])
     search = OpenLoopSearch(PlainFin(), PAPER_LIMITS, SearchConfig(), 0)
     forces = search.forces(commands)
@@ -49,7 +61,9 @@ def test_forces_of_more_cases_than_run_side_by_side_are_those_one_by_one():
 def test_the_force_error_is_the_sum_of_both_errors_over_whole_windows():
     forces = np.zeros((2, 400, 2))
     forces[1, :, 0] = 1.5
-    np.testing.assert_allclose(force_errors(forces, np.array([[1.0, -1.0], [1.5, 0.0]])), [[2.0, 1.5], [1.5, 0.0]])
+    np.testing.assert_allclose(
+        force_errors(forces, np.array([[1.0, -1.0], [1.5, 0.0]])), [[2.0, 1.5], [1.5, 0.0]]
+    )
 
 
 def test_a_force_that_is_no_number_is_named():
@@ -69,5 +83,7 @@ def test_in_the_tank_a_sine_about_a_positive_angle_pushes_towards_minus_y():
     sines = ShaftSine(np.array([0.7854, -0.7854]), np.full(2, 0.7), np.full(2, 1.0))
     commands = jax.tree.map(np.asarray, sines.commands(tank.limits, 300)[0])
     config = EvaluateConfig(references=((1, -1), (1, 1)), seconds=3, seeds=1)
-    force = evaluate_commands(tank, commands, config).recording.reading.force[:, 0, 100:].mean(axis=1)
+    force = (
+        evaluate_commands(tank, commands, config).recording.reading.force[:, 0, 100:].mean(axis=1)
+    )
     np.testing.assert_allclose(force, [[1, -1], [1, 1]], atol=0.25)

@@ -37,7 +37,9 @@ class Same(eqx.Module):
 
     def act(self, state, measured, reference):
         actions, age = state
-        action = jnp.tanh(GAINS @ observation(TASK, measured.angle, reference, actions, age) + jnp.cos(age))
+        action = jnp.tanh(
+            GAINS @ observation(TASK, measured.angle, reference, actions, age) + jnp.cos(age)
+        )
         return (remember(actions, action), age + 1), command_of(PAPER_LIMITS, action)
 
     def check(self, reference):
@@ -47,7 +49,9 @@ class Same(eqx.Module):
 def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
     plant = AnalyticFin(noise_n=0.1)
     ours = run_recurrent(Model(), TASK, PAPER_LIMITS, plant, CONFIG)
-    theirs = run(Same(), plant, np.asarray(CONFIG.references, np.float32), CONFIG.seconds, CONFIG.keys())
+    theirs = run(
+        Same(), plant, np.asarray(CONFIG.references, np.float32), CONFIG.seconds, CONFIG.keys()
+    )
     assert ours.reading.force.shape == (2, 2, 300, 2)
     np.testing.assert_allclose(ours.command.angle, theirs.command.angle, atol=1e-3)
     np.testing.assert_allclose(ours.reading.force, theirs.reading.force, atol=1e-2)
@@ -57,18 +61,26 @@ def test_a_model_outside_jax_meets_the_experiment_that_a_controller_meets():
 def test_the_true_force_is_recorded_where_the_plant_knows_it():
     recording = run_recurrent(Model(), TASK, PAPER_LIMITS, MisreadFin(), CONFIG)
     assert recording.true_force.shape == (2, 2, 300, 2)
-    np.testing.assert_allclose((recording.reading.force - recording.true_force)[..., 0], 0.4, atol=1e-5)
+    np.testing.assert_allclose(
+        (recording.reading.force - recording.true_force)[..., 0], 0.4, atol=1e-5
+    )
 
 
-@pytest.mark.skipif(importlib.util.find_spec("sb3_contrib") is not None, reason="the extra sb3 is installed")
+@pytest.mark.skipif(
+    importlib.util.find_spec("sb3_contrib") is not None, reason="the extra sb3 is installed"
+)
 def test_without_the_extra_it_says_how_to_install_it():
-    with pytest.raises(ConfigurationError, match=r"sb3-contrib is not installed: .*pip install .*\[sb3\]"):
+    with pytest.raises(
+        ConfigurationError, match=r"sb3-contrib is not installed: .*pip install .*\[sb3\]"
+    ):
         train_recurrent(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
 
 
 @pytest.mark.slow
 def test_recurrent_ppo_is_trained_and_evaluated():
-    pytest.importorskip("sb3_contrib", reason="the extra sb3 is not installed: 5 GB, which CI leaves out")
+    pytest.importorskip(
+        "sb3_contrib", reason="the extra sb3 is not installed: 5 GB, which CI leaves out"
+    )
     model = train_recurrent(AnalyticFin(), 128, 0, TASK, PAPER_RANGE)
     recording = run_recurrent(model, TASK, PAPER_LIMITS, AnalyticFin(), CONFIG)
     assert np.isfinite(recording.reading.force).all()

@@ -5,7 +5,13 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import ConfigurationError, RunError
 from softfin.core.quantities import PAPER_LIMITS, Limits
-from softfin.evaluation.baselines.open_loop import InverseConfig, OpenLoopSearch, SearchConfig, ShaftSine, inverse
+from softfin.evaluation.baselines.open_loop import (
+    InverseConfig,
+    OpenLoopSearch,
+    SearchConfig,
+    ShaftSine,
+    inverse,
+)
 from tests.plants import AnalyticFin
 
 LIMITS = Limits(-1.5, 1.5, 1.0, 3.0)
@@ -33,14 +39,16 @@ def test_a_sine_within_the_limits_is_not_clipped_at_all():
 
 
 def test_each_tick_beyond_the_angles_is_kept_within_them_and_counted():
-    """About 1.2 rad, 0.6 rad: beyond 1.5 rad while the sine is above a half, a third of the time."""
+    """About 1.2 rad, 0.6 rad: beyond 1.5 rad while the sine is above a half, a third of the
+    time."""
     command, angle, _ = one(1.2, 0.6, 0.5).commands(LIMITS, 200)
     assert float(command.angle.max()) == pytest.approx(1.5)
     assert float(angle) == pytest.approx(1 / 3, abs=0.011)
 
 
 def test_each_tick_that_is_too_fast_is_counted():
-    """A greatest speed of 6 rad/s under a limit of 3: too fast while the cosine is above a half, two thirds of it."""
+    """A greatest speed of 6 rad/s under a limit of 3: too fast while the cosine is above a half,
+    two thirds of it."""
     _, _, velocity = one(0.0, 6 / np.pi, 0.5).commands(LIMITS, 200)
     assert float(velocity) == pytest.approx(2 / 3, abs=0.011)
 
@@ -68,13 +76,20 @@ def test_the_constant_is_that_of_the_u_cat_fins():
 
 def amplitude_for(force_n, frequency_hz):
     free = InverseConfig(amplitude_min_rad=0, amplitude_max_rad=np.pi)
-    return inverse(np.array([[force_n, 0.0]]), frequency_hz, PAPER_LIMITS, free, free.constant)[0].amplitude[0]
+    return inverse(np.array([[force_n, 0.0]]), frequency_hz, PAPER_LIMITS, free, free.constant)[
+        0
+    ].amplitude[0]
 
 
 @pytest.mark.parametrize(
     ("force_n", "frequency_hz", "amplitude_rad"),
     # A right angle takes K f^2, 60 degrees take half of that.
-    [(10.44599, 2.1, np.pi / 2), (5.222995, 2.1, np.pi / 3), (2.866133, 1.1, np.pi / 2), (0.0, 1.1, 0.0)],
+    [
+        (10.44599, 2.1, np.pi / 2),
+        (5.222995, 2.1, np.pi / 3),
+        (2.866133, 1.1, np.pi / 2),
+        (0.0, 1.1, 0.0),
+    ],
 )
 def test_the_amplitude_has_its_known_values(force_n, frequency_hz, amplitude_rad):
     assert amplitude_for(force_n, frequency_hz) == pytest.approx(amplitude_rad, abs=1e-5)
@@ -123,7 +138,9 @@ def test_recalibration_finds_the_constant_of_a_fin_that_obeys_the_model():
 def test_a_fin_that_pulls_has_no_constant():
     fin = Obedient(AnalyticFin(), PAPER_LIMITS, SearchConfig(trials=1), 0)
     fin.gain = -1.0
-    with pytest.raises(RunError, match=r"at 2\.1 Hz: the trials' mean force is -0\.54 N.*give another frequency"):
+    with pytest.raises(
+        RunError, match=r"at 2\.1 Hz: the trials' mean force is -0\.54 N.*give another frequency"
+    ):
         fin.fitted_constant(2.1, (0.5, 1.0))
 
 

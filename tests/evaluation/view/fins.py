@@ -1,4 +1,5 @@
-"""A fin that computes its shape without a tank's cost: an arc whose curvature goes with the shaft's speed."""
+"""A fin that computes its shape without a tank's cost: an arc whose curvature goes with the shaft's
+speed."""
 
 from typing import Any
 
@@ -32,7 +33,9 @@ class OffsetSensor(BendingFin):
 
     def advance(self, state: Any, command: Command, ticks: int) -> tuple[Any, Reading]:
         fin, reading = super().advance(state[0], command, ticks)
-        return (fin, reading.force[-1]), reading._replace(force=reading.force + jnp.array([3.0, 0.0]))
+        return (fin, reading.force[-1]), reading._replace(
+            force=reading.force + jnp.array([3.0, 0.0])
+        )
 
     def shape(self, state: Any) -> Float[Array, "points 2"]:
         return super().shape(state[0])
@@ -41,7 +44,9 @@ class OffsetSensor(BendingFin):
         return jnp.asarray(state[1])
 
 
-def beating(plant: AnalyticFin, ticks: int, reference: tuple[float, float] | None = None) -> Footage:
+def beating(
+    plant: AnalyticFin, ticks: int, reference: tuple[float, float] | None = None
+) -> Footage:
     """Asked for a reference all the time."""
     commands: Command = stroke_gait(StrokeGaitConfig(), plant.limits, ticks)
     asked = None if reference is None else np.tile(np.float32(reference), (ticks, 1))

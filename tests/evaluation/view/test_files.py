@@ -39,10 +39,13 @@ def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
 
     def first(ticks):
         cut = jax.tree.map(
-            lambda x: x[:ticks], whole._replace(shape_known=None, thickness=None, average=None, length_m=None)
+            lambda x: x[:ticks],
+            whole._replace(shape_known=None, thickness=None, average=None, length_m=None),
         )
         average = whole.average[: max(ticks - 199, 0)]
-        return cut._replace(length_m=whole.length_m, shape_known=True, thickness=whole.thickness, average=average)
+        return cut._replace(
+            length_m=whole.length_m, shape_known=True, thickness=whole.thickness, average=average
+        )
 
     growing = Picture(first(1), "a fin", DPI, growing=(scale_of(whole), 2.2))
     known = Picture(whole, "a fin", DPI)
@@ -95,7 +98,9 @@ def test_a_picture_draws_the_true_force_where_it_is_known_and_says_so(picture):
     assert f"true force {known.scale.key_n:g} N" in texts_of(known)
     known.frame(150)
     drawn = known.arrows["force"].get_xy()
-    np.testing.assert_allclose(drawn[3], footage.true_force[150] * known.scale.metres_per_newton, rtol=1e-5)
+    np.testing.assert_allclose(
+        drawn[3], footage.true_force[150] * known.scale.metres_per_newton, rtol=1e-5
+    )
 
 
 def test_reference_and_mean_share_a_longer_scale_and_the_reference_moves_with_its_step():
@@ -110,10 +115,14 @@ def test_reference_and_mean_share_a_longer_scale_and_the_reference_moves_with_it
     for tick, asked in ((99, (2.0, -1.0)), (100, (1.0, 1.0))):
         picture.frame(tick)
         drawn = picture.arrows["asked"].get_xy()
-        np.testing.assert_allclose(drawn[3], np.multiply(asked, scale.metres_per_mean_newton), rtol=1e-5)
+        np.testing.assert_allclose(
+            drawn[3], np.multiply(asked, scale.metres_per_mean_newton), rtol=1e-5
+        )
     picture.frame(219)
     np.testing.assert_allclose(
-        picture.arrows["mean"].get_xy()[3], footage.average[-1] * scale.metres_per_mean_newton, rtol=1e-5
+        picture.arrows["mean"].get_xy()[3],
+        footage.average[-1] * scale.metres_per_mean_newton,
+        rtol=1e-5,
     )
 
 
@@ -123,9 +132,17 @@ def test_without_a_reference_force_and_mean_have_one_scale():
 
 
 def test_every_shape_and_arrow_is_within_what_is_seen(picture):
-    scale, footage = scale_of(picture.footage), picture.footage
-    arrows = [footage.reading.force * scale.metres_per_newton, footage.average * scale.metres_per_mean_newton]
-    for points in (footage.shape.reshape(-1, 2), *arrows, footage.reference * scale.metres_per_mean_newton):
+    scale = scale_of(picture.footage)
+    footage = picture.footage
+    arrows = [
+        footage.reading.force * scale.metres_per_newton,
+        footage.average * scale.metres_per_mean_newton,
+    ]
+    for points in (
+        footage.shape.reshape(-1, 2),
+        *arrows,
+        footage.reference * scale.metres_per_mean_newton,
+    ):
         assert scale.x[0] < points[:, 0].min()
         assert points[:, 0].max() < scale.x[1]
         assert scale.y[0] < points[:, 1].min()
@@ -146,7 +163,9 @@ def test_a_gif_has_its_frames_in_real_time_and_moves(picture, tmp_path):
         assert tuple(shown[-1][0, 0]) == (255, 255, 255)
     assert all(len(where(before, FIN)) for before in shown)
     left = [image[:, : image.shape[1] // 2] for image in shown]
-    assert all((before != after).any(axis=2).sum() > 100 for before, after in itertools.pairwise(left))
+    assert all(
+        (before != after).any(axis=2).sum() > 100 for before, after in itertools.pairwise(left)
+    )
     # What a film shows last is the state at its end, in nearly its colours.
     assert np.abs(shown[-1].astype(int) - picture.frame(219)).mean() < 3
     assert done[-1] == 1.0

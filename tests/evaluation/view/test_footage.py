@@ -41,7 +41,9 @@ def test_any_other_plant_is_drawn_straight_at_its_angle(plant):
     angle = footage.reading.angle
     length = FinConfig().length_m
     np.testing.assert_allclose(footage.shape[:, 0], 0)
-    np.testing.assert_allclose(footage.shape[:, 1], length * np.stack([-np.cos(angle), np.sin(angle)], -1), rtol=1e-5)
+    np.testing.assert_allclose(
+        footage.shape[:, 1], length * np.stack([-np.cos(angle), np.sin(angle)], -1), rtol=1e-5
+    )
 
 
 def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points():
@@ -57,7 +59,9 @@ def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points():
 
 def test_a_tank_is_drawn_in_its_own_thickness():
     fin = FinConfig(plates=2, root_thickness_m=0.03, tip_thickness_ratio=0.5)
-    np.testing.assert_allclose(beating(Tank(TankConfig(fin=fin)), 5).thickness, [0.03, 0.0225, 0.015], rtol=1e-6)
+    np.testing.assert_allclose(
+        beating(Tank(TankConfig(fin=fin)), 5).thickness, [0.03, 0.0225, 0.015], rtol=1e-6
+    )
 
 
 def test_another_plant_is_drawn_in_the_default_thickness_in_proportion():
@@ -68,7 +72,10 @@ def test_another_plant_is_drawn_in_the_default_thickness_in_proportion():
 
 
 def test_a_plant_whose_readings_are_not_finite_is_named():
-    with pytest.raises(PlantError, match=r"AnalyticFin: reading\.force is not finite; softfin\.testing\.check_plant"):
+    with pytest.raises(
+        PlantError,
+        match=r"AnalyticFin: reading\.force is not finite; softfin\.testing\.check_plant",
+    ):
         beating(AnalyticFin(gain=jnp.nan), 5)
 
 
@@ -82,8 +89,11 @@ def test_a_true_force_that_is_not_finite_is_named():
 
 
 def test_the_true_force_is_drawn_where_the_plant_knows_it():
-    footage, truth = beating(OffsetSensor(), 220), beating(BendingFin(), 220)
-    np.testing.assert_allclose(footage.reading.force - footage.force, np.tile([3.0, 0.0], (220, 1)), atol=1e-5)
+    footage = beating(OffsetSensor(), 220)
+    truth = beating(BendingFin(), 220)
+    np.testing.assert_allclose(
+        footage.reading.force - footage.force, np.tile([3.0, 0.0], (220, 1)), atol=1e-5
+    )
     np.testing.assert_allclose(footage.force, truth.force, atol=1e-5)
     np.testing.assert_allclose(footage.average, truth.average, atol=1e-5)
     np.testing.assert_allclose(greatest_of(footage), greatest_of(truth), atol=1e-4)
@@ -96,5 +106,7 @@ def test_a_shape_that_is_none_is_named():
         def shape(self, state):
             return jnp.zeros(3)
 
-    with pytest.raises(PlantError, match=r"Flat: shape\(state\) has shape \(3,\); it must be \(points, 2\)"):
+    with pytest.raises(
+        PlantError, match=r"Flat: shape\(state\) has shape \(3,\); it must be \(points, 2\)"
+    ):
         film(Flat(), key_of(0, "test"), Command(np.zeros(5, np.float32), np.ones(5, np.float32)))

@@ -24,7 +24,11 @@ def html(footage, tmp_path_factory):
 
 
 def data_of(html):
-    return json.loads(re.search(r'<script type="application/json" id="footage">(.*?)</script>', html, re.S).group(1))
+    return json.loads(
+        re.search(r'<script type="application/json" id="footage">(.*?)</script>', html, re.S).group(
+            1
+        )
+    )
 
 
 def test_the_page_fetches_nothing(html):

@@ -25,7 +25,14 @@ def test_the_scale_of_a_growing_footage_holds_every_shape_and_arrow():
     footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
     scale = scale_of(footage, greatest_of(footage) + 0.1, (-1.6, 1.6))
     assert scale.length_m == pytest.approx(LENGTH_M)
-    arrows = [footage.reading.force * scale.metres_per_newton, footage.average * scale.metres_per_mean_newton]
-    for points in (footage.shape.reshape(-1, 2), *arrows, footage.reference * scale.metres_per_mean_newton):
+    arrows = [
+        footage.reading.force * scale.metres_per_newton,
+        footage.average * scale.metres_per_mean_newton,
+    ]
+    for points in (
+        footage.shape.reshape(-1, 2),
+        *arrows,
+        footage.reference * scale.metres_per_mean_newton,
+    ):
         assert (points.min(axis=0) >= (scale.x[0], scale.y[0])).all()
         assert (points.max(axis=0) <= (scale.x[1], scale.y[1])).all()

@@ -11,7 +11,13 @@ from softfin.core.errors import CommandError, ConfigurationError, CoverageError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.core.randomness import key_of
 from softfin.evaluation import experiment
-from softfin.evaluation.view.view import StrokeGaitConfig, ViewConfig, footage_of, stroke_gait, title_of
+from softfin.evaluation.view.view import (
+    StrokeGaitConfig,
+    ViewConfig,
+    footage_of,
+    stroke_gait,
+    title_of,
+)
 from softfin.gaits.reachable import Cell, Reachable
 from tests.evaluation.view.fins import BendingFin, OffsetSensor
 from tests.plants import Flapper
@@ -28,17 +34,21 @@ def fails(capsys, *words):
 
 
 def test_under_a_controller_the_fin_moves_as_in_the_experiment_and_the_reference_is_kept():
-    fin, config = BendingFin(), ViewConfig(seconds=1.5)
+    fin = BendingFin()
+    config = ViewConfig(seconds=1.5)
     footage = footage_of(fin, config, Flapper(), (1.0, -1.0))
     key = key_of(0, "view/plant")[None]
     recording = experiment.run(Flapper(), fin, jnp.asarray([[1.0, -1.0]]), 2, key)
     np.testing.assert_array_equal(footage.command.angle, recording.command.angle[0, 0, :150])
-    np.testing.assert_allclose(footage.reading.force, recording.reading.force[0, 0, :150], atol=1e-4)
+    np.testing.assert_allclose(
+        footage.reading.force, recording.reading.force[0, 0, :150], atol=1e-4
+    )
     np.testing.assert_array_equal(footage.reference, np.tile([1.0, -1.0], (150, 1)))
 
 
 class Pointer(Flapper):
-    """Turns to the angle that is the reference in x, so that its commands tell what it was asked for."""
+    """Turns to the angle that is the reference in x, so that its commands tell what it was asked
+    for."""
 
     def act(self, state, measured, reference):
         return state, Command(0.1 * reference[0], jnp.float32(3.0))
@@ -51,10 +61,15 @@ class Pointer(Flapper):
 def test_references_follow_one_another_for_equal_parts_of_the_time():
     config = ViewConfig(seconds=6, next_references=((2.0, 0.0), (3.0, 1.0)))
     footage = footage_of(BendingFin(), config, Pointer(), (1.0, -1.0))
-    np.testing.assert_array_equal(footage.reference[[0, 199, 200, 399, 400, 599], 0], [1, 1, 2, 2, 3, 3])
+    np.testing.assert_array_equal(
+        footage.reference[[0, 199, 200, 399, 400, 599], 0], [1, 1, 2, 2, 3, 3]
+    )
     np.testing.assert_allclose(footage.command.angle, 0.1 * footage.reference[:, 0], rtol=1e-6)
     title = title_of("tank", config, (1.0, -1.0))
-    assert title == "A soft fin in the virtual tank, asked for (1, \u22121), then (2, 0), then (3, 1) N"
+    assert (
+        title
+        == "A soft fin in the virtual tank, asked for (1, \u22121), then (2, 0), then (3, 1) N"
+    )
 
 
 def test_a_later_reference_that_the_controller_does_not_cover_is_refused():
@@ -64,7 +79,10 @@ def test_a_later_reference_that_the_controller_does_not_cover_is_refused():
 
 def test_random_commands_depend_on_the_seed_and_stay_within_the_limits():
     fin = BendingFin()
-    angles = [footage_of(fin, ViewConfig(seconds=3, random=True, seed=seed)).command.angle for seed in (0, 0, 1)]
+    angles = [
+        footage_of(fin, ViewConfig(seconds=3, random=True, seed=seed)).command.angle
+        for seed in (0, 0, 1)
+    ]
     np.testing.assert_array_equal(angles[0], angles[1])
     assert (angles[0] != angles[2]).any()
     assert len(np.unique(angles[0])) > 2
@@ -73,7 +91,20 @@ def test_random_commands_depend_on_the_seed_and_stay_within_the_limits():
 
 def test_the_command_writes_a_page_and_tells_what_it_shows(capsys, tmp_path):
     out = tmp_path / "fin.html"
-    main(["view", "--plant", PLANT, "--out", str(out), "--seconds", "2.5", "--centre", "0.4", "--json"])
+    main(
+        [
+            "view",
+            "--plant",
+            PLANT,
+            "--out",
+            str(out),
+            "--seconds",
+            "2.5",
+            "--centre",
+            "0.4",
+            "--json",
+        ]
+    )
     told = json.loads(capsys.readouterr().out)
     assert told["view"] == str(out)
     assert told["seconds"] == 2.5
@@ -105,24 +136,44 @@ def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
     [
         (["--out", "fin.avi"], "--out fin.avi: a view is written as .gif, .html, .png; name it so"),
         (["--out", "fin"], "a view is written as .gif"),
-        (["--out", "there.html"], "there.html: exists already; give another --out, or --overwrite to replace it"),
-        (["--out", "folder.gif", "--overwrite"], "folder.gif: exists and is not a file; give another --out"),
+        (
+            ["--out", "there.html"],
+            "there.html: exists already; give another --out, or --overwrite to replace it",
+        ),
+        (
+            ["--out", "folder.gif", "--overwrite"],
+            "folder.gif: exists and is not a file; give another --out",
+        ),
         (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (does not exist)"),
-        (["--out", "fin.gif", "--seconds", "0"], "seconds = 0.0: Input should be greater than or equal to 0.1"),
+        (
+            ["--out", "fin.gif", "--seconds", "0"],
+            "seconds = 0.0: Input should be greater than or equal to 0.1",
+        ),
         (["--out", "fin.gif", "--set", "frames_per_second=30"], "Input should be 10, 20, 25 or 50"),
         (["--out", "fin.gif", "--set", "dots_per_inch=75"], "Input should be a multiple of 10"),
-        (["--out", "fin.gif", "--centre", "1.4"], "command angle = 1.9 rad: the plant takes -1.5708 to 1.5708 rad"),
+        (
+            ["--out", "fin.gif", "--centre", "1.4"],
+            "command angle = 1.9 rad: the plant takes -1.5708 to 1.5708 rad",
+        ),
         (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
-        (["--out", "fin.gif", "--next-reference=1,1"], "no first one; give a controller and a reference"),
+        (
+            ["--out", "fin.gif", "--next-reference=1,1"],
+            "no first one; give a controller and a reference",
+        ),
         (
             ["--out", "fin.gif", "--next-reference=1"],
             "--next-reference 1: not a force; write X,Y in newton",
         ),
         (["--out", "fin.gif", "--reference=1;1"], "--reference 1;1: not a force"),
-        (["--out", "fin.gif", "--controller", "none"], "none: no such folder; it should be a controller"),
+        (
+            ["--out", "fin.gif", "--controller", "none"],
+            "none: no such folder; it should be a controller",
+        ),
     ],
 )
-def test_wrong_input_is_one_line_and_leaves_everything_as_it_was(capsys, tmp_path, monkeypatch, words, expected):
+def test_wrong_input_is_one_line_and_leaves_everything_as_it_was(
+    capsys, tmp_path, monkeypatch, words, expected
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))
     (tmp_path / "there.html").write_text("mine")
@@ -143,9 +194,15 @@ def test_overwrite_replaces_a_file(tmp_path):
 
 def test_a_controller_and_random_commands_at_once_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Flapper())
-    with pytest.raises(ConfigurationError, match="random commands and a controller at once; give one of them"):
+    with pytest.raises(
+        ConfigurationError, match="random commands and a controller at once; give one of them"
+    ):
         softfin.view(
-            BendingFin(), tmp_path / "f.gif", ViewConfig(random=True), controller=tmp_path, reference=(1.0, 0.0)
+            BendingFin(),
+            tmp_path / "f.gif",
+            ViewConfig(random=True),
+            controller=tmp_path,
+            reference=(1.0, 0.0),
         )
 
 
@@ -158,7 +215,11 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
     monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Weak())
     config = ViewConfig(seconds=0.2, next_references=((0.5, 0.0),))
     metadata = softfin.view(
-        "tests.evaluation.view.fins:BendingFin", tmp_path / "f.html", config, controller=tmp_path, reference=(2.0, 0.0)
+        "tests.evaluation.view.fins:BendingFin",
+        tmp_path / "f.html",
+        config,
+        controller=tmp_path,
+        reference=(2.0, 0.0),
     )
     assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot make it")
     assert metadata["title"].endswith("asked for (1, 0), then (0.5, 0) N")
@@ -178,7 +239,9 @@ def test_a_gait_of_six_actions_is_as_long_as_the_window_of_the_mean():
 
 
 @pytest.mark.parametrize(("fastest", "expected"), [(20.0, 4.5), (3.0, 3.0)])
-def test_the_velocity_fills_two_thirds_of_an_action_where_the_plant_is_fast_enough(fastest, expected):
+def test_the_velocity_fills_two_thirds_of_an_action_where_the_plant_is_fast_enough(
+    fastest, expected
+):
     command = stroke_gait(StrokeGaitConfig(), Limits(-1.5, 1.5, 0.5, fastest), 10)
     np.testing.assert_allclose(command.velocity, expected)
 
@@ -187,7 +250,10 @@ def test_the_velocity_fills_two_thirds_of_an_action_where_the_plant_is_fast_enou
     ("values", "words"),
     [
         ({"centre_rad": 1.3}, "command angle = 1.8 rad: the plant takes -1.5708 to 1.5708 rad"),
-        ({"velocity_rad_s": 30.0}, "command velocity = 30 rad/s: the plant takes 1 to 3.14159 rad/s"),
+        (
+            {"velocity_rad_s": 30.0},
+            "command velocity = 30 rad/s: the plant takes 1 to 3.14159 rad/s",
+        ),
     ],
 )
 def test_commands_outside_the_limits_are_refused_in_one_line(values, words):

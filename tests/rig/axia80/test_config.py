@@ -29,7 +29,12 @@ def test_a_wrong_key_or_value_is_named(key, value, words):
 
 def test_the_defaults_are_those_of_the_sensor_as_it_is_delivered():
     config = Axia80Config.build({"address": "192.168.1.1", "frame": "x,y"})
-    assert (config.http_port, config.rdt_port, config.rate_hz, config.cutoff_hz) == (80, 49152, 1000.0, 30.0)
+    assert (config.http_port, config.rdt_port, config.rate_hz, config.cutoff_hz) == (
+        80,
+        49152,
+        1000.0,
+        30.0,
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,13 +8,25 @@ import pytest
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.axia80 import pages
-from softfin.rig.axia80.pages import MAX_PAGE_BYTES, SETTINGS, fetch_page, parse_settings, read_settings
+from softfin.rig.axia80.pages import (
+    MAX_PAGE_BYTES,
+    SETTINGS,
+    fetch_page,
+    parse_settings,
+    read_settings,
+)
 from softfin.rig.emulation.sensor import sensor_pages, serve_pages
 from tests.patience import HANG_S
 
 CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 1_000
 
-FIELDS = {"prodname": "Axia80-M20", "cfgcpf": "1000000", "cfgcpt": "1000000", "scfgfu": "N", "scfgtu": "N-m"}
+FIELDS = {
+    "prodname": "Axia80-M20",
+    "cfgcpf": "1000000",
+    "cfgcpt": "1000000",
+    "scfgfu": "N",
+    "scfgtu": "N-m",
+}
 
 
 def page(**changes):
@@ -25,7 +37,8 @@ def page(**changes):
 
 @contextlib.contextmanager
 def answering(*chunks, pause_s=0.0):
-    """A server that reads a request, then sends chunks, and keeps the line open until the test is over."""
+    """A server that reads a request, then sends chunks, and keeps the line open until the test is
+    over."""
     over = threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as server:
 
@@ -57,7 +70,8 @@ def serving(content):
 
 
 @pytest.mark.parametrize(
-    ("unit", "newton"), [("N", 1), ("kN", 1000), ("lbf", 4.4482216152605), ("klbf", 4448.2216152605), ("kgf", 9.80665)]
+    ("unit", "newton"),
+    [("N", 1), ("kN", 1000), ("lbf", 4.4482216152605), ("klbf", 4448.2216152605), ("kgf", 9.80665)],
 )
 def test_forces_of_any_unit_become_newton(unit, newton):
     settings = parse_settings(page(scfgfu=unit, cfgcpf="500"), None, "")
@@ -66,7 +80,14 @@ def test_forces_of_any_unit_become_newton(unit, newton):
 
 @pytest.mark.parametrize(
     ("unit", "newton_metre"),
-    [("N-m", 1), ("N-mm", 1e-3), ("kN-m", 1e3), ("lbf-in", 0.1129848), ("lbf-ft", 1.3558179), ("kgf-cm", 0.0980665)],
+    [
+        ("N-m", 1),
+        ("N-mm", 1e-3),
+        ("kN-m", 1e3),
+        ("lbf-in", 0.1129848),
+        ("lbf-ft", 1.3558179),
+        ("kgf-cm", 0.0980665),
+    ],
 )
 def test_torques_of_any_unit_become_newton_metre(unit, newton_metre):
     settings = parse_settings(page(scfgtu=f" {unit.upper()}\n"), None, "")
@@ -81,18 +102,24 @@ def test_the_serial_number_may_be_missing():
 @pytest.mark.parametrize("name", FIELDS)
 def test_a_missing_field_is_named(name):
     with pytest.raises(
-        RigError, match=rf"sensor: {name}: is required, and missing; correct it on the sensor's configuration page"
+        RigError,
+        match=rf"sensor: {name}: is required, and missing; correct it on the sensor's "
+        r"configuration page",
     ):
         parse_settings(page(**{name: None}), None, "sensor")
 
 
-@pytest.mark.parametrize(("name", "unit"), [("scfgfu", "dyn"), ("scfgtu", "N"), ("scfgtu", "Newton")])
+@pytest.mark.parametrize(
+    ("name", "unit"), [("scfgfu", "dyn"), ("scfgtu", "N"), ("scfgtu", "Newton")]
+)
 def test_an_unknown_unit_is_named_with_those_that_are_known(name, unit):
     with pytest.raises(RigError, match=rf"{name} = '{unit}': .* use one of N"):
         parse_settings(page(**{name: unit}), None, "")
 
 
-@pytest.mark.parametrize("counts", ["0", "-1000000", "nan", "inf", "1e400", "many", "0.001", "0x10"])
+@pytest.mark.parametrize(
+    "counts", ["0", "-1000000", "nan", "inf", "1e400", "many", "0.001", "0x10"]
+)
 def test_counts_that_cannot_be_are_refused(counts):
     with pytest.raises(RigError, match=rf"cfgcpf = '{counts}': Input should be"):
         parse_settings(page(cfgcpf=counts), None, "")
@@ -116,7 +143,9 @@ LAUGHS = "".join(f'<!ENTITY l{k} "{f"&l{k - 1};" * 10}">' for k in range(1, 10))
     ],
 )
 def test_a_hostile_or_broken_page_is_refused_in_one_line(hostile):
-    with pytest.raises(RigError, match=r"sensor: .*(not a page of an Axia80|is required)") as refused:
+    with pytest.raises(
+        RigError, match=r"sensor: .*(not a page of an Axia80|is required)"
+    ) as refused:
         parse_settings(hostile, None, "sensor")
     assert "\n" not in str(refused.value)
 
@@ -128,7 +157,9 @@ def test_any_bytes_are_settings_or_refused():
         data = bytearray(whole)
         for _ in range(draw.randrange(1, 6)):
             at = draw.randrange(len(data))
-            data[at : at + draw.randrange(3)] = draw.randbytes(draw.randrange(3)) or whole[: draw.randrange(40)]
+            data[at : at + draw.randrange(3)] = (
+                draw.randbytes(draw.randrange(3)) or whole[: draw.randrange(40)]
+            )
         with contextlib.suppress(RigError):
             settings = parse_settings(bytes(data), bytes(data), "")
             assert settings.scale[0] > 0
@@ -164,7 +195,10 @@ def test_an_address_that_cannot_be_is_an_error_and_no_traceback(host):
 
 def test_a_redirection_is_not_followed():
     elsewhere = b"HTTP/1.1 302 Found\r\nLocation: http://192.0.2.1/\r\nContent-Length: 0\r\n\r\n"
-    with answering(elsewhere) as port, pytest.raises(RigError, match="answers 302 Found with 0 bytes; expected 200"):
+    with (
+        answering(elsewhere) as port,
+        pytest.raises(RigError, match="answers 302 Found with 0 bytes; expected 200"),
+    ):
         fetch_page("127.0.0.1", port, SETTINGS)
 
 
@@ -173,19 +207,25 @@ def test_a_page_that_is_too_long_is_not_read_to_its_end(length):
     chunks = (b"HTTP/1.1 200 OK\r\n" + length + b"\r\n", b"x" * (MAX_PAGE_BYTES + 10))
     with (
         answering(*chunks) as port,
-        pytest.raises(RigError, match=r"answers 200 .* with 262145 bytes; expected 200 and at most 262144"),
+        pytest.raises(
+            RigError, match=r"answers 200 .* with 262145 bytes; expected 200 and at most 262144"
+        ),
     ):
         fetch_page("127.0.0.1", port, SETTINGS)
 
 
-@pytest.mark.parametrize("chunks", [(), (b"HTTP/1.1 200 OK\r\nContent-Length: 100\r\n\r\n", b"<netft>")])
+@pytest.mark.parametrize(
+    "chunks", [(), (b"HTTP/1.1 200 OK\r\nContent-Length: 100\r\n\r\n", b"<netft>")]
+)
 def test_a_page_that_never_ends_is_given_up_in_time(chunks, monkeypatch):
     monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.3)
     with answering(*chunks) as port, pytest.raises(DeviceError, match=r"no answer in 0\.3 s"):
         fetch_page("127.0.0.1", port, SETTINGS)
 
 
-@pytest.mark.parametrize("answer", [b"", b"\x00\x01\x02\r\n\r\n", b"HTTP/1.1 abc\r\n\r\n", b"SSH-2.0-OpenSSH\r\n"])
+@pytest.mark.parametrize(
+    "answer", [b"", b"\x00\x01\x02\r\n\r\n", b"HTTP/1.1 abc\r\n\r\n", b"SSH-2.0-OpenSSH\r\n"]
+)
 def test_what_is_not_http_is_an_error_and_no_traceback(answer, monkeypatch):
     monkeypatch.setattr(pages, "PAGE_TIMEOUT_S", 0.3)
     with answering(answer) as port, pytest.raises(DeviceError, match=r"cannot be read"):

@@ -41,7 +41,9 @@ def test_a_request_is_the_eight_bytes_of_the_manual(order, wanted, sent):
 
 
 def test_a_record_is_the_thirty_six_bytes_of_the_manual():
-    sent = bytes.fromhex("00000001 00001B58 C0000000 000F4240 FFF0BDC0 7FFFFFFF 80000000 00000000 FFFFFFFF")
+    sent = bytes.fromhex(
+        "00000001 00001B58 C0000000 000F4240 FFF0BDC0 7FFFFFFF 80000000 00000000 FFFFFFFF"
+    )
     record = RdtRecord(1, 7000, 0xC0000000, (1_000_000, -1_000_000, 2**31 - 1, -(2**31), 0, -1))
     assert encode_record(record) == sent
     assert decode_record(sent) == record
@@ -81,7 +83,11 @@ def test_any_bytes_are_records_or_refused():
         (0xA0000000, ["its calibration is damaged (checksum)"], []),
         (0x80000008, [], ["it is busy with its settings"]),
         (0x10000000, [], ["its forces are simulated"]),
-        (0x80000001 | 0x2, ["its temperature is out of range", "its supply voltage is out of range"], []),
+        (
+            0x80000001 | 0x2,
+            ["its temperature is out of range", "its supply voltage is out of range"],
+            [],
+        ),
         (0x80000000, ["its status 0x80000000 has unspecified bits"], []),
         (0x90000000, ["its status 0x90000000 has unspecified bits"], ["its forces are simulated"]),
         (0x80000200, ["its status 0x80000200 has unspecified bits"], []),
@@ -100,7 +106,14 @@ def test_a_status_of_the_manual_says_what_it_means(status, errors, notes):
 
 @pytest.mark.parametrize(
     ("before", "after", "step"),
-    [(5, 8, 3), (8, 5, -3), (2**32 - 1, 0, 1), (0, 2**32 - 1, -1), (2**31, 2**32 - 1, 2**31 - 1), (0, 2**31, -(2**31))],
+    [
+        (5, 8, 3),
+        (8, 5, -3),
+        (2**32 - 1, 0, 1),
+        (0, 2**32 - 1, -1),
+        (2**31, 2**32 - 1, 2**31 - 1),
+        (0, 2**31, -(2**31)),
+    ],
 )
 def test_a_step_of_a_counter_is_the_short_way_round(before, after, step):
     assert wrapped_step(before, after) == step

@@ -1,4 +1,5 @@
-"""The client on a real socket of the loopback: what the kernel keeps while nobody reads, and its stamps.
+"""The client on a real socket of the loopback: what the kernel keeps while nobody reads, and its
+stamps.
 
 Judged by contents and stamps alone: how long the computer takes for anything does not matter.
 """
@@ -47,7 +48,9 @@ class Pair:
         numbers = list(itertools.islice(self._numbers, count))
         for number in numbers:
             before = time.monotonic()
-            self.socket.sendto(encode_record(RdtRecord(number, 8 * number, 0, (number,) * 6)), self.address)
+            self.socket.sendto(
+                encode_record(RdtRecord(number, 8 * number, 0, (number,) * 6)), self.address
+            )
             self.sent_at[number] = before, time.monotonic()
         return numbers
 
@@ -81,7 +84,8 @@ def test_each_record_has_the_time_at_which_it_was_sent_however_late_it_is_taken(
     assert [arrival.record.rdt_sequence for arrival in arrivals] == first + second
     for record, arrived in arrivals:
         before, after = pair.sent_at[record.rdt_sequence]
-        # The date and the monotonic clock are read one after the other, and a busy computer may come in between.
+        # The date and the monotonic clock are read one after the other, and a busy computer may
+        # come in between.
         assert before - 0.05 <= arrived <= after + 0.05
 
 

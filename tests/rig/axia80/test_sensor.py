@@ -25,9 +25,11 @@ def config_of(sensor, **changes):
 
 @contextlib.contextmanager
 def emulated(*wrench, **options):
-    fin, clock = StillFin(*wrench), SimulatedClock()
+    fin = StillFin(*wrench)
+    clock = SimulatedClock()
     sensor = EmulatedAxia80(fin, clock=clock, **options)
-    sensor.fin, sensor.clock = fin, clock
+    sensor.fin = fin
+    sensor.clock = clock
     try:
         yield sensor
     finally:
@@ -152,9 +154,12 @@ def test_records_that_nobody_took_are_counted_as_lost(monkeypatch):
 
 @pytest.mark.parametrize(
     ("fault", "counted", "injected"),
-    [({"drop": 0.05}, "sensor_lost", "dropped"), ({"duplicate": 0.1}, "sensor_late", "doubled"),
-     ({"reorder": 0.1}, "sensor_late", "swapped")],
-)  # fmt: skip
+    [
+        ({"drop": 0.05}, "sensor_lost", "dropped"),
+        ({"duplicate": 0.1}, "sensor_late", "doubled"),
+        ({"reorder": 0.1}, "sensor_late", "swapped"),
+    ],
+)
 def test_what_the_network_does_is_counted_bridged_and_no_complaint(pair, fault, counted, injected):
     sensor, client = pair
     network = FaultyNetwork.between(sensor)
@@ -181,7 +186,8 @@ def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
     sensor.status = OVER_RANGE
     read_until(client, client.complaints)
     assert client.complaints() == (
-        "force sensor 127.0.0.1: force or torque is out of its range; take the load off, look at the fin's mount",
+        "force sensor 127.0.0.1: force or torque is out of its range; take the load off, look at "
+        "the fin's mount",
     )
     sensor.status = 0
     read_until(client, lambda: not client.complaints())
@@ -221,7 +227,9 @@ def test_a_silent_sensor_is_a_complaint_until_it_sends_again(pair):
     sensor.clock.sleep(0.05)
     before = client.read()
     read_until(client, client.complaints)
-    assert re.search(r"nothing new for \d+\.\d s; check its power and cable", client.complaints()[0])
+    assert re.search(
+        r"nothing new for \d+\.\d s; check its power and cable", client.complaints()[0]
+    )
     after = client.read()
     assert after.force_time == before.force_time
     sensor.silence(0.0)
@@ -234,7 +242,8 @@ def test_a_sensor_that_restarted_is_a_complaint_as_soon_as_it_sends_again(pair):
     sensor.reboot(0.05)
     read_for(client, 0.15)
     assert client.complaints() == (
-        "force sensor 127.0.0.1: restarted, its zero is lost; let the fin rest and run: softfin rig zero --force",
+        "force sensor 127.0.0.1: restarted, its zero is lost; let the fin rest and run: softfin "
+        "rig zero --force",
     )
     # It stays one until the zero is set.
     read_for(client, 2.0)
@@ -267,7 +276,9 @@ def test_a_sensor_that_is_still_busy_after_power_up_is_waited_for():
 def test_a_sensor_that_stays_busy_is_refused_in_one_line():
     with emulated() as sensor:
         sensor.busy_s = 1e9
-        with pytest.raises(DeviceError, match="busy for more than 10 s; change nothing on its web pages") as refused:
+        with pytest.raises(
+            DeviceError, match="busy for more than 10 s; change nothing on its web pages"
+        ) as refused:
             Axia80(config_of(sensor), sensor.clock).open()
     assert "\n" not in str(refused.value)
 
@@ -289,7 +300,11 @@ def _be_busy(sensor):
 
 @pytest.mark.parametrize(
     ("fault", "words"),
-    [(_freeze, "its values stand still"), (_freeze_count, "its values stand still"), (_be_busy, "busy for long")],
+    [
+        (_freeze, "its values stand still"),
+        (_freeze_count, "its values stand still"),
+        (_be_busy, "busy for long"),
+    ],
 )
 @pytest.mark.parametrize("rate_hz", [200.0, 1000.0, 4000.0])
 def test_values_that_stand_still_are_a_complaint_within_a_fifth_of_a_second(fault, words, rate_hz):
@@ -356,7 +371,8 @@ def test_the_emulated_zero_drifts_and_its_own_filter_delays_if_asked():
         client.bias()
         sensor.clock.sleep(3.0)
         assert read_for(client, 0.2)[-1].wrench[:3] == pytest.approx((0.33, 0.33, 0.33), abs=0.02)
-        sensor.drift_n_s, sensor.filter_delay_s = 0.0, 0.1
+        sensor.drift_n_s = 0.0
+        sensor.filter_delay_s = 0.1
         client.bias()
         read_for(client, 0.2)
         sensor.fin.wrench = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -402,7 +418,10 @@ def test_another_sensor_than_the_file_says_is_refused(key, value):
 
 
 def test_a_sensor_at_another_rate_is_refused():
-    with emulated(rate_hz=500.0) as sensor, pytest.raises(RigError, match=r"sends \d+ records a second, rate_hz is"):
+    with (
+        emulated(rate_hz=500.0) as sensor,
+        pytest.raises(RigError, match=r"sends \d+ records a second, rate_hz is"),
+    ):
         Axia80(config_of(sensor), sensor.clock).open()
 
 
@@ -435,7 +454,10 @@ def test_before_it_is_open_there_is_nothing_to_say():
 
 
 def test_a_blow_shows_at_once_unfiltered_in_softfins_axes() -> None:
-    with emulated(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, frame="y,-x") as sensor, opened(sensor, frame="y,-x") as client:
+    with (
+        emulated(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, frame="y,-x") as sensor,
+        opened(sensor, frame="y,-x") as client,
+    ):
         client.read()
         sensor.fin.wrench = (-20.0, 3.0, 0.0, 0.0, 0.0, 0.0)
         reading = next(r for r in read_for(client, 0.5) if max(r.peak) > 1)

@@ -18,7 +18,8 @@ CASES = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 5_000
 
 
 def received(numbers):
-    """A stream that has received records of these numbers; their force along x is their place in the list."""
+    """A stream that has received records of these numbers; their force along x is their place in
+    the list."""
     stream = ForceStream(CONFIG, [1.0] * 6, SimulatedClock())
     stream.collected = []
     sent = [RdtRecord(number, 0, 0, (k, 0, 0, 0, 0, 0)) for k, number in enumerate(numbers)]
@@ -110,7 +111,10 @@ def test_before_its_rate_is_measured_a_stream_has_the_one_expected():
 
 
 def arrivals(numbers, began=100.0):
-    return [Arrival(RdtRecord(n, 8 * n, 0, (k, 0, 0, 0, 0, 0)), began + k / 1000) for k, n in enumerate(numbers)]
+    return [
+        Arrival(RdtRecord(n, 8 * n, 0, (k, 0, 0, 0, 0, 0)), began + k / 1000)
+        for k, n in enumerate(numbers)
+    ]
 
 
 @pytest.mark.parametrize("jump", [1_000, 10**6, 10**9, -(10**9)])

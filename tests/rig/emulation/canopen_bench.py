@@ -1,4 +1,5 @@
-"""The emulated drive at somebody else's client: canopen's own CiA 402 node on python-can's virtual bus."""
+"""The emulated drive at somebody else's client: canopen's own CiA 402 node on python-can's virtual
+bus."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -15,29 +16,41 @@ from tests.rig.epos2_bench import NODE, bus_config, drive_config
 from tests.rig.machines import Hours
 from tests.rig.simple_fin import SimpleFin
 
-PRE_OPERATIONAL, OPERATIONAL, STOPPED, RESET_NODE = 0x80, 0x01, 0x02, 0x81
+PRE_OPERATIONAL = 0x80
+OPERATIONAL = 0x01
+STOPPED = 0x02
+RESET_NODE = 0x81
 
 
 class CanopenBench:
-    """A remote node of canopen's, its network, the emulated drive and its fin; all that is on the bus is kept."""
+    """A remote node of canopen's, its network, the emulated drive and its fin; all that is on the
+    bus is kept."""
 
     def __init__(self, network: Any, drive: EmulatedDrive, fin: SimpleFin, clock: Hours) -> None:
-        self.network, self.drive, self.fin, self.clock = network, drive, fin, clock
+        self.network = network
+        self.drive = drive
+        self.fin = fin
+        self.clock = clock
         self.node = network.add_node(BaseNode402(NODE, dictionary(values(drive_config()))))
         # A busy machine is no fault of the drive.
         self.node.sdo.RESPONSE_TIMEOUT = HANG_S
         self.frames: list[tuple[int, bytes]] = []
-        network.notifier.add_listener(lambda message: self.frames.append((message.arbitration_id, bytes(message.data))))
+        network.notifier.add_listener(
+            lambda message: self.frames.append((message.arbitration_id, bytes(message.data)))
+        )
 
     def read(self, index: int, sub: int = 0) -> int:
-        """An object as an unsigned number; all frames that were sent before have been taken when it is there."""
+        """An object as an unsigned number; all frames that were sent before have been taken when it
+        is there."""
         return int.from_bytes(self.node.sdo.upload(index, sub), "little")
 
     def write(self, index: int, sub: int, value: int, size: int) -> None:
         self.node.sdo.download(index, sub, value.to_bytes(size, "little"))
 
     def send(self, cob_id: int, data: bytes = b"", **options: bool) -> None:
-        message = can.Message(arbitration_id=cob_id, data=data, **{"is_extended_id": False, **options})
+        message = can.Message(
+            arbitration_id=cob_id, data=data, **{"is_extended_id": False, **options}
+        )
         self.network.bus.send(message)
 
     def nmt(self, command: int) -> None:
@@ -73,7 +86,8 @@ class CanopenBench:
 @contextmanager
 def canopen_bench() -> Iterator[CanopenBench]:
     """Fin and drive on a clock that stands until the test moves it."""
-    bus, clock = bus_config(), Hours()
+    bus = bus_config()
+    clock = Hours()
     fin = SimpleFin(clock)
     network: Any = canopen.Network()
     network.NOTIFIER_CYCLE = 0.02

@@ -54,11 +54,17 @@ print("moved and stopped")
 def test_another_process_drives_the_emulated_drive_over_tcp() -> None:
     import json
 
-    channel, fin, config = f"test {uuid.uuid4()}", SimpleFin(), drive_config(heartbeat_s=1.0)
+    channel = f"test {uuid.uuid4()}"
+    fin = SimpleFin()
+    config = drive_config(heartbeat_s=1.0)
     virtual = BusConfig(interface="virtual", channel=channel)
     with closing(EmulatedDrive(virtual, config, fin)) as drive, SocketcandServer(channel) as server:
-        bus = BusConfig(interface="socketcand", channel=channel, options={"host": HOST, "port": server.port})
-        given = json.dumps({"bus": bus.model_dump(), "drive": config.model_dump(), "hang_s": HANG_S})
+        bus = BusConfig(
+            interface="socketcand", channel=channel, options={"host": HOST, "port": server.port}
+        )
+        given = json.dumps(
+            {"bus": bus.model_dump(), "drive": config.model_dump(), "hang_s": HANG_S}
+        )
         command = [sys.executable, "-c", OTHER_PROCESS, given]
         ran = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
         assert ran.stdout.strip() == "moved and stopped", ran.stderr
@@ -72,7 +78,8 @@ PROBE = 0x7F0
 
 
 def hears(client: can.BusABC, sender: can.BusABC) -> bool:
-    """Whether the server forwards to this client already: it begins a while after the client was made."""
+    """Whether the server forwards to this client already: it begins a while after the client was
+    made."""
     sender.send(can.Message(arbitration_id=PROBE, is_extended_id=False))
     return client.recv(0.05) is not None
 
@@ -86,7 +93,10 @@ def receive(bus: can.BusABC) -> can.Message | None:
 
 def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
     channel = f"test {uuid.uuid4()}"
-    with SocketcandServer(channel) as server, can.Bus(interface="virtual", channel=channel) as inside:
+    with (
+        SocketcandServer(channel) as server,
+        can.Bus(interface="virtual", channel=channel) as inside,
+    ):
         options = {"host": HOST, "port": server.port}
         with (
             can.Bus(interface="socketcand", channel=channel, **options) as first,
@@ -122,7 +132,10 @@ def test_frames_go_both_ways_between_two_clients_and_the_virtual_bus() -> None:
 )
 def test_a_client_that_does_not_speak_the_protocol_is_let_go(spoken: bytes) -> None:
     channel = f"test{uuid.uuid4()}"
-    with SocketcandServer(channel) as server, can.Bus(interface="virtual", channel=channel) as inside:
+    with (
+        SocketcandServer(channel) as server,
+        can.Bus(interface="virtual", channel=channel) as inside,
+    ):
         with socket.create_connection((HOST, server.port), timeout=HANG_S) as client:
             client.sendall(spoken.replace(b"CHANNEL", channel.encode()))
             try:
@@ -150,7 +163,9 @@ def test_closing_ends_with_clients_still_there() -> None:
 
 
 @given(st.integers(0, 0x7FF), st.binary(max_size=8))
-def test_a_frame_comes_back_from_the_line_that_pythoncan_makes_of_it(cob_id: int, data: bytes) -> None:
+def test_a_frame_comes_back_from_the_line_that_pythoncan_makes_of_it(
+    cob_id: int, data: bytes
+) -> None:
     from can.interfaces.socketcand import socketcand
 
     message = can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=1.5)

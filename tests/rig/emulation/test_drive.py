@@ -18,7 +18,8 @@ def bench() -> Iterator[CanopenBench]:
 
 
 def test_it_moves_nothing_before_it_is_enabled(bench: CanopenBench) -> None:
-    node, fin = bench.node, bench.fin
+    node = bench.node
+    fin = bench.fin
     bench.until_state(0x140)
     node.sdo[0x607A].raw = 2000
     node.sdo[0x6040].raw = 0x003F
@@ -27,7 +28,8 @@ def test_it_moves_nothing_before_it_is_enabled(bench: CanopenBench) -> None:
 
 
 def test_its_emergency_history_and_reset_are_understood(bench: CanopenBench) -> None:
-    node, drive = bench.node, bench.drive
+    node = bench.node
+    drive = bench.drive
     bench.enable()
     drive.fault(0x8611)
     bench.until(lambda: bool(node.emcy.active))
@@ -58,7 +60,8 @@ def test_a_mode_that_it_does_not_have_is_refused(bench: CanopenBench) -> None:
 
 
 def test_a_target_outside_its_limits_is_a_fault_and_no_motion(bench: CanopenBench) -> None:
-    node, fin = bench.node, bench.fin
+    node = bench.node
+    fin = bench.fin
     node.sdo[0x607D][2].raw = 1000
     bench.enable()
     node.sdo[0x607A].raw = 1001

@@ -11,7 +11,9 @@ from tests.rig.epos2_bench import drive_config
 from tests.rig.machines import Hours
 from tests.rig.simple_fin import SimpleFin
 
-ENABLED, START, RELATIVE = 0x0F, 0x3F, 0x7F
+ENABLED = 0x0F
+START = 0x3F
+RELATIVE = 0x7F
 
 
 class TremblingFin(SimpleFin):
@@ -24,10 +26,13 @@ class TremblingFin(SimpleFin):
 
 class Made:
     def __init__(self, fin: type[SimpleFin] = SimpleFin) -> None:
-        self.clock, self.faults = Hours(), []
+        self.clock = Hours()
+        self.faults = []
         self.fin = fin(self.clock)
         self.values = values(drive_config())
-        self.motor = EmulatedMotor(self.fin, Units.of(drive_config()), self.values.__getitem__, self.faults.append)
+        self.motor = EmulatedMotor(
+            self.fin, Units.of(drive_config()), self.values.__getitem__, self.faults.append
+        )
         self.word = ENABLED
 
     def control(self, *words: int, target: int | None = None) -> None:
@@ -42,7 +47,9 @@ class Made:
 
 
 @pytest.mark.parametrize("fin", [SimpleFin, TremblingFin])
-def test_the_target_is_reached_when_the_profile_has_ended_and_not_before(fin: type[SimpleFin]) -> None:
+def test_the_target_is_reached_when_the_profile_has_ended_and_not_before(
+    fin: type[SimpleFin],
+) -> None:
     made = Made(fin)
     assert made.motor.is_target_reached
     for target in (2000, -3000, 2001):

@@ -14,7 +14,8 @@ from tests.rig.emulation.canopen_bench import (
 )
 from tests.rig.epos2_bench import NODE
 
-HEARTBEAT, HOST = 0x700 + NODE, 0x700 + 127
+HEARTBEAT = 0x700 + NODE
+HOST = 0x700 + 127
 BOOT_UP = (HEARTBEAT, b"\x00")
 
 
@@ -55,12 +56,16 @@ def test_a_reset_of_the_node_forgets_everything(bench: CanopenBench) -> None:
 
 
 @pytest.mark.parametrize(("index", "sub", "size"), [(0x1003, 1, 4), (0x6502, 0, 4)])
-def test_entries_that_can_only_be_read_are_not_written(bench: CanopenBench, index: int, sub: int, size: int) -> None:
+def test_entries_that_can_only_be_read_are_not_written(
+    bench: CanopenBench, index: int, sub: int, size: int
+) -> None:
     with pytest.raises(canopen.SdoAbortedError, match="06010002"):
         bench.write(index, sub, 0, size)
 
 
-def test_a_value_of_another_length_and_an_object_that_is_not_there_are_refused(bench: CanopenBench) -> None:
+def test_a_value_of_another_length_and_an_object_that_is_not_there_are_refused(
+    bench: CanopenBench,
+) -> None:
     with pytest.raises(canopen.SdoAbortedError, match="06070010"):
         bench.write(0x6040, 0, 0, 4)
     with pytest.raises(canopen.SdoAbortedError, match="06020000"):

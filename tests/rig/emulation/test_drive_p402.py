@@ -14,8 +14,12 @@ from tests.rig.emulation.canopen_bench import CanopenBench, canopen_bench
 def bench() -> Iterator[CanopenBench]:
     with canopen_bench() as made:
         # A busy machine is no fault of the drive.
-        for name in ("TIMEOUT_SWITCH_STATE_FINAL", "TIMEOUT_SWITCH_STATE_SINGLE", "TIMEOUT_CHECK_TPDO",
-                     "TIMEOUT_SWITCH_OP_MODE"):  # fmt: skip
+        for name in (
+            "TIMEOUT_SWITCH_STATE_FINAL",
+            "TIMEOUT_SWITCH_STATE_SINGLE",
+            "TIMEOUT_CHECK_TPDO",
+            "TIMEOUT_SWITCH_OP_MODE",
+        ):
             setattr(made.node, name, HANG_S)
         yield made
         made.network.sync.stop()
@@ -49,7 +53,9 @@ def by_sdo(bench: CanopenBench) -> Any:
 
 
 @pytest.mark.parametrize("set_up", [by_sync, by_sdo])
-def test_it_is_brought_up_and_moved_to_a_set_point(bench: CanopenBench, set_up: Callable[[CanopenBench], Any]) -> None:
+def test_it_is_brought_up_and_moved_to_a_set_point(
+    bench: CanopenBench, set_up: Callable[[CanopenBench], Any]
+) -> None:
     node = set_up(bench)
     node.op_mode = "PROFILED POSITION"
     node.state = "OPERATION ENABLED"

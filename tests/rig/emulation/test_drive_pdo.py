@@ -5,11 +5,20 @@ from collections.abc import Iterator
 import canopen
 import pytest
 
-from tests.rig.emulation.canopen_bench import OPERATIONAL, PRE_OPERATIONAL, STOPPED, CanopenBench, canopen_bench
+from tests.rig.emulation.canopen_bench import (
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    STOPPED,
+    CanopenBench,
+    canopen_bench,
+)
 from tests.rig.epos2_bench import NODE
 
-STATUS, POSITION, PROFILE_VELOCITY = 0x60410010, 0x60640020, 0x60810020
-TPDO, RPDO = 0x180 + NODE, 0x200 + NODE
+STATUS = 0x60410010
+POSITION = 0x60640020
+PROFILE_VELOCITY = 0x60810020
+TPDO = 0x180 + NODE
+RPDO = 0x200 + NODE
 
 
 @pytest.fixture
@@ -68,7 +77,9 @@ def test_a_frame_with_a_long_identifier_is_another_one(bench: CanopenBench) -> N
     assert bench.read(0x6081) == 1000
 
 
-@pytest.mark.parametrize("entry", [0x20990020, 0x60640010], ids=["no such object", "another length"])
+@pytest.mark.parametrize(
+    "entry", [0x20990020, 0x60640010], ids=["no such object", "another length"]
+)
 def test_what_cannot_be_mapped_is_refused(bench: CanopenBench, entry: int) -> None:
     bench.write(0x1800, 1, 1 << 31, 4)
     bench.write(0x1A00, 0, 0, 1)
@@ -82,7 +93,11 @@ def test_a_mapping_is_not_changed_while_it_is_on_or_counted(bench: CanopenBench)
     assert refused(bench, 0x1A00, 1, POSITION, 4) == 0x08000022
 
 
-@pytest.mark.parametrize(("number", "types"), [(0x1800, (0, 2, 241, 255)), (0x1400, (0, 1, 240, 254))])
-def test_other_transmission_types_are_refused(bench: CanopenBench, number: int, types: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    ("number", "types"), [(0x1800, (0, 2, 241, 255)), (0x1400, (0, 1, 240, 254))]
+)
+def test_other_transmission_types_are_refused(
+    bench: CanopenBench, number: int, types: tuple[int, ...]
+) -> None:
     for transmission in types:
         assert refused(bench, number, 2, transmission, 1) == 0x06090030

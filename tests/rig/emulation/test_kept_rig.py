@@ -52,7 +52,9 @@ def moved(file, goal=0.8, ticks=60):
     finally:
         rig.close()
         close_rigs()
-    return np.array([(s.time, s.angle, s.velocity, s.current, s.force_time, *s.wrench) for s in samples])
+    return np.array(
+        [(s.time, s.angle, s.velocity, s.current, s.force_time, *s.wrench) for s in samples]
+    )
 
 
 def zeroed(file):
@@ -69,7 +71,9 @@ def test_the_same_seed_and_commands_give_the_same_readings_and_another_seed_othe
         runs.append(np.concatenate([moved(file), moved(file, -0.5)]))
     assert np.array_equal(runs[0], runs[1])
     assert not np.array_equal(runs[0][:, 5:7], runs[2][:, 5:7])
-    assert state_file(tmp_path / "a" / "rig.yaml").read_text() == (state_file(tmp_path / "b" / "rig.yaml").read_text())
+    assert state_file(tmp_path / "a" / "rig.yaml").read_text() == (
+        state_file(tmp_path / "b" / "rig.yaml").read_text()
+    )
 
 
 def test_what_a_command_leaves_is_what_the_next_one_finds(tmp_path, tank):
@@ -90,8 +94,10 @@ def test_what_a_command_leaves_is_what_the_next_one_finds(tmp_path, tank):
 
 
 def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
-    file, programs = made(tmp_path, tank), _tick._cache_size()
-    one, other = kept_rig(load_rig(file)), kept_rig(load_rig(file))
+    file = made(tmp_path, tank)
+    programs = _tick._cache_size()
+    one = kept_rig(load_rig(file))
+    other = kept_rig(load_rig(file))
     assert one is other
     # Whatever the tank and its state, one program moves it.
     assert _tick._cache_size() - programs <= 1
@@ -102,7 +108,10 @@ def test_one_process_opens_it_many_times_and_it_is_one_rig(tmp_path, tank):
     ("change", "words"),
     [
         (lambda state: "{", "Expecting"),
-        (lambda state: json.dumps(state | {"emulation": {"seed": 9, "tank": {}}}), "of another seed or tank"),
+        (
+            lambda state: json.dumps(state | {"emulation": {"seed": 9, "tank": {}}}),
+            "of another seed or tank",
+        ),
         (lambda state: json.dumps({**state, "drive": {}}), "zero_counts"),
         (lambda state: json.dumps({**state, "fin": state["fin"] | {"state": [1]}}), "argument"),
     ],
@@ -120,9 +129,20 @@ def test_a_state_that_cannot_be_is_refused_in_one_line(tmp_path, tank, change, w
     assert "\n" not in str(told.value)
 
 
-def test_a_tank_that_cannot_be_is_refused_and_the_tank_of_the_file_is_the_one_behind(tmp_path, tank, capsys):
+def test_a_tank_that_cannot_be_is_refused_and_the_tank_of_the_file_is_the_one_behind(
+    tmp_path, tank, capsys
+):
     (tmp_path / "tank.yaml").write_text("drive: {fastest_rad_s: 4.0}\n")
-    main(["rig", "emulate", "--tank", str(tmp_path / "tank.yaml"), "--rig", str(tmp_path / "rig.yaml")])
+    main(
+        [
+            "rig",
+            "emulate",
+            "--tank",
+            str(tmp_path / "tank.yaml"),
+            "--rig",
+            str(tmp_path / "rig.yaml"),
+        ]
+    )
     config = load_rig(tmp_path / "rig.yaml")
     assert config.drive.fastest_rad_s == 4.0
     assert config.emulation.tank == {"drive": {"fastest_rad_s": 4.0}}

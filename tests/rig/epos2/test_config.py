@@ -46,7 +46,9 @@ def test_a_turn_of_the_fin_is_four_edges_of_each_line_times_the_gear() -> None:
     assert made.rpm(2 * math.pi) == 60 * 66
 
 
-@pytest.mark.parametrize("key", ["node", "encoder_lines", "gear_ratio", "acceleration_rad_s2", "quick_stop_rad_s2"])
+@pytest.mark.parametrize(
+    "key", ["node", "encoder_lines", "gear_ratio", "acceleration_rad_s2", "quick_stop_rad_s2"]
+)
 def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
     values = drive_config().model_dump()
     del values[key]
@@ -65,7 +67,8 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.57"),
         (
             {"angle_min_rad": 0.2},
-            r"0\.2, angle_max_rad is 1\.57\S*; angle 0, at which a fin rests, .*softfin rig zero --arm",
+            r"0\.2, angle_max_rad is 1\.57\S*; angle 0, at which a fin rests, .*softfin rig zero "
+            r"--arm",
         ),
         ({"slowest_rad_s": 4.0}, "velocity_min_rad_s is 4, velocity_max_rad_s is 3.14"),
         ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's are finite"),
@@ -74,7 +77,9 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ({"quick_stop_rad_s2": 2.0}, r"takes 1.6 s to stop from fastest_rad_s: .* give 6.3"),
     ],
 )
-def test_a_configuration_that_cannot_be_is_refused_with_the_reason(changes: dict[str, float], words: str) -> None:
+def test_a_configuration_that_cannot_be_is_refused_with_the_reason(
+    changes: dict[str, float], words: str
+) -> None:
     with pytest.raises(ConfigurationError, match=words):
         Epos2Config.build({**drive_config().model_dump(), **changes})
 

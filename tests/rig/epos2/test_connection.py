@@ -1,4 +1,5 @@
-"""SDO transfers against canopen's own server, which the emulated drive is, and answers that no drive should give."""
+"""SDO transfers against canopen's own server, which the emulated drive is, and answers that no
+drive should give."""
 
 import struct
 
@@ -15,9 +16,14 @@ ANSWER = 0x580 + NODE
 
 @pytest.mark.parametrize(
     ("entry", "value"),
-    [(protocol.HOMING_METHOD, -3), (protocol.CURRENT_LIMIT, 0xFFFF), (protocol.TARGET, -(2**31)),
-     (protocol.POSITION_MAX, 12), (protocol.PROFILE_VELOCITY, 2**32 - 1)],
-)  # fmt: skip
+    [
+        (protocol.HOMING_METHOD, -3),
+        (protocol.CURRENT_LIMIT, 0xFFFF),
+        (protocol.TARGET, -(2**31)),
+        (protocol.POSITION_MAX, 12),
+        (protocol.PROFILE_VELOCITY, 2**32 - 1),
+    ],
+)
 def test_a_value_of_each_length_comes_back(entry: Object, value: int) -> None:
     with bench() as made:
         made.drive.connect()
@@ -29,11 +35,17 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
     with bench() as made:
         made.drive.connect()
         connection = made.drive.connection
-        with pytest.raises(DeviceError, match=r"refuses nonesuch .*0x06020000, object does not exist: check that"):
+        with pytest.raises(
+            DeviceError, match=r"refuses nonesuch .*0x06020000, object does not exist: check that"
+        ):
             connection.read(Object(0x2099, 0, "I", "nonesuch"))
-        with pytest.raises(DeviceError, match=r"refuses mode .*0x06090030, .* change the value in the rig's file"):
+        with pytest.raises(
+            DeviceError, match=r"refuses mode .*0x06090030, .* change the value in the rig's file"
+        ):
             connection.write(protocol.MODE, 8)
-        with pytest.raises(DeviceError, match=r"controlword .* cannot hold 65536; change the value"):
+        with pytest.raises(
+            DeviceError, match=r"controlword .* cannot hold 65536; change the value"
+        ):
             connection.write(protocol.CONTROLWORD, 0x10000)
         with pytest.raises(DeviceError, match="makes no sense"):
             connection.read(Object(protocol.TARGET.number, 0, "H", "target of another length"))
@@ -61,11 +73,14 @@ def test_every_abort_has_its_number_a_name_and_a_way_out_in_one_line(code: int) 
     assert "\n" not in line
 
 
-def test_a_bus_that_cannot_be_read_is_counted_and_told_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_cannot_be_read_is_counted_and_told_each_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with bench() as made:
         made.drive.connect()
         bus = made.drive.connection._bus
-        receive, failures = bus.recv, [OSError("no such device"), OSError("no such device")]
+        receive = bus.recv
+        failures = [OSError("no such device"), OSError("no such device")]
 
         def fail_twice(timeout_s: float) -> object:
             if failures:
@@ -75,4 +90,7 @@ def test_a_bus_that_cannot_be_read_is_counted_and_told_each_time(monkeypatch: py
         monkeypatch.setattr(bus, "recv", fail_twice)
         made.clock.sleep(1.0)
         assert made.drive.connection.counters["receiving errors"] == 2
-        assert any("cannot be read (no such device); look at the adapter and cable" in line for line in made.faults)
+        assert any(
+            "cannot be read (no such device); look at the adapter and cable" in line
+            for line in made.faults
+        )

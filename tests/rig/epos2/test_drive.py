@@ -20,7 +20,17 @@ from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
 from softfin.rig.simulated_clock import SimulatedClock
-from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, block, bus_config, drive_config, enabled, ignore_targets
+from tests.rig.epos2_bench import (
+    NODE,
+    Bench,
+    Sniffer,
+    bench,
+    block,
+    bus_config,
+    drive_config,
+    enabled,
+    ignore_targets,
+)
 
 AT_REST = [state for state in State if state not in POWERED]
 
@@ -60,9 +70,14 @@ def test_the_frames_of_a_target_are_golden() -> None:
     with enabled() as made, Sniffer(made) as sniffer:
         made.drive.command(Target(1.0, 2.0))
         assert made.until(lambda: made.fin.now().angle > 0.05)
-        counts, rpm = round(4 * 500 * 66 / (2 * 3.141592653589793)), round(2 * 60 * 66 / (2 * 3.141592653589793))
+        counts = round(4 * 500 * 66 / (2 * 3.141592653589793))
+        rpm = round(2 * 60 * 66 / (2 * 3.141592653589793))
         assert sniffer.controlwords()[:2] == [0x003F, 0x000F]
-        sent = [(cob_id, data) for _, cob_id, data in sniffer.frames if cob_id in {0x200 + NODE, 0x300 + NODE}]
+        sent = [
+            (cob_id, data)
+            for _, cob_id, data in sniffer.frames
+            if cob_id in {0x200 + NODE, 0x300 + NODE}
+        ]
         assert sent[0] == (0x300 + NODE, struct.pack("<I", rpm))
         assert sent[1] == (0x200 + NODE, b"\x3f\x00" + struct.pack("<i", counts))
 
@@ -111,7 +126,9 @@ def test_a_fin_without_a_zero_is_not_enabled() -> None:
 
 
 @pytest.mark.parametrize(("angle", "refused"), [(0.6, False), (0.7, True)])
-def test_a_fin_is_enabled_a_little_beyond_its_limits_and_no_further(angle: float, refused: bool) -> None:
+def test_a_fin_is_enabled_a_little_beyond_its_limits_and_no_further(
+    angle: float, refused: bool
+) -> None:
     with bench(angle_min_rad=-1.0, angle_max_rad=0.5, zero_offset_rad=angle) as made:
         made.drive.open()
         made.drive.home_here()
@@ -120,8 +137,12 @@ def test_a_fin_is_enabled_a_little_beyond_its_limits_and_no_further(angle: float
         assert (made.emulated.state in AT_REST) is refused
 
 
-@pytest.mark.parametrize("target", [(2.0, 2.0), (0.0, 4.0), (0.0, 0.1), (float("nan"), 2.0), (0.0, float("inf"))])
-def test_a_command_outside_the_limits_is_refused_and_nothing_moves(target: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    "target", [(2.0, 2.0), (0.0, 4.0), (0.0, 0.1), (float("nan"), 2.0), (0.0, float("inf"))]
+)
+def test_a_command_outside_the_limits_is_refused_and_nothing_moves(
+    target: tuple[float, float],
+) -> None:
     with enabled() as made, Sniffer(made) as sniffer:
         with pytest.raises(CommandError, match="this fin takes"):
             made.drive.command(Target(*target))
@@ -144,7 +165,9 @@ def test_a_command_before_enable_and_after_stop_is_refused() -> None:
 
 def test_an_empty_bus_says_where_to_look() -> None:
     drive = Epos2(bus_config(), drive_config(), SimulatedClock())
-    with pytest.raises(RigError, match=r"no drive answers as node 5 on CAN bus virtual .*; compare drive\.node"):
+    with pytest.raises(
+        RigError, match=r"no drive answers as node 5 on CAN bus virtual .*; compare drive\.node"
+    ):
         drive.open()
     drive.close()
 
@@ -248,12 +271,24 @@ def send(made: Bench, cob_id: int, data: bytes) -> None:
         (lambda made: made.emulated.drop_heartbeat(), "heartbeat is missing"),
         (lambda made: made.emulated.go_silent(), "heartbeat is missing"),
         (lambda made: ignore_targets(made.emulated, 1000), "did not take a target"),
-        (lambda made: send(made, 0x200 + NODE, bytes(6)), "switch on disabled though it was enabled"),
+        (
+            lambda made: send(made, 0x200 + NODE, bytes(6)),
+            "switch on disabled though it was enabled",
+        ),
         (lambda made: send(made, 0x000, bytes([0x80, NODE])), "left the operational state"),
     ],
-    ids=["blocked fin", "no heartbeat", "cut cable", "no target taken", "switched off", "not operational"],
+    ids=[
+        "blocked fin",
+        "no heartbeat",
+        "cut cable",
+        "no target taken",
+        "switched off",
+        "not operational",
+    ],
 )
-def test_what_goes_wrong_is_complained_of_and_the_fin_is_stopped(inject: Callable[[Bench], None], words: str) -> None:
+def test_what_goes_wrong_is_complained_of_and_the_fin_is_stopped(
+    inject: Callable[[Bench], None], words: str
+) -> None:
     with enabled(heartbeat_s=0.3) as made:
         inject(made)
         made.drive.command(Target(1.0, 3.0))
@@ -285,7 +320,9 @@ def test_a_drive_that_started_anew_is_complained_of_and_takes_no_target() -> Non
         assert made.fin.now().angle == angle
 
 
-def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with enabled() as made:
         bus = made.drive.connection._bus
 
@@ -300,11 +337,14 @@ def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(monk
         monkeypatch.undo()
 
 
-def test_receiving_errors_are_told_and_do_not_end_the_receiver(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_receiving_errors_are_told_and_do_not_end_the_receiver(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with enabled() as made:
         bus = made.drive.connection._bus
         assert bus is not None
-        receive, left = bus.recv, [3]
+        receive = bus.recv
+        left = [3]
 
         def stumble(timeout: float | None = None) -> can.Message | None:
             if left[0]:
@@ -328,7 +368,9 @@ def test_receiving_errors_are_told_and_do_not_end_the_receiver(monkeypatch: pyte
         (0x00, 0, "error frames"),
     ],
 )
-def test_an_error_that_the_bus_mends_itself_is_counted_and_no_stop(classes: int, controller: int, name: str) -> None:
+def test_an_error_that_the_bus_mends_itself_is_counted_and_no_stop(
+    classes: int, controller: int, name: str
+) -> None:
     with enabled() as made:
         made.emulated.send_error_frame(classes, controller)
         made.emulated.send_error_frame(classes, controller)
@@ -337,7 +379,9 @@ def test_an_error_that_the_bus_mends_itself_is_counted_and_no_stop(classes: int,
         assert made.faults == []
 
 
-@pytest.mark.parametrize(("classes", "controller", "name"), [(0x40, 0, "bus-off"), (0x04, 0x20, "error passive")])
+@pytest.mark.parametrize(
+    ("classes", "controller", "name"), [(0x40, 0, "bus-off"), (0x04, 0x20, "error passive")]
+)
 def test_an_adapter_that_gives_up_is_told_at_once(classes: int, controller: int, name: str) -> None:
     with enabled() as made:
         made.emulated.send_error_frame(classes, controller)
@@ -376,7 +420,9 @@ def test_a_fin_whose_voltage_is_taken_coasts_and_one_that_is_stopped_stands() ->
     assert ways[1] < 0.03
 
 
-def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from_its_target_or_a_stop() -> None:
+def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from_its_target_or_a_stop() -> (
+    None
+):
     with enabled(traits=DriveTraits(coarse_velocity=True, current_noise_a=0.1)) as made:
         made.drive.command(Target(0.5, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.1)
@@ -394,7 +440,11 @@ def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from
     ("entry", "value", "words"),
     [
         (protocol.MOTOR_TYPE, 3, "motor type .* is 3: no motor that softfin knows"),
-        (protocol.VELOCITY_NOTATION, -3, "velocity notation index .* is -3: set it to 0 in EPOS Studio"),
+        (
+            protocol.VELOCITY_NOTATION,
+            -3,
+            "velocity notation index .* is -3: set it to 0 in EPOS Studio",
+        ),
         (protocol.POSITION_NOTATION, 1, "every angle is off by powers of ten"),
         (protocol.ACCELERATION_NOTATION, 1, "every acceleration is off by powers of ten"),
     ],
@@ -407,9 +457,13 @@ def test_a_setting_that_changes_units_is_refused(entry: Object, value: int, word
 
 
 def test_settings_that_a_drive_does_not_have_are_notes() -> None:
-    with bench(traits=DriveTraits(missing=frozenset({protocol.MOTOR_TYPE, protocol.SERIAL_NUMBER}))) as made:
+    with bench(
+        traits=DriveTraits(missing=frozenset({protocol.MOTOR_TYPE, protocol.SERIAL_NUMBER}))
+    ) as made:
         made.drive.open()
-        assert made.drive.notes == ("drive has no motor type (0x6402.0); check this setting in EPOS Studio",)
+        assert made.drive.notes == (
+            "drive has no motor type (0x6402.0); check this setting in EPOS Studio",
+        )
         assert made.drive.serial is None
 
 
@@ -489,7 +543,8 @@ def test_a_stop_while_it_is_being_enabled_wins() -> None:
         made.drive.open()
         made.drive.home_here()
         drive = made.drive
-        read, calls = drive.sync_and_read, [0]
+        read = drive.sync_and_read
+        calls = [0]
 
         def stopped_midway(timeout: float) -> object:
             calls[0] += 1
@@ -510,7 +565,9 @@ def test_a_stop_of_a_node_that_takes_no_process_data_goes_by_sdo() -> None:
         assert made.until(lambda: made.drive.status.nmt == 0x7F)
         made.drive.stop()
         assert made.emulated.state in AT_REST
-        assert (0x600 + NODE, bytes.fromhex("2b40600002000000")) in [frame[1:] for frame in sniffer.frames]
+        assert (0x600 + NODE, bytes.fromhex("2b40600002000000")) in [
+            frame[1:] for frame in sniffer.frames
+        ]
 
 
 def test_a_closed_drive_is_free_for_the_next_program_without_a_fault() -> None:
@@ -526,7 +583,8 @@ def test_a_closed_drive_is_free_for_the_next_program_without_a_fault() -> None:
 def test_a_send_that_hangs_does_not_hang_the_stop() -> None:
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
-        hung, free = made.clock.event(), made.clock.event()
+        hung = made.clock.event()
+        free = made.clock.event()
 
         def hang() -> None:
             with made.drive.lock:
@@ -550,7 +608,8 @@ def test_a_target_whose_first_frame_hangs_does_not_follow_the_stop_that_went_pas
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     with enabled(heartbeat_s=1.0) as made, Sniffer(made) as sniffer:
-        bus, stopped = made.drive.connection._bus, []
+        bus = made.drive.connection._bus
+        stopped = []
         send = bus.send
 
         def hang(message: can.Message, timeout: float | None = None) -> None:
@@ -577,7 +636,9 @@ def test_a_homing_that_failed_does_not_leave_its_mode_for_targets() -> None:
         assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.2, abs=1e-3)
 
 
-def test_a_stop_that_the_drive_does_not_confirm_is_unconfirmed_and_a_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_that_the_drive_does_not_confirm_is_unconfirmed_and_a_complaint(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     obey = drive_motor.next_state
     with enabled() as made:
         assert made.until(lambda: True)
@@ -609,7 +670,8 @@ def test_a_command_that_safety_lets_pass_is_taken_and_put_on_the_limit() -> None
 
 def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     with enabled() as made:
-        bus, tried = made.drive.connection._bus, list[int]()
+        bus = made.drive.connection._bus
+        tried = list[int]()
 
         def send(message: can.Message, timeout: float | None = None) -> None:
             tried.append(message.arbitration_id)
@@ -658,7 +720,8 @@ def test_a_drive_that_does_not_obey_a_stop_is_left_to_its_own_watch() -> None:
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.3)
-        # Stopped by NMT: it takes no controlwords, neither as process data nor by SDO, and still counts heartbeats.
+        # Stopped by NMT: it takes no controlwords, neither as process data nor by SDO, and still
+        # counts heartbeats.
         send(made, protocol.NMT, bytes([2, NODE]))
         made.clock.sleep(0.01)
         began = made.clock()
@@ -693,6 +756,8 @@ def test_a_drive_is_not_enabled_if_its_bus_cannot_be_read_any_more() -> None:
 def test_what_an_adapter_echoes_is_not_taken_for_another_host() -> None:
     with enabled() as made:
         heartbeat = protocol.HEARTBEAT + made.drive.config.host
-        echo = can.Message(arbitration_id=heartbeat, data=bytes([5]), is_extended_id=False, is_rx=False)
+        echo = can.Message(
+            arbitration_id=heartbeat, data=bytes([5]), is_extended_id=False, is_rx=False
+        )
         made.drive.connection._sort(echo)
         assert made.drive.complaints() == ()

@@ -4,7 +4,9 @@ from hypothesis import strategies as st
 
 from softfin.rig.epos2.exchange import Handshake
 
-FIRST, SECOND, THIRD = (1, 1), (2, 2), (3, 3)
+FIRST = (1, 1)
+SECOND = (2, 2)
+THIRD = (3, 3)
 
 
 def test_a_target_is_raised_acknowledged_and_lowered() -> None:
@@ -62,7 +64,8 @@ def test_a_lowering_that_was_lost_is_sent_again() -> None:
 
 @pytest.mark.parametrize("raised", [True, False], ids=["after a target", "before the first target"])
 def test_a_drive_whose_acknowledgement_never_falls_is_counted(raised: bool) -> None:
-    shake, now = Handshake(0.06), 5.0
+    shake = Handshake(0.06)
+    now = 5.0
     shake.waiting = FIRST
     if raised:
         assert shake.step(False, now) == FIRST
@@ -75,8 +78,13 @@ def test_a_drive_whose_acknowledgement_never_falls_is_counted(raised: bool) -> N
 
 
 @given(st.lists(st.tuples(st.booleans(), st.booleans(), st.floats(0.001, 0.1)), max_size=60))
-def test_whatever_the_drive_says_the_last_offer_is_current_or_waiting(steps: list[tuple[bool, bool, float]]) -> None:
-    shake, now, last, count = Handshake(0.06), 0.0, None, 0
+def test_whatever_the_drive_says_the_last_offer_is_current_or_waiting(
+    steps: list[tuple[bool, bool, float]],
+) -> None:
+    shake = Handshake(0.06)
+    now = 0.0
+    last = None
+    count = 0
     for offered, acknowledged, passed in steps:
         now += passed
         if offered:

@@ -61,7 +61,9 @@ def test_no_process_data_of_chance_move_an_enabled_drive_beyond_its_limits() -> 
         for case in range(CASES):
             word = chance.choice((0x0F, 0x1F, 0x3F, 0x0006, 0x0007, chance.randrange(0x10000)))
             near = chance.random() < 0.5
-            target = chance.randrange(-40_000, 40_000) if near else chance.randrange(-(2**31), 2**31)
+            target = (
+                chance.randrange(-40_000, 40_000) if near else chance.randrange(-(2**31), 2**31)
+            )
             sniffer.send(0x300 + NODE, chance.randbytes(4))
             sniffer.send(0x200 + NODE, struct.pack("<Hi", word, target))
             if case % 20 == 0:

@@ -1,4 +1,5 @@
-"""What stops a fin when softfin dies, how that is proved, and how a drive is stopped whoever has powered it."""
+"""What stops a fin when softfin dies, how that is proved, and how a drive is stopped whoever has
+powered it."""
 
 import pytest
 
@@ -12,7 +13,9 @@ from softfin.rig.machine import Target
 from tests.rig.epos2_bench import NODE, Bench, Sniffer, bench, drive_config, enabled
 
 IGNORES = DriveTraits(ignores_heartbeat=True)
-MISSING = DriveTraits(missing=frozenset({protocol.LOSS_REACTION, protocol.FAULT_REACTION, protocol.QUICK_STOP_OPTION}))
+MISSING = DriveTraits(
+    missing=frozenset({protocol.LOSS_REACTION, protocol.FAULT_REACTION, protocol.QUICK_STOP_OPTION})
+)
 
 
 @pytest.mark.parametrize("behaviour", [0, 1], ids=["drops to pre-operational", "stays operational"])
@@ -80,7 +83,9 @@ def test_a_reaction_that_does_not_stick_is_an_error(monkeypatch: pytest.MonkeyPa
             store(index, subindex, bytes(len(data)) if index == 0x6007 else data, check_writable)
 
         monkeypatch.setattr(made.emulated._node, "set_data", forgetful)
-        with pytest.raises(RigError, match=r"abort connection option \(0x6007\.0\) stayed 0 where 1 was written"):
+        with pytest.raises(
+            RigError, match=r"abort connection option \(0x6007\.0\) stayed 0 where 1 was written"
+        ):
             made.drive.open()
 
 
@@ -121,7 +126,9 @@ def powered_by_a_dead_program(made: Bench, nmt: int | None) -> None:
 
 
 @pytest.mark.parametrize("nmt", [None, protocol.NMT_PRE_OPERATIONAL, protocol.NMT_STOP])
-def test_a_drive_that_another_program_has_powered_is_switched_off_in_any_state_of_its_node(nmt: int | None) -> None:
+def test_a_drive_that_another_program_has_powered_is_switched_off_in_any_state_of_its_node(
+    nmt: int | None,
+) -> None:
     with enabled(traits=IGNORES) as made:
         powered_by_a_dead_program(made, nmt)
         Epos2(made.bus, drive_config(), made.clock).switch_off()
@@ -176,7 +183,9 @@ def test_a_drive_at_rest_may_be_switched_off_and_one_that_does_not_answer_is_tol
         assert made.emulated.state is State.SWITCH_ON_DISABLED
         made.emulated.go_silent()
         began = made.clock()
-        with pytest.raises(DeviceError, match="did not confirm that its motor is off; press the emergency stop"):
+        with pytest.raises(
+            DeviceError, match="did not confirm that its motor is off; press the emergency stop"
+        ):
             drive.switch_off()
         assert made.clock() - began < 8.0
 

@@ -40,11 +40,13 @@ def test_a_word_is_one_of_the_twelve_or_none(word: int) -> None:
 
 @pytest.mark.parametrize("start", [state for state in State if state not in FAULT_STATES])
 def test_every_state_without_fault_can_be_enabled(start: State) -> None:
-    state, word = start, 0
+    state = start
+    word = 0
     for _ in range(20):
         following = protocol.TO_ENABLED.get(state)
         if following is not None:
-            state, word = next_state(state, following, word), following
+            state = next_state(state, following, word)
+            word = following
         state = BY_ITSELF.get(state, state)
     assert state is State.OPERATION_ENABLED
 
@@ -67,7 +69,9 @@ def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
 
 
 @given(st.sampled_from([*State]), st.integers(0, 0xFFFF), st.integers(0, 0xFFFF))
-def test_no_single_controlword_enables_from_a_state_without_power(state: State, word: int, before: int) -> None:
+def test_no_single_controlword_enables_from_a_state_without_power(
+    state: State, word: int, before: int
+) -> None:
     if state not in protocol.POWERED:
         following = next_state(state, word, before)
         assert following is not State.OPERATION_ENABLED
@@ -75,16 +79,28 @@ def test_no_single_controlword_enables_from_a_state_without_power(state: State, 
 
 
 @given(st.sampled_from([*State]), st.integers(0, 0xFFFF))
-def test_quick_stop_and_disabled_voltage_lead_out_of_motion_from_any_state(state: State, before: int) -> None:
+def test_quick_stop_and_disabled_voltage_lead_out_of_motion_from_any_state(
+    state: State, before: int
+) -> None:
     assert next_state(state, protocol.QUICK_STOP, before) not in protocol.ENABLING
-    assert next_state(state, protocol.DISABLE_VOLTAGE, before) not in protocol.ENABLING | {State.QUICK_STOP_ACTIVE}
+    assert next_state(state, protocol.DISABLE_VOLTAGE, before) not in protocol.ENABLING | {
+        State.QUICK_STOP_ACTIVE
+    }
 
 
 @pytest.mark.parametrize(
     ("code", "is_value"),
-    [(0x0609002F, False), (0x06090030, True), (0x06090031, True), (0x06090036, True), (0x06090037, False)],
+    [
+        (0x0609002F, False),
+        (0x06090030, True),
+        (0x06090031, True),
+        (0x06090036, True),
+        (0x06090037, False),
+    ],
 )
-def test_a_value_that_the_drive_refuses_is_to_be_changed_in_the_rigs_file(code: int, is_value: bool) -> None:
+def test_a_value_that_the_drive_refuses_is_to_be_changed_in_the_rigs_file(
+    code: int, is_value: bool
+) -> None:
     assert ("change the value in the rig's file" in protocol.abort_line(code)) == is_value
 
 

@@ -1,4 +1,5 @@
-"""Several fins on one bus, each with a program of its own: one that dies must not be kept moving by the others."""
+"""Several fins on one bus, each with a program of its own: one that dies must not be kept moving by
+the others."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
@@ -26,7 +27,9 @@ HEARTBEAT_S = 0.2
 class Host:
     """A program with a drive and a fin; its loop runs in a thread until it is killed."""
 
-    def __init__(self, bus: BusConfig, clock: SimulatedClock, node: int, traits: DriveTraits) -> None:
+    def __init__(
+        self, bus: BusConfig, clock: SimulatedClock, node: int, traits: DriveTraits
+    ) -> None:
         config = drive_config(node=node, heartbeat_s=HEARTBEAT_S)
         self.fin = SimpleFin(clock)
         self.emulated = EmulatedDrive(bus, config, self.fin, clock, traits)
@@ -60,9 +63,13 @@ class Shoal(NamedTuple):
 
 @contextmanager
 def shoal(count: int, traits: DriveTraits = USUAL) -> Iterator[Shoal]:
-    clock, bus = SimulatedClock(), bus_config()
+    clock = SimulatedClock()
+    bus = bus_config()
     with ExitStack() as stack:
-        hosts = [stack.enter_context(closing(Host(bus, clock, node, traits))) for node in range(1, count + 1)]
+        hosts = [
+            stack.enter_context(closing(Host(bus, clock, node, traits)))
+            for node in range(1, count + 1)
+        ]
         yield Shoal(hosts, bus, clock)
 
 
@@ -107,7 +114,8 @@ def test_a_drive_answers_its_own_host_alone() -> None:
             for host in made.hosts:
                 host.swim()
             rates.append(process_data_per_second(made))
-    # Three process data at each of 100 SYNCs; the wait for the answers makes a tick of the loop a little longer.
+    # Three process data at each of 100 SYNCs; the wait for the answers makes a tick of the loop a
+    # little longer.
     assert rates[0] == pytest.approx(300, rel=0.05)
     assert rates[1] == pytest.approx(rates[0], rel=0.02)
 
@@ -149,22 +157,30 @@ def test_another_program_that_moves_our_drive_is_refused() -> None:
 
 
 @pytest.mark.parametrize("has_object", [True, False], ids=["read-only", "missing"])
-def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(has_object: bool) -> None:
+def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(
+    has_object: bool,
+) -> None:
     entry = frozenset({protocol.SYNC_ID})
     traits = DriveTraits(read_only=entry) if has_object else DriveTraits(missing=entry)
     with shoal(2, traits) as made:
         first, second = made.hosts
         first.swim()
         assert first.drive.sync_id == 0x080
-        assert first.drive.notes == ("drive answers everybody's SYNC; give each fin a bus of its own",)
+        assert first.drive.notes == (
+            "drive answers everybody's SYNC; give each fin a bus of its own",
+        )
         first.drive.command(Target(0.2, 3.0))
         made.clock.sleep(0.5)
         assert first.fin.now().angle == pytest.approx(0.2, abs=1e-3)
-        with pytest.raises(RigError, match="sends the SYNC that this drive answers; give each fin a bus of its own"):
+        with pytest.raises(
+            RigError, match="sends the SYNC that this drive answers; give each fin a bus of its own"
+        ):
             second.drive.open()
 
 
-def test_a_drive_may_take_as_long_to_enable_on_a_busy_bus_as_on_a_quiet_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drive_may_take_as_long_to_enable_on_a_busy_bus_as_on_a_quiet_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     with shoal(1) as made:
         host = made.hosts[0]
         bus = open_bus(made.bus, made.clock)
@@ -176,7 +192,9 @@ def test_a_drive_may_take_as_long_to_enable_on_a_busy_bus_as_on_a_quiet_one(monk
             return state if is_early else next_state(state, word, before)
 
         def send_frames_of_another_fin() -> None:
-            frame = can.Message(arbitration_id=protocol.TPDO[0] + 9, data=bytes(6), is_extended_id=False)
+            frame = can.Message(
+                arbitration_id=protocol.TPDO[0] + 9, data=bytes(6), is_extended_id=False
+            )
             while not host.killed.is_set():
                 bus.send(frame)
                 made.clock.sleep(0.0002)

@@ -2,7 +2,15 @@
 
 import io
 
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, WRENCH, BagWriter
+from softfin.storage.bag.messages import (
+    COMMAND,
+    CURRENT,
+    EVENTS,
+    JOINT,
+    REFERENCE,
+    WRENCH,
+    BagWriter,
+)
 
 START_NS = 1_700_000_000 * 10**9
 

@@ -37,7 +37,13 @@ def test_a_recording_is_told_as_it_was_written(bag):
     bag.write_bytes(recording.bytes)
     followed = follower(bag)
     summary = followed.summary()
-    assert (summary["rows"], summary["gaps"], summary["force_gaps"], summary["damaged"], summary["unreadable"]) == (
+    assert (
+        summary["rows"],
+        summary["gaps"],
+        summary["force_gaps"],
+        summary["damaged"],
+        summary["unreadable"],
+    ) == (
         250,
         0,
         0,
@@ -45,9 +51,11 @@ def test_a_recording_is_told_as_it_was_written(bag):
         0,
     )
     assert summary["rate_hz"] == pytest.approx(100)
-    assert (summary["angle_rad"], summary["current_a"], summary["command_angle_rad"]) == pytest.approx(
-        (0.249, 0.25, 0.5)
-    )
+    assert (
+        summary["angle_rad"],
+        summary["current_a"],
+        summary["command_angle_rad"],
+    ) == pytest.approx((0.249, 0.25, 0.5))
     assert summary["mean_force_n"] == pytest.approx((1.0, -0.5))
     assert summary["reference_n"] == pytest.approx((1.2, -0.6))
     assert summary["events"] == [(0.0, "armed")]
@@ -76,11 +84,15 @@ def test_the_force_is_shown_less_the_zero_that_was_measured_last(bag):
     followed = follower(bag)
     assert followed.summary()["force_n"] == pytest.approx((0.0, -0.25))
     assert followed.summary()["mean_force_n"] == pytest.approx((0.0, -0.25))
-    bag.write_bytes(recording.chunk(100, event="inactive").chunk(200, event=zero_event((-2.0, 0.5))).bytes)
+    bag.write_bytes(
+        recording.chunk(100, event="inactive").chunk(200, event=zero_event((-2.0, 0.5))).bytes
+    )
     followed.poll()
     assert followed.summary()["force_n"] == pytest.approx((3.0, -1.0))
     force = followed.traces["wrench"].array()
-    np.testing.assert_allclose(force[force[:, 0] < 4.995, 1:], np.tile([0.0, -0.25], (500, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        force[force[:, 0] < 4.995, 1:], np.tile([0.0, -0.25], (500, 1)), atol=1e-12
+    )
 
 
 def test_a_zero_that_is_read_later_holds_for_the_rows_before_it(bag):
@@ -96,17 +108,25 @@ def test_a_zero_that_is_read_later_holds_for_the_rows_before_it(bag):
 
 def test_cut_at_every_byte_only_whole_records_count_and_the_rest_is_read_when_it_comes(bag):
     recording = Recording().chunk(1, event="hello").chunk(1).finish()
-    whole, ends = recording.bytes, recording.ends
+    whole = recording.bytes
+    ends = recording.ends
     step = 1 if os.environ.get("SOFTFIN_LONG") == "1" else 13
     # Where records begin and end every byte, else some, and in the long version all.
     edges = {cut for end in (0, ends[0], ends[1]) for cut in range(max(end - 20, 0), end + 60)}
-    for cut in sorted(edges | set(range(ends[0] if step > 1 else 0, ends[1] if step > 1 else len(whole), step))):
+    for cut in sorted(
+        edges | set(range(ends[0] if step > 1 else 0, ends[1] if step > 1 else len(whole), step))
+    ):
         bag.write_bytes(whole[:cut])
         followed = follower(bag)
         summary = followed.summary()
-        # A chunk counts from the last of its bytes; its index follows it, and a second one comes before its end.
+        # A chunk counts from the last of its bytes; its index follows it, and a second one comes
+        # before its end.
         assert summary["problem"] is None
-        assert (cut >= ends[1]) + (cut >= ends[2]) <= summary["rows"] <= (cut > ends[0]) + (cut > ends[1])
+        assert (
+            (cut >= ends[1]) + (cut >= ends[2])
+            <= summary["rows"]
+            <= (cut > ends[0]) + (cut > ends[1])
+        )
         with bag.open("ab") as file:
             file.write(whole[cut:])
         followed.poll()
@@ -116,7 +136,12 @@ def test_cut_at_every_byte_only_whole_records_count_and_the_rest_is_read_when_it
 def test_missing_rows_are_counted(bag):
     bag.write_bytes(Recording().chunk(10).skip(30).chunk(10).bytes)
     summary = follower(bag).summary()
-    assert (summary["gaps"], summary["missing"], summary["force_gaps"], summary["force_missing"]) == (1, 30, 1, 30)
+    assert (
+        summary["gaps"],
+        summary["missing"],
+        summary["force_gaps"],
+        summary["force_missing"],
+    ) == (1, 30, 1, 30)
 
 
 def test_memory_holds_the_window_and_what_was_asked_for_before_it(bag):
@@ -154,7 +179,8 @@ def test_one_look_takes_in_so_much_and_the_next_goes_on(bag, monkeypatch):
         recording.chunk(10)
     bag.write_bytes(recording.bytes)
     monkeypatch.setattr(follow, "READ_BYTES", len(recording.bytes) // 4)
-    followed, rows = follower(bag), []
+    followed = follower(bag)
+    rows = []
     while followed.summary()["state"] == "reading":
         rows.append(followed.summary()["rows"])
         followed.poll()
@@ -205,7 +231,8 @@ def test_the_state_goes_from_recording_to_silent_to_ended(bag):
 
 def test_a_folder_means_its_newest_bag_and_moves_on_to_a_newer_one(tmp_path):
     now = [0.0]
-    old, new = tmp_path / "a.mcap", tmp_path / "run" / "b.mcap"
+    old = tmp_path / "a.mcap"
+    new = tmp_path / "run" / "b.mcap"
     followed = follower(tmp_path, clock=lambda: now[0])
     assert followed.summary()["state"] == "waiting"
     old.write_bytes(Recording().chunk(5).bytes)

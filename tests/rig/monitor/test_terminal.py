@@ -10,7 +10,9 @@ from tests.rig.monitor.bags import START_NS, Recording
 
 
 def console(terminal=True, width=80):
-    return Console(file=io.StringIO(), width=width, height=24, force_terminal=terminal, color_system=None)
+    return Console(
+        file=io.StringIO(), width=width, height=24, force_terminal=terminal, color_system=None
+    )
 
 
 @pytest.fixture
@@ -33,8 +35,17 @@ def test_the_screen_fits_80_by_24_and_says_what_matters(followed):
     assert len(lines) <= 23
     assert max(map(len, lines)) <= 80
     assert "\x1b" not in text
-    for what in ("recording, 12.1 s", "angle [rad]", "velocity [rad/s]", "force x [N]", "1.25", "-0.75", "current [A]",
-                 "gaps: joint 1 (7 rows), force 1 (7 rows)", "event 11 [red]"):  # fmt: skip
+    for what in (
+        "recording, 12.1 s",
+        "angle [rad]",
+        "velocity [rad/s]",
+        "force x [N]",
+        "1.25",
+        "-0.75",
+        "current [A]",
+        "gaps: joint 1 (7 rows), force 1 (7 rows)",
+        "event 11 [red]",
+    ):
         assert what in text
     assert any(letter in text for letter in BLOCKS)
 
@@ -59,9 +70,11 @@ def test_a_trace_is_drawn_between_its_least_and_its_most():
 
 @pytest.mark.parametrize("terminal", [False, True])
 def test_watching_ends_with_the_recording(tmp_path, terminal):
-    bag, recording = tmp_path / "run.mcap", Recording().chunk(250, event="armed")
+    bag = tmp_path / "run.mcap"
+    recording = Recording().chunk(250, event="armed")
     bag.write_bytes(recording.bytes)
-    out, slept = console(terminal, 200), []
+    out = console(terminal, 200)
+    slept = []
 
     def sleep(seconds):
         slept.append(seconds)

@@ -17,7 +17,9 @@ from tests.rig.monitor.bags import Recording
 @contextlib.contextmanager
 def serving(folder):
     bag = folder / "run.mcap"
-    bag.write_bytes(Recording().chunk(250, reference=(1.0, 0.5), event="</script><b>armed</b>").bytes)
+    bag.write_bytes(
+        Recording().chunk(250, reference=(1.0, 0.5), event="</script><b>armed</b>").bytes
+    )
     served = web.Server(Follower(bag), web.LOOPBACK, 0)
     thread = threading.Thread(target=served.serve_forever, args=(0.05,), daemon=True)
     thread.start()
@@ -44,7 +46,9 @@ def ask(server, path="/", method="GET", host=None):
 
 def send(server, *pieces):
     """Raw bytes, and all that comes back."""
-    with socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=HANG_S) as connection:
+    with socket.create_connection(
+        (web.LOOPBACK, server.server_address[1]), timeout=HANG_S
+    ) as connection:
         for piece in pieces:
             connection.sendall(piece)
         received = b""
@@ -58,7 +62,8 @@ def send(server, *pieces):
 
 def test_the_page_fetches_nothing_from_elsewhere_and_runs_only_its_own_script(server):
     answer, body = ask(server)
-    page, policy = body.decode(), answer.headers["Content-Security-Policy"]
+    page = body.decode()
+    policy = answer.headers["Content-Security-Policy"]
     assert answer.status == 200
     assert not re.search(r"https?:|@import|url\(|import\s*\(|innerHTML|style=", page)
     assert "default-src 'none'" in policy
@@ -88,14 +93,17 @@ def test_head_answers_without_a_body(server):
     assert body == b""
 
 
-@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "CONNECT", "FOO"])
+@pytest.mark.parametrize(
+    "method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH", "TRACE", "CONNECT", "FOO"]
+)
 def test_whatever_would_change_something_is_refused(server, method):
     answer, _ = ask(server, "/", method)
     assert answer.status == 501
 
 
 @pytest.mark.parametrize(
-    "host", ["evil.example", "localhost.evil.example", "evil.example:80", "", "[::1", "a b", "1.2.3"]
+    "host",
+    ["evil.example", "localhost.evil.example", "evil.example:80", "", "[::1", "a b", "1.2.3"],
 )
 def test_a_name_that_is_not_ours_is_refused(server, host):
     answer, body = ask(server, "/data", host=host)
@@ -103,7 +111,9 @@ def test_a_name_that_is_not_ours_is_refused(server, host):
     assert b"force" not in body
 
 
-@pytest.mark.parametrize("host", ["localhost", "LOCALHOST:9000", "127.0.0.1:1", "[::1]:8080", "192.168.1.7:8080"])
+@pytest.mark.parametrize(
+    "host", ["localhost", "LOCALHOST:9000", "127.0.0.1:1", "[::1]:8080", "192.168.1.7:8080"]
+)
 def test_addresses_as_numbers_and_tunnels_are_known(server, host):
     assert ask(server, "/data", host=host)[0].status == 200
 
@@ -114,14 +124,24 @@ def test_a_request_without_host_is_refused(server):
 
 @pytest.mark.parametrize(
     "path",
-    ["/etc/passwd", "/../../etc/passwd", "/%2e%2e/x", "//evil.example/", "/page.html", "/data/", "/?a", "/data%00"],
+    [
+        "/etc/passwd",
+        "/../../etc/passwd",
+        "/%2e%2e/x",
+        "//evil.example/",
+        "/page.html",
+        "/data/",
+        "/?a",
+        "/data%00",
+    ],
 )
 def test_there_is_nothing_else(server, path):
     assert ask(server, path)[0].status == 404
 
 
 @pytest.mark.parametrize(
-    "query", ["since=garbage", "since=-1", "since=", "since=1&since=2", "other=1", "since=" + "9" * 99]
+    "query",
+    ["since=garbage", "since=-1", "since=", "since=1&since=2", "other=1", "since=" + "9" * 99],
 )
 def test_a_since_that_is_no_number_is_refused(server, query):
     assert ask(server, f"/data?{query}")[0].status == 400
@@ -138,7 +158,9 @@ def idle(server, count):
     """Connections that never ask for anything."""
     with contextlib.ExitStack() as stack:
         yield [
-            stack.enter_context(socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=HANG_S))
+            stack.enter_context(
+                socket.create_connection((web.LOOPBACK, server.server_address[1]), timeout=HANG_S)
+            )
             for _ in range(count)
         ]
 

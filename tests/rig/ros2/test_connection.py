@@ -52,7 +52,9 @@ def test_any_bytes_are_a_message_or_refused(data, kind):
 
 def test_a_joint_among_others_is_found_by_its_name():
     message = MESSAGES.joint(1, "", "fin", 1.0, 2.0)
-    message.name, message.position, message.velocity = ["a", "fin"], np.array([0.0, 3.0]), np.zeros(0)
+    message.name = ["a", "fin"]
+    message.position = np.array([0.0, 3.0])
+    message.velocity = np.zeros(0)
     assert joint_of(message, "fin") == (3.0, None)
     with pytest.raises(ValueError, match=r"no joint 'tail' in it; it has 'a', 'fin'"):
         joint_of(message, "tail")
@@ -76,7 +78,9 @@ def test_what_is_no_number_is_refused(bad):
 
 def test_references_are_of_both_types_and_of_our_frame():
     wrench = MESSAGES.wrench(1, "fin_mount", (1.0, -2.0, 9.0, 9.0, 9.0, 9.0))
-    vector = MESSAGES.make(VECTOR, MESSAGES.header(1, ""), MESSAGES.make("geometry_msgs/msg/Vector3", 3.0, 4.0, 0.0))
+    vector = MESSAGES.make(
+        VECTOR, MESSAGES.header(1, ""), MESSAGES.make("geometry_msgs/msg/Vector3", 3.0, 4.0, 0.0)
+    )
     assert reference_of(wrench, "fin_mount") == (1.0, -2.0)
     assert reference_of(vector, "fin_mount") == (3.0, 4.0)
     with pytest.raises(ValueError, match="in the frame 'fin_mount'; this node's is 'base'"):
@@ -95,11 +99,14 @@ def test_a_reading_is_never_later_than_its_message_nor_older_than_the_delay(dela
         assert time is not None
         assert time <= received + 1e-6
         # The smallest delay so far counts as none.
-        assert time == pytest.approx(100 + 0.1 * tick + min(delays[: tick + 1]), abs=CREEP * 0.1 * len(delays) + 1e-6)
+        assert time == pytest.approx(
+            100 + 0.1 * tick + min(delays[: tick + 1]), abs=CREEP * 0.1 * len(delays) + 1e-6
+        )
 
 
 def test_a_sender_whose_clock_drifts_is_followed():
-    clock, drift = StampClock(), 5e-5
+    clock = StampClock()
+    drift = 5e-5
     for tick in range(100 * 600):
         received = tick * 0.01
         time = clock.time(START + round(received * (1 - drift) * 1e9), received)
@@ -122,7 +129,8 @@ def test_messages_without_stamps_count_from_when_they_come():
 
 
 def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
-    transport, messages = MemoryTransport(), Messages()
+    transport = MemoryTransport()
+    messages = Messages()
     subscription = Subscription(
         transport, "/joint", JOINT, lambda message: joint_of(message, "fin"), quality="best_effort"
     )
@@ -134,7 +142,9 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     assert subscription.take() == [(5.0, (1.0, 2.0))]
     assert (subscription.received, subscription.refused, subscription.not_newer) == (4, 2, 1)
     assert subscription.refusal is not None
-    assert subscription.refusal.startswith("/joint: refused: 6 bytes that are no sensor_msgs/msg/JointState")
+    assert subscription.refusal.startswith(
+        "/joint: refused: 6 bytes that are no sensor_msgs/msg/JointState"
+    )
     transport.put("/joint", messages.joint(START + 2, "", "fin", 1.0, 2.0), 6.0)
     assert len(subscription.take()) == 1
     assert subscription.refusal is None
@@ -142,7 +152,9 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
 
 def test_damaged_messages_are_told_or_refused_and_nothing_else():
     cases = 100_000 if os.environ.get("SOFTFIN_LONG") == "1" else 2_000
-    generator, messages, transport = np.random.default_rng(7), Messages(), MemoryTransport()
+    generator = np.random.default_rng(7)
+    messages = Messages()
+    transport = MemoryTransport()
     vector = messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
     kinds = {
         JOINT: lambda message: joint_of(message, "fin"),
@@ -156,13 +168,19 @@ def test_damaged_messages_are_told_or_refused_and_nothing_else():
         VECTOR: messages.make(VECTOR, messages.header(START, "fin_mount"), vector),
         BOOL: messages.make(BOOL, True),
     }
-    subscriptions = [Subscription(transport, f"/{kind}", kind, value) for kind, value in kinds.items()]
+    subscriptions = [
+        Subscription(transport, f"/{kind}", kind, value) for kind, value in kinds.items()
+    ]
     for case in range(cases):
         subscription = subscriptions[case % len(subscriptions)]
         data = bytearray(messages.encode(whole[subscription.kind]))
         for _ in range(generator.integers(1, 6)):
-            data[generator.integers(len(data))] = generator.choice([0, 1, 127, 128, 255, generator.integers(256)])
-        transport.put(subscription.topic, bytes(data[: generator.integers(len(data) + 1)]), 1.0 + case)
+            data[generator.integers(len(data))] = generator.choice(
+                [0, 1, 127, 128, 255, generator.integers(256)]
+            )
+        transport.put(
+            subscription.topic, bytes(data[: generator.integers(len(data) + 1)]), 1.0 + case
+        )
         for told in subscription.take():
             assert np.isfinite([number for number in told[1] if number is not None]).all()
             assert told[0] <= 1.0 + case

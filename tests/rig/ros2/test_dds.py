@@ -51,7 +51,12 @@ def as_idl(value, kind):
         element = kind.__metadata__[0].subtype
         return [as_idl(item, element) for item in value]
     if hasattr(value, "__msgtype__"):
-        return kind(**{name: as_idl(getattr(value, name), inner) for name, inner in kind.__annotations__.items()})
+        return kind(
+            **{
+                name: as_idl(getattr(value, name), inner)
+                for name, inner in kind.__annotations__.items()
+            }
+        )
     return value
 
 
@@ -61,16 +66,28 @@ def messages_of(messages):
     part = messages.make("own/msg/Part", "höhe", 1.5)
     full = messages.blank("own/msg/Every")
     full.header = messages.header(1_700_000_000_123_456_789, "a frame")
-    full.on, full.a, full.b, full.c, full.bounded, full.d, full.e = True, -7, 1e-300, 65535, "nine", 127, 255
-    full.three, full.raw = np.array([1, 2, 3], np.float32), np.array([1, 2, 3], np.uint8)
-    full.names, full.parts, full.pair = ["", "b", "ccc"], [part, part, part], [part, part]
-    full.few, full.last = np.array([0.5]), -(2**62)
+    full.on = True
+    full.a = -7
+    full.b = 1e-300
+    full.c = 65535
+    full.bounded = "nine"
+    full.d = 127
+    full.e = 255
+    full.three = np.array([1, 2, 3], np.float32)
+    full.raw = np.array([1, 2, 3], np.uint8)
+    full.names = ["", "b", "ccc"]
+    full.parts = [part, part, part]
+    full.pair = [part, part]
+    full.few = np.array([0.5])
+    full.last = -(2**62)
     yield full
     for frame in ("", "a", "ab", "abc", "abcd", "abcdefgh"):
         yield messages.joint(1, frame, frame, 1.0, -2.0)
         yield messages.wrench(2, frame, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
         yield messages.make(
-            VECTOR, messages.header(3, frame), messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
+            VECTOR,
+            messages.header(3, frame),
+            messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0),
         )
     yield messages.blank(JOINT)
     yield messages.make(BOOL, True)
@@ -107,13 +124,18 @@ def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(t
     assert sorted(moved) == moved
     # The driver braked on the stop topic, on its way to -1.
     assert -0.9 < stopped[-1] < 0.5
-    assert all(force == pytest.approx(-0.5 * velocity, abs=1.01) for force, velocity in told["forces"])
+    assert all(
+        force == pytest.approx(-0.5 * velocity, abs=1.01) for force, velocity in told["forces"]
+    )
     assert not any(told["complaints"])
     assert told["counters"]["joint_refused"] == told["counters"]["wrench_refused"] == 0
     assert told["counters"]["joint_received"] > 100
     assert told["there"] == {"/joint": JOINT, "/wrench": WRENCH}
     assert "/elsewhere: no geometry_msgs/msg/WrenchStamped in 1 s; there is" in told["silent"]
-    assert "/joint (sensor_msgs/msg/JointState), /wrench (geometry_msgs/msg/WrenchStamped)" in told["silent"]
+    assert (
+        "/joint (sensor_msgs/msg/JointState), /wrench (geometry_msgs/msg/WrenchStamped)"
+        in told["silent"]
+    )
 
 
 def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
@@ -123,7 +145,10 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
     assert told["unsent"] == 0
     assert told["listening"] == 1
     messages = Messages()
-    seen = {name: bytes.fromhex(data) for name, data in json.loads((tmp_path / "seen.json").read_text()).items()}
+    seen = {
+        name: bytes.fromhex(data)
+        for name, data in json.loads((tmp_path / "seen.json").read_text()).items()
+    }
     joint = messages.decode(seen["joint_states"], JOINT)
     assert joint_of(joint, "fin") == (0.25, -0.5)
     wrench = messages.decode(seen["wrench"], WRENCH)
@@ -156,7 +181,9 @@ def test_a_driver_stops_by_itself_where_softfin_is_killed(tmp_path):
 
 def run(code):
     """In a process of its own: Cyclone DDS reads its environment once."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 
@@ -211,13 +238,16 @@ print(opened().notes, opened(network="eth7").notes)
 os.environ["CYCLONEDDS_URI"] = "file:///no/such"
 """
     assert run(code) == (
-        "('DDS is set up by CYCLONEDDS_URI',) ('DDS is set up by CYCLONEDDS_URI: --network eth7 does not count',)"
+        "('DDS is set up by CYCLONEDDS_URI',) ('DDS is set up by CYCLONEDDS_URI: --network eth7 "
+        "does not count',)"
     )
 
 
 def test_a_closed_way_is_told_and_nothing_hangs():
-    told = run(f'{OPEN}\nway = opened()\nway.close()\ntry:\n    way.publish("/x", "std_msgs/msg/Bool")\n'
-               "except SoftfinError as error:\n    print(type(error).__name__, error)")  # fmt: skip
+    told = run(
+        f'{OPEN}\nway = opened()\nway.close()\ntry:\n    way.publish("/x", "std_msgs/msg/Bool")\n'
+        "except SoftfinError as error:\n    print(type(error).__name__, error)"
+    )
     assert told == f"{DeviceError.__name__} the way to ROS 2 is closed; open it again"
 
 
@@ -232,7 +262,9 @@ def test_a_domain_that_is_none_is_told(monkeypatch, text):
 
 def test_rclpy_is_asked_for_only_where_it_is(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    with pytest.raises(RigError, match="rclpy is not installed in this Python; source ROS 2's setup file"):
+    with pytest.raises(
+        RigError, match="rclpy is not installed in this Python; source ROS 2's setup file"
+    ):
         open_transport(TransportConfig(transport="rclpy"))
 
 

@@ -1,4 +1,5 @@
-"""Drivers that fail, behind topics in memory, in simulated time: the fin must stop in time, or be told to turn on."""
+"""Drivers that fail, behind topics in memory, in simulated time: the fin must stop in time, or be
+told to turn on."""
 
 import itertools
 
@@ -16,7 +17,9 @@ from tests.rig.conformance import check_machine
 from tests.rig.ros2.test_plant import CONFIG
 from tests.rig.ros2_memory import MemoryTransport, TopicDriver
 
-NEVER_CONFIRMED = "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+NEVER_CONFIRMED = (
+    "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+)
 STILL_TURNS = "the fin still turns; switch off its supply"
 
 
@@ -27,14 +30,19 @@ class Tail:
         self.clock = SimulatedClock()
         self.transport = MemoryTransport(self.clock)
         self.driver = TopicDriver(self.clock, self.transport, **driver)
-        config = Ros2PlantConfig.build(CONFIG | {"frame": "x,y", "wait_s": 1.0, "stop_topic": stop_topic})
+        config = Ros2PlantConfig.build(
+            CONFIG | {"frame": "x,y", "wait_s": 1.0, "stop_topic": stop_topic}
+        )
         self.machine = Ros2Machine(config, self.clock, lambda config, types: self.transport)
         self.request = StopRequest()
-        self.session = Session(self.machine, Guard(SafetyConfig(), self.machine.limits), stop=self.request)
+        self.session = Session(
+            self.machine, Guard(SafetyConfig(), self.machine.limits), stop=self.request
+        )
         self.failed_at = None
 
     def swim(self, fail, ticks=400):
-        """Stroke between -1.4 and 1.4 rad at 3 rad/s; after 1 s something fails. Returns the reason of the stop."""
+        """Stroke between -1.4 and 1.4 rad at 3 rad/s; after 1 s something fails. Returns the reason
+        of the stop."""
         with pytest.raises(SafetyStop) as stop:
             self._swim(fail, ticks)
         return str(stop.value)
@@ -54,7 +62,10 @@ class Tail:
 
     def noticed_after(self):
         """Time from the failure to the first `true` on the stop topic [s]."""
-        return next(at for at in self.transport.sent_at["/stop"] if at >= self.failed_at) - self.failed_at
+        return (
+            next(at for at in self.transport.sent_at["/stop"] if at >= self.failed_at)
+            - self.failed_at
+        )
 
 
 def test_a_machine_of_topics_meets_the_contract():
@@ -75,7 +86,8 @@ def test_a_driver_that_takes_commands_no_more_is_stopped_by_its_stop_topic():
     tail = Tail()
     reason = tail.swim(lambda: setattr(tail.driver, "takes_commands", False))
     assert "behind its profile" in reason
-    # A stroke of 1 rad passes until the set-point has left the fin by 0.2 rad and the 0.15 s of the driver's delay.
+    # A stroke of 1 rad passes until the set-point has left the fin by 0.2 rad and the 0.15 s of the
+    # driver's delay.
     assert tail.noticed_after() < 0.33 + 0.15 + 0.2 / 3 + 0.1 + 0.02
     assert reason.endswith(f"BUT {NEVER_CONFIRMED}")
 
@@ -99,7 +111,9 @@ def test_commands_that_nobody_reads_any_more_are_noticed_at_the_next_tick():
     tail = Tail()
     reason = tail.swim(lambda: tail.transport.readers.update({"/command": 0}))
     assert tail.noticed_after() < 0.03
-    assert reason.startswith("stopped: nobody reads /command any more: commands go nowhere; start the driver again")
+    assert reason.startswith(
+        "stopped: nobody reads /command any more: commands go nowhere; start the driver again"
+    )
 
 
 def test_a_driver_that_ignores_the_stop_topic_holds_though_somebody_else_reads_it():
@@ -116,7 +130,8 @@ def test_a_driver_that_hears_nothing_any_more_is_said_to_turn_on():
 
     def go_deaf():
         tail.driver.takes_commands = tail.driver.takes_stops = False
-        tail.driver.target, tail.driver.speed = 1e6, 1.0
+        tail.driver.target = 1e6
+        tail.driver.speed = 1.0
         tail.request.ask("emergency_stop", "a person")
 
     reason = tail.swim(go_deaf)
@@ -167,7 +182,9 @@ def test_a_stop_is_bounded_in_time_whatever_hangs():
         if hanging != "all":
             assert abs(tail.driver.velocity) < 1e-6
         is_seen = hanging in ("commands", "stops")
-        assert ("whether the motor" if is_seen else "no new /joint show") in machine.stop_unconfirmed
+        assert (
+            "whether the motor" if is_seen else "no new /joint show"
+        ) in machine.stop_unconfirmed
 
 
 def test_a_computer_that_cannot_start_a_thread_sends_the_stop_all_the_same():

@@ -7,8 +7,10 @@ from softfin.rig.ros2.connection import Publisher
 from softfin.rig.ros2.plant import Commands, define_types, encode_flipper
 
 DEFINITIONS = {
-    "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring name\nbool on\n",
-    "own/msg/Flippers": "std_msgs/Header header\nFlipper[] flippers\nFlipper[2] two\nfloat64[] angles\nfloat64[2] pair",
+    "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring "
+    "name\nbool on\n",
+    "own/msg/Flippers": "std_msgs/Header header\nFlipper[] flippers\nFlipper[2] two\nfloat64[] "
+    "angles\nfloat64[2] pair",
 }
 
 
@@ -31,16 +33,33 @@ def test_fields_are_found_by_their_path_and_sequences_grow():
 def test_numbers_in_sequences_and_arrays_are_fields_too():
     message = encoded(zero_direction="angles.1", amplitude="pair.0")
     assert message.angles.tolist() == [0.0, 0.5]
-    assert encoded(zero_direction="two.1.zero_direction", amplitude="two.1.amplitude").two[1].zero_direction == 0.5
+    assert (
+        encoded(zero_direction="two.1.zero_direction", amplitude="two.1.amplitude")
+        .two[1]
+        .zero_direction
+        == 0.5
+    )
 
 
 @pytest.mark.parametrize(
     "way",
-    ["flippers.0.zero", "pair.2", "flippers.x.amplitude", "flippers.0", "angles", "flippers.0.name",
-     "flippers.0.name.1", "__class__", "flippers.-1.amplitude", ""],
-)  # fmt: skip
+    [
+        "flippers.0.zero",
+        "pair.2",
+        "flippers.x.amplitude",
+        "flippers.0",
+        "angles",
+        "flippers.0.name",
+        "flippers.0.name.1",
+        "__class__",
+        "flippers.-1.amplitude",
+        "",
+    ],
+)
 def test_a_field_that_is_not_there_is_told_before_anything_is_sent(way):
-    with pytest.raises(RigError, match=r"flipper: no own/msg/Flippers can be made .*, as flippers\.2\.amplitude"):
+    with pytest.raises(
+        RigError, match=r"flipper: no own/msg/Flippers can be made .*, as flippers\.2\.amplitude"
+    ):
         encoded(zero_direction=way, amplitude="pair.0")
 
 
@@ -56,7 +75,9 @@ def test_a_type_that_is_none_is_a_wrong_configuration():
 
 @pytest.mark.parametrize("text", ["float64", "= 3"])
 def test_a_definition_that_is_none_is_told_in_one_line(text):
-    with pytest.raises(RigError, match=r"message own/msg/Bad: its definition cannot be used .*\.msg") as error:
+    with pytest.raises(
+        RigError, match=r"message own/msg/Bad: its definition cannot be used .*\.msg"
+    ) as error:
         define_types({"own/msg/Bad": text})
     assert "\n" not in str(error.value)
 
@@ -64,7 +85,9 @@ def test_a_definition_that_is_none_is_told_in_one_line(text):
 @pytest.mark.parametrize("field", ["Part[] missing", "Part missing", "float65 a", "wstring wide"])
 def test_a_field_of_an_unknown_type_is_told_before_anything_is_sent(field):
     definitions = {"own/msg/Bad": f"{field}\nfloat64 zero_direction\nfloat64 amplitude\n"}
-    with pytest.raises(RigError, match=r"no own/msg/Bad can be made .*\.msg text of each type") as error:
+    with pytest.raises(
+        RigError, match=r"no own/msg/Bad can be made .*\.msg text of each type"
+    ) as error:
         encoded(type="own/msg/Bad", definitions=definitions)
     assert "\n" not in str(error.value)
 

@@ -20,10 +20,14 @@ class Node:
         self.now = 10.0
         self.transport = MemoryTransport(lambda: self.now)
         self.told = []
-        self.node = RosNode(self.transport, NodeConfig.build(changes), self.told.append, clock=lambda: self.now)
+        self.node = RosNode(
+            self.transport, NodeConfig.build(changes), self.told.append, clock=lambda: self.now
+        )
 
     def ask(self, x, y, frame="", topic="/fin/reference"):
-        self.transport.put(topic, self.transport.messages.wrench(7, frame, (x, y, 0.0, 0.0, 0.0, 0.0)))
+        self.transport.put(
+            topic, self.transport.messages.wrench(7, frame, (x, y, 0.0, 0.0, 0.0, 0.0))
+        )
 
     def stop(self, asked=True, offered="reliable"):
         messages = self.transport.messages
@@ -35,12 +39,24 @@ def test_every_sample_goes_out_and_a_command_where_it_is_new():
     for target in (None, Target(1.0, 2.0), Target(1.0, 2.0), Target(0.0, 2.0)):
         node.node.publish(SAMPLE, target)
     sent = node.transport.sent
-    assert [len(sent[f"/fin/{name}"]) for name in ("joint_states", "wrench", "command")] == [4, 4, 2]
-    joint, wrench, command = sent["/fin/joint_states"][0], sent["/fin/wrench"][0], sent["/fin/command"][0]
+    assert [len(sent[f"/fin/{name}"]) for name in ("joint_states", "wrench", "command")] == [
+        4,
+        4,
+        2,
+    ]
+    joint = sent["/fin/joint_states"][0]
+    wrench = sent["/fin/wrench"][0]
+    command = sent["/fin/command"][0]
     assert (joint.name, joint.position[0], joint.velocity[0]) == (["tail"], 0.5, 1.5)
-    assert (wrench.wrench.force.x, wrench.wrench.torque.z, wrench.header.frame_id) == (1.0, 6.0, "mount")
+    assert (wrench.wrench.force.x, wrench.wrench.torque.z, wrench.header.frame_id) == (
+        1.0,
+        6.0,
+        "mount",
+    )
     assert (command.position[0], command.velocity[0]) == (1.0, 2.0)
-    stamps = [message.header.stamp.sec + message.header.stamp.nanosec / 1e9 for message in (joint, wrench)]
+    stamps = [
+        message.header.stamp.sec + message.header.stamp.nanosec / 1e9 for message in (joint, wrench)
+    ]
     assert stamps[0] - stamps[1] == pytest.approx(0.02, abs=1e-3)
 
 
@@ -56,14 +72,17 @@ def test_the_newest_reference_counts_and_an_old_one_does_not():
     node.now = 10.6
     assert node.node.reference() is None
     assert node.node.reference() is None
-    assert node.told == ["/fin/reference: no reference for 0.5 s: the last one does not count any more"]
+    assert node.told == [
+        "/fin/reference: no reference for 0.5 s: the last one does not count any more"
+    ]
     node.ask(3.0, 0.0)
     assert node.node.reference() == (3.0, 0.0)
 
 
 @pytest.mark.parametrize("lost", ["keep", "zero", "stop"])
 def test_references_that_end_are_followed_by_what_is_configured(lost):
-    node, request = Node(reference_timeout_s=0.5, reference_lost=lost), StopRequest()
+    node = Node(reference_timeout_s=0.5, reference_lost=lost)
+    request = StopRequest()
     node.node.observe(request, SAMPLE, None)
     node.now += 100.0
     node.node.observe(request, SAMPLE, None)
@@ -83,7 +102,8 @@ def test_references_that_end_are_followed_by_what_is_configured(lost):
 
 
 def test_references_that_are_all_refused_are_lost_too():
-    node, request = Node(reference_timeout_s=0.5, reference_lost="stop"), StopRequest()
+    node = Node(reference_timeout_s=0.5, reference_lost="stop")
+    request = StopRequest()
     node.ask(1.0, 1.0)
     for _ in range(10):
         node.node.observe(request, SAMPLE, None)
@@ -102,20 +122,25 @@ def test_no_force_that_the_controller_cannot_make_is_refused_at_once():
 
 
 def test_a_loss_without_an_age_is_refused():
-    with pytest.raises(ConfigurationError, match="reference_lost = stop: needs an age; set reference_timeout_s"):
+    with pytest.raises(
+        ConfigurationError, match="reference_lost = stop: needs an age; set reference_timeout_s"
+    ):
         NodeConfig.build({"reference_lost": "stop", "reference_timeout_s": None})
 
 
 def test_one_fin_of_a_robot_has_topics_under_its_name_and_stops_without_its_robot():
     config = NodeConfig.of_fin("ucat/front_left")
     assert {value for name, value in config if name.endswith("_topic")} == {
-        f"/ucat/front_left/{name}" for name in ("joint_states", "wrench", "command", "reference", "stop")
+        f"/ucat/front_left/{name}"
+        for name in ("joint_states", "wrench", "command", "reference", "stop")
     }
     assert config.connection.node == "ucat_front_left"
     assert config.reference_lost == "stop"
 
 
-@pytest.mark.parametrize("name", ["left fin", "/left", "left/", "1", "", "a//b", "schw\u00e4nzchen"])
+@pytest.mark.parametrize(
+    "name", ["left fin", "/left", "left/", "1", "", "a//b", "schw\u00e4nzchen"]
+)
 def test_a_fin_whose_name_cannot_be_in_a_topic_is_refused(name):
     with pytest.raises(ConfigurationError, match="cannot be in the name of a topic; use letters"):
         NodeConfig.of_fin(name)
@@ -202,8 +227,15 @@ def test_a_stop_that_cannot_be_read_counts_once_however_many_readers_it_comes_to
 @pytest.mark.parametrize(
     ("topic", "told"),
     [
-        ("/fin/stop", "/fin/stop: a publisher there cannot be heard, so it cannot stop the fin; give it ROS 2's"),
-        ("/fin/reference", "/fin/reference: a publisher there is not heard; it must be reliable, not best effort"),
+        (
+            "/fin/stop",
+            "/fin/stop: a publisher there cannot be heard, so it cannot stop the fin; give it ROS "
+            "2's",
+        ),
+        (
+            "/fin/reference",
+            "/fin/reference: a publisher there is not heard; it must be reliable, not best effort",
+        ),
     ],
 )
 def test_a_publisher_that_is_not_heard_is_told_once(topic, told):
@@ -218,7 +250,8 @@ def test_a_publisher_that_is_not_heard_is_told_once(topic, told):
 
 
 def test_a_session_hears_of_the_stop_through_its_observer():
-    node, request = Node(), StopRequest()
+    node = Node()
+    request = StopRequest()
     observe = functools.partial(node.node.observe, request)
     observe(SAMPLE, None)
     assert request.trip is None

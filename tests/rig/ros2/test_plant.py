@@ -15,25 +15,39 @@ from tests.rig.ros2_memory import MemoryTransport, Messages
 START = 1_700_000_000 * 10**9
 
 CONFIG = {
-    "joint_topic": "/joint", "joint_name": "fin", "wrench_topic": "/wrench", "frame": "y,-x",
-    "command_topic": "/command", "wait_s": 0.05,
-    "limits": {"angle_min_rad": -1.5, "angle_max_rad": 1.5, "velocity_min_rad_s": 1.0, "velocity_max_rad_s": 3.0},
-}  # fmt: skip
+    "joint_topic": "/joint",
+    "joint_name": "fin",
+    "wrench_topic": "/wrench",
+    "frame": "y,-x",
+    "command_topic": "/command",
+    "wait_s": 0.05,
+    "limits": {
+        "angle_min_rad": -1.5,
+        "angle_max_rad": 1.5,
+        "velocity_min_rad_s": 1.0,
+        "velocity_max_rad_s": 3.0,
+    },
+}
 
 FLIPPER = {
     "type": "own/msg/Flipper",
-    "definitions": {"own/msg/Flipper": "std_msgs/Header header\nfloat32 amplitude\nfloat32 zero_direction\n"},
+    "definitions": {
+        "own/msg/Flipper": "std_msgs/Header header\nfloat32 amplitude\nfloat32 zero_direction\n"
+    },
 }
 
 
 class Rig:
-    """A machine on a transport in memory, in simulated time; its driver publishes where the test says so."""
+    """A machine on a transport in memory, in simulated time; its driver publishes where the test
+    says so."""
 
     def __init__(self, **changes):
         self.clock = SimulatedClock()
         self.transport = MemoryTransport(self.clock)
         self.machine = Ros2Machine(
-            Ros2PlantConfig.build(CONFIG | changes), self.clock, lambda config, types: self._with(types)
+            Ros2PlantConfig.build(CONFIG | changes),
+            self.clock,
+            lambda config, types: self._with(types),
         )
         self.stamp = START
         self.say()
@@ -83,9 +97,13 @@ def test_a_sample_is_the_newest_of_both_topics_in_softfins_axes(rig):
     rig.clock.sleep(1.0)
     assert rig.machine.read().time == said_at, "what is old says so"
     assert rig.machine.counters() == {
-        "joint_received": 2, "joint_refused": 0, "joint_not_newer": 0,
-        "wrench_received": 2, "wrench_refused": 0, "wrench_not_newer": 0,
-    }  # fmt: skip
+        "joint_received": 2,
+        "joint_refused": 0,
+        "joint_not_newer": 0,
+        "wrench_received": 2,
+        "wrench_refused": 0,
+        "wrench_not_newer": 0,
+    }
 
 
 @pytest.mark.parametrize(("best_effort", "quality"), [(True, "best_effort"), (False, "reliable")])
@@ -106,7 +124,9 @@ def test_readings_are_asked_for_with_the_configured_quality(best_effort, quality
         ("rclpy", True, "rclpy"),
     ],
 )
-def test_the_transport_is_rclpy_if_it_is_installed_and_not_unwanted(monkeypatch, transport, is_installed, opened):
+def test_the_transport_is_rclpy_if_it_is_installed_and_not_unwanted(
+    monkeypatch, transport, is_installed, opened
+):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if is_installed else None)
     made = {name: MemoryTransport(SimulatedClock()) for name in ("dds", "rclpy")}
     dds = types.SimpleNamespace(DdsTransport=lambda *_: made["dds"])
@@ -198,7 +218,9 @@ def test_a_stop_holds_and_goes_to_the_stop_topic_whoever_reads_that():
         rig.machine.enable()
         rig.machine.stop()
         assert rig.stops()[-2:] == [False, True]
-        assert rig.commands()[-1] == (0.25, 1.0), "its reader may be a recorder, and the driver hears commands alone"
+        assert rig.commands()[-1] == (0.25, 1.0), (
+            "its reader may be a recorder, and the driver hears commands alone"
+        )
 
 
 def test_a_machine_that_has_not_moved_its_fin_asks_for_a_stop_and_holds_nothing():
@@ -222,7 +244,8 @@ def test_a_stop_never_raises(rig):
 def test_a_stop_in_the_middle_of_a_command_has_the_last_word(rig):
     rig.machine.enable()
     publisher = rig.machine._topics.commands.publisher
-    send, rig.sends = publisher.send, 0
+    send = publisher.send
+    rig.sends = 0
 
     def interrupted(data):
         rig.sends += 1
@@ -258,7 +281,8 @@ def test_a_command_that_hangs_does_not_keep_a_stop_from_another_thread():
     rig = Rig(stop_topic="/stop")
     rig.machine.open()
     rig.machine.enable()
-    publisher, goes_on = rig.machine._topics.commands.publisher, rig.clock.event()
+    publisher = rig.machine._topics.commands.publisher
+    goes_on = rig.clock.event()
     send = publisher.send
 
     def hang(data):
@@ -291,8 +315,11 @@ def test_a_reading_that_is_no_number_is_a_complaint(rig):
 def test_a_silent_topic_is_told_with_those_that_are_there():
     rig = Rig()
     del rig.transport.waiting["/wrench"]
-    with pytest.raises(DeviceError, match=r"/wrench: no geometry_msgs/msg/WrenchStamped in 0.05 s; there is "
-                       r"/somebody \(std_msgs/msg/Bool\); start its driver"):  # fmt: skip
+    with pytest.raises(
+        DeviceError,
+        match=r"/wrench: no geometry_msgs/msg/WrenchStamped in 0.05 s; there is "
+        r"/somebody \(std_msgs/msg/Bool\); start its driver",
+    ):
         rig.machine.open()
     assert rig.transport.closed
 
@@ -308,9 +335,18 @@ def test_another_joint_is_told_at_once_by_its_name():
     [
         ({"frame": "z,x"}, "frame = 'z,x'"),
         ({"joint_topic": "joint"}, "joint_topic = 'joint'"),
-        ({"limits": CONFIG["limits"] | {"angle_min_rad": 2.0}}, "limits: angle_min_rad is 2, angle_max_rad is 1.5"),
-        ({"limits": CONFIG["limits"] | {"angle_min_rad": 0.2}}, "angle 0, at which a fin rests, must be within them"),
-        ({"limits": CONFIG["limits"] | {"velocity_max_rad_s": 9000.0}}, "velocity_max_rad_s is 9000; "),
+        (
+            {"limits": CONFIG["limits"] | {"angle_min_rad": 2.0}},
+            "limits: angle_min_rad is 2, angle_max_rad is 1.5",
+        ),
+        (
+            {"limits": CONFIG["limits"] | {"angle_min_rad": 0.2}},
+            "angle 0, at which a fin rests, must be within them",
+        ),
+        (
+            {"limits": CONFIG["limits"] | {"velocity_max_rad_s": 9000.0}},
+            "velocity_max_rad_s is 9000; ",
+        ),
         ({"joint": "/joint"}, "unknown key 'joint'; did you mean 'joint_name'"),
     ],
 )
@@ -319,7 +355,9 @@ def test_a_configuration_that_cannot_be_is_told_in_one_line(change, words):
         Ros2PlantConfig.build(CONFIG | change)
 
 
-@pytest.mark.parametrize("name", ["joint_topic", "joint_name", "wrench_topic", "frame", "command_topic", "limits"])
+@pytest.mark.parametrize(
+    "name", ["joint_topic", "joint_name", "wrench_topic", "frame", "command_topic", "limits"]
+)
 def test_what_must_not_be_guessed_has_no_default(name):
     with pytest.raises(ConfigurationError, match=f"{name}.*required"):
         Ros2PlantConfig.build({key: value for key, value in CONFIG.items() if key != name})
@@ -359,5 +397,8 @@ def test_a_flipper_that_was_stopped_by_its_topic_starts_again_from_where_it_is()
 
 
 def test_a_flipper_that_has_no_such_message_is_told_on_opening():
-    with pytest.raises(RigError, match=r"flipper: no own/msg/Flipper can be made .*; give the .msg text of each type"):
+    with pytest.raises(
+        RigError,
+        match=r"flipper: no own/msg/Flipper can be made .*; give the .msg text of each type",
+    ):
         Rig(flipper={"type": "own/msg/Flipper"}).machine.open()

@@ -24,19 +24,28 @@ class Rclpy:
         self.calls = []
         self.subscriptions = {}
         self.published = []
-        self.spinning, self.ended = threading.Event(), threading.Event()
+        self.spinning = threading.Event()
+        self.ended = threading.Event()
         self.fails = None
-        names = {"rclpy": self._top(), "rclpy.executors": types.SimpleNamespace(SingleThreadedExecutor=self.executor),
-                 "rclpy.signals": types.SimpleNamespace(SignalHandlerOptions=types.SimpleNamespace(NO="no handlers")),
-                 "rclpy.qos": types.SimpleNamespace(
-                     QoSProfile=lambda **policies: policies,
-                     ReliabilityPolicy=types.SimpleNamespace(RELIABLE="reliable", BEST_EFFORT="best effort"),
-                     DurabilityPolicy=types.SimpleNamespace(TRANSIENT_LOCAL="transient local"),
-                     LivelinessPolicy=types.SimpleNamespace(MANUAL_BY_TOPIC="manual by topic")),
-                 "rclpy.duration": types.SimpleNamespace(Duration=lambda seconds: f"{seconds} s"),
-                 "sensor_msgs.msg": types.SimpleNamespace(JointState="JointState"),
-                 "geometry_msgs.msg": types.SimpleNamespace(WrenchStamped="WrenchStamped"),
-                 "std_msgs.msg": types.SimpleNamespace(Bool="Bool")}  # fmt: skip
+        names = {
+            "rclpy": self._top(),
+            "rclpy.executors": types.SimpleNamespace(SingleThreadedExecutor=self.executor),
+            "rclpy.signals": types.SimpleNamespace(
+                SignalHandlerOptions=types.SimpleNamespace(NO="no handlers")
+            ),
+            "rclpy.qos": types.SimpleNamespace(
+                QoSProfile=lambda **policies: policies,
+                ReliabilityPolicy=types.SimpleNamespace(
+                    RELIABLE="reliable", BEST_EFFORT="best effort"
+                ),
+                DurabilityPolicy=types.SimpleNamespace(TRANSIENT_LOCAL="transient local"),
+                LivelinessPolicy=types.SimpleNamespace(MANUAL_BY_TOPIC="manual by topic"),
+            ),
+            "rclpy.duration": types.SimpleNamespace(Duration=lambda seconds: f"{seconds} s"),
+            "sensor_msgs.msg": types.SimpleNamespace(JointState="JointState"),
+            "geometry_msgs.msg": types.SimpleNamespace(WrenchStamped="WrenchStamped"),
+            "std_msgs.msg": types.SimpleNamespace(Bool="Bool"),
+        }
         for name, fields in names.items():
             module = types.ModuleType(name)
             module.__dict__.update(fields.__dict__)
@@ -62,7 +71,9 @@ class Rclpy:
 
     def executor(self, *, context):
         self.calls.append(("executor", context))
-        return types.SimpleNamespace(add_node=lambda node: None, spin=self.spin, shutdown=self.shutdown)
+        return types.SimpleNamespace(
+            add_node=lambda node: None, spin=self.spin, shutdown=self.shutdown
+        )
 
     def spin(self):
         self.spinning.set()
@@ -126,8 +137,18 @@ def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
     assert rclpy.published == [("/ours", b"one")]
     assert publisher.readers() == 3
     take = transport.subscribe("/stop", BOOL, "best_effort").take
-    assert ("create_publisher", "JointState", "/ours", {"depth": 10, "reliability": "reliable"}) in rclpy.calls
-    assert ("create_subscription", "Bool", "/stop", {"depth": 10, "reliability": "best effort"}) in rclpy.calls
+    assert (
+        "create_publisher",
+        "JointState",
+        "/ours",
+        {"depth": 10, "reliability": "reliable"},
+    ) in rclpy.calls
+    assert (
+        "create_subscription",
+        "Bool",
+        "/stop",
+        {"depth": 10, "reliability": "best effort"},
+    ) in rclpy.calls
     before = time.monotonic()
     for index in range(12):
         rclpy.subscriptions["/stop"](bytes([index]))
@@ -139,8 +160,13 @@ def test_messages_go_out_and_come_in_as_bytes(rclpy, transport):
 
 def test_a_command_topic_offers_its_deadline_and_that_only_messages_keep_it_alive(rclpy, transport):
     transport.publish("/command", JOINT, deadline_s=0.2)
-    offered = {"depth": 10, "reliability": "reliable", "deadline": "0.2 s", "liveliness": "manual by topic",
-               "liveliness_lease_duration": "0.2 s"}  # fmt: skip
+    offered = {
+        "depth": 10,
+        "reliability": "reliable",
+        "deadline": "0.2 s",
+        "liveliness": "manual by topic",
+        "liveliness_lease_duration": "0.2 s",
+    }
     assert ("create_publisher", "JointState", "/command", offered) in rclpy.calls
 
 
@@ -184,12 +210,16 @@ def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
 
 def test_an_installation_that_does_not_start_is_told_in_one_line(rclpy):
     rclpy.fails = "failed to load\nlibrmw"
-    with pytest.raises(RigError, match=r"rclpy cannot be used \(failed to load librmw\); use transport: dds"):
+    with pytest.raises(
+        RigError, match=r"rclpy cannot be used \(failed to load librmw\); use transport: dds"
+    ):
         open_transport(TransportConfig())
 
 
 def test_a_message_package_that_is_not_there_is_told(transport):
-    with pytest.raises(RigError, match="ROS 2 has no own/msg/Flipper here; build and source its package"):
+    with pytest.raises(
+        RigError, match="ROS 2 has no own/msg/Flipper here; build and source its package"
+    ):
         transport.publish("/x", "own/msg/Flipper")
     with pytest.raises(RigError, match="ROS 2 has no std_msgs/msg/Empty here"):
         transport.subscribe("/x", "std_msgs/msg/Empty")

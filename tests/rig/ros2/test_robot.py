@@ -1,4 +1,5 @@
-"""The robot's node between a wrench and four fins, on a clock of its own; and over DDS with another process."""
+"""The robot's node between a wrench and four fins, on a clock of its own; and over DDS with another
+process."""
 
 import subprocess
 import sys
@@ -26,7 +27,8 @@ class SteppedClock(Clock):
     """Time passes where somebody sleeps, and the others act."""
 
     def __init__(self):
-        self.now, self.others = 100.0, lambda: None
+        self.now = 100.0
+        self.others = lambda: None
 
     def __call__(self):
         return self.now
@@ -40,18 +42,28 @@ class SteppedClock(Clock):
 
 
 class Pool:
-    """U-CAT's node, the nodes of its fins, and somebody who asks for a wrench ten times a second."""
+    """U-CAT's node, the nodes of its fins, and somebody who asks for a wrench ten times a
+    second."""
 
     def __init__(self, silent_fin="stop", brace_n=1.5, **changes):
-        self.robot = load_robot("ucat").merged({"silent_fin": silent_fin, "allocation": {"brace_n": brace_n}}, "test")
-        self.clock, self.told, self.request = SteppedClock(), [], StopRequest()
+        self.robot = load_robot("ucat").merged(
+            {"silent_fin": silent_fin, "allocation": {"brace_n": brace_n}}, "test"
+        )
+        self.clock = SteppedClock()
+        self.told = []
+        self.request = StopRequest()
         self.transport = MemoryTransport(self.clock)
-        self.sent, self.messages = self.transport.sent, self.transport.messages
+        self.sent = self.transport.sent
+        self.messages = self.transport.messages
         config = RobotNodeConfig.build({"max_thrust": 4.0, "wait_s": 5.0} | changes)
         self.node = RobotNode(self.transport, self.robot, config, self.told.append, self.clock)
-        self.alive, self.obey, self.wrench, self.frame = set(FINS), True, WRENCH, "base_link"
+        self.alive = set(FINS)
+        self.obey = True
+        self.wrench = WRENCH
+        self.frame = "base_link"
         self.joint = self.messages.encode(self.messages.joint(1, "", "fin", 0.1, 0.2))
-        self.plan, self.asked_at = [], 0.0
+        self.plan = []
+        self.asked_at = 0.0
         self.clock.others = self.step
 
     def at(self, seconds, act):
@@ -62,7 +74,9 @@ class Pool:
         for moment, act in [each for each in self.plan if each[0] <= self.clock.now]:
             self.plan.remove((moment, act))
             act()
-        stopped = {name for name in self.alive if any(stop.data for stop in self.sent[f"/{name}/stop"])}
+        stopped = {
+            name for name in self.alive if any(stop.data for stop in self.sent[f"/{name}/stop"])
+        }
         if self.obey:
             self.alive -= stopped
         for name in self.alive:
@@ -92,11 +106,16 @@ class Pool:
 
     def together(self):
         """Wrench of the fins' references, action by action."""
-        return np.concatenate([self.forces(name) for name in self.robot.fins], axis=1) @ self.robot.matrix().T
+        return (
+            np.concatenate([self.forces(name) for name in self.robot.fins], axis=1)
+            @ self.robot.matrix().T
+        )
 
     def achieved(self):
         parts = [message.wrench for message in self.sent["/robot/wrench"]]
-        return np.array([(p.force.x, p.force.y, p.force.z, p.torque.x, p.torque.y, p.torque.z) for p in parts])
+        return np.array(
+            [(p.force.x, p.force.y, p.force.z, p.torque.x, p.torque.y, p.torque.z) for p in parts]
+        )
 
     def saturated(self):
         return [message.data for message in self.sent["/robot/saturated"]]
@@ -114,14 +133,18 @@ def test_four_references_make_the_wrench_that_is_asked_for():
     assert pool.saturated() == [False] * 12
     assert {message.header.frame_id for message in pool.sent["/robot/wrench"]} == {"base_link"}
     assert {message.header.frame_id for message in pool.sent["/back_left/reference"]} == {""}
-    assert all(np.hypot(*pool.forces(name)[-1]) > 1.4 for name in FINS), "fins that push brace themselves"
+    assert all(np.hypot(*pool.forces(name)[-1]) > 1.4 for name in FINS), (
+        "fins that push brace themselves"
+    )
 
 
 def test_the_node_of_a_fin_takes_its_reference_and_its_stop():
     pool = Pool()
     transport = MemoryTransport(pool.clock)
     config = NodeConfig(
-        reference_topic="/front_left/reference", stop_topic="/front_left/stop", frame="front_left_mount"
+        reference_topic="/front_left/reference",
+        stop_topic="/front_left/stop",
+        frame="front_left_mount",
     )
     fin = RosNode(transport, config, print, clock=pool.clock)
     pool.run()
@@ -157,7 +180,8 @@ def test_wrenches_that_end_stop_every_fin():
     error = pool.run(8.0)
     assert isinstance(error, SafetyStop)
     assert str(error) == (
-        "/robot/reference: no wrench for 0.5 s; every fin was told to stop; start its publisher, then the nodes again"
+        "/robot/reference: no wrench for 0.5 s; every fin was told to stop; start its publisher, "
+        "then the nodes again"
     )
     assert not pool.alive
     assert pool.clock.now < 104
@@ -193,7 +217,8 @@ def test_a_wrench_that_cannot_be_is_refused_in_words_once(wrench, frame, told):
     pool = Pool(reference_timeout_s=60.0)
 
     def ask():
-        pool.wrench, pool.frame = wrench, frame
+        pool.wrench = wrench
+        pool.frame = frame
 
     pool.at(2.0, ask)
     pool.run()
@@ -207,7 +232,8 @@ def test_a_silent_fin_stops_the_robot():
     error = pool.run()
     assert isinstance(error, SafetyStop)
     assert str(error) == (
-        "back_left is silent: nothing on /back_left/joint_states for 0.5 s; every fin was told to stop"
+        "back_left is silent: nothing on /back_left/joint_states for 0.5 s; every fin was told to "
+        "stop"
     )
     assert 101.5 <= pool.clock.now < 103, "the others obeyed"
 
@@ -242,7 +268,8 @@ def test_fins_that_are_not_there_at_the_start_are_told_in_one_line():
     error = pool.run(20.0)
     assert isinstance(error, DeviceError)
     assert str(error).startswith(
-        "after 5 s nobody reads /back_left/reference, nobody publishes /front_left/joint_states; start"
+        "after 5 s nobody reads /back_left/reference, nobody publishes /front_left/joint_states; "
+        "start"
     )
     assert "\n" not in str(error)
     assert not pool.achieved().size
@@ -311,7 +338,10 @@ def test_fins_that_do_not_stop_are_named():
     ("changes", "told"),
     [
         ({"max_thrust": None}, "max_thrust: missing"),
-        ({"max_thrust": {"front_left": 3.0}}, "max_thrust is of front_left; U-CAT has the fins front_right, "),
+        (
+            {"max_thrust": {"front_left": 3.0}},
+            "max_thrust is of front_left; U-CAT has the fins front_right, ",
+        ),
         ({"max_thrust": -1.0}, "max_thrust"),
         ({"stop_topic": "/front_left/stop"}, "/front_left/stop is the name of two topics"),
         ({"fin_prefix": "ucat"}, "fin_prefix"),
@@ -327,7 +357,12 @@ def test_a_fin_whose_name_cannot_be_a_topics_is_refused():
     robot = load_robot("ucat")
     fins = {"left fin": next(iter(robot.fins.values()))}
     with pytest.raises(SoftfinError, match="the fin 'left fin' cannot be in the name of a topic"):
-        RobotNode(MemoryTransport(), robot.model_copy(update={"fins": fins}), RobotNodeConfig(max_thrust=1.0), print)
+        RobotNode(
+            MemoryTransport(),
+            robot.model_copy(update={"fins": fins}),
+            RobotNodeConfig(max_thrust=1.0),
+            print,
+        )
 
 
 def test_the_node_needs_no_jax():
@@ -336,11 +371,14 @@ def test_the_node_needs_no_jax():
         "from softfin.rig.ros2.robot import RobotNode, RobotNodeConfig\n"
         "from softfin.robot.description import load_robot\n"
         "from tests.rig.ros2_memory import MemoryTransport\n"
-        "node = RobotNode(MemoryTransport(), load_robot('ucat'), RobotNodeConfig(max_thrust=4), print)\n"
+        "node = RobotNode(MemoryTransport(), load_robot('ucat'), RobotNodeConfig(max_thrust=4), "
+        "print)\n"
         "node.send_references()\n"
         "assert 'jax' not in sys.modules and 'equinox' not in sys.modules\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -19,10 +19,14 @@ def by_rosbags(kind: str, stamp_ns: int, values, frame: str, joint: str) -> byte
     elif kind == FLOAT:
         message = types[kind](values[0])
     elif kind == JOINT_STATE:
-        message = types[kind](header, [joint], *(np.array([value]) for value in values), np.zeros(0))
+        message = types[kind](
+            header, [joint], *(np.array([value]) for value in values), np.zeros(0)
+        )
     else:
         vector = types["geometry_msgs/msg/Vector3"]
-        message = types[kind](header, types["geometry_msgs/msg/Wrench"](vector(*values[:3]), vector(*values[3:])))
+        message = types[kind](
+            header, types["geometry_msgs/msg/Wrench"](vector(*values[:3]), vector(*values[3:]))
+        )
     return bytes(STORE.serialize_cdr(message, kind))
 
 

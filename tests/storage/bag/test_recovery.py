@@ -47,7 +47,8 @@ def damaged(bag, tmp_path):
 
 def chunks(data: bytes) -> list[tuple[int, int]]:
     """Start and end of each."""
-    found, at = [], 8
+    found = []
+    at = 8
     while at + 9 <= len(data):
         opcode, length = struct.unpack_from("<BQ", data, at)
         if opcode == 6:
@@ -60,7 +61,12 @@ def process(path, *words):
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "tests.data.recording_process", str(path), *map(str, words)]
     return subprocess.Popen(
-        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command,
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -78,7 +84,8 @@ def test_two_readers_open_what_is_recovered_after_a_kill(tmp_path, seed):
     recovery = recover(path, tmp_path / "saved.mcap")
     assert recovery.damages
     assert all(0 < recovery.messages[role] <= rows + 1 for role in (COMMAND, JOINT, WRENCH))
-    first, second = by_rosbags(tmp_path / "saved.mcap"), by_mcap_ros2(tmp_path / "saved.mcap")
+    first = by_rosbags(tmp_path / "saved.mcap")
+    second = by_mcap_ros2(tmp_path / "saved.mcap")
     assert first == second
     assert [row[3] for row in first[JOINT]] == list(range(recovery.messages[JOINT]))
     assert not recover(tmp_path / "saved.mcap", tmp_path / "again.mcap").damages
@@ -130,7 +137,10 @@ def test_of_a_cut_chunk_every_whole_message_is_saved_and_the_original_stays(bag,
     recovery = recover(path, tmp_path / "saved.mcap")
     assert path.read_bytes() == before
     assert 245 <= recovery.messages[COMMAND] < 250
-    assert by_rosbags(tmp_path / "saved.mcap")[JOINT] == by_rosbags(bag)[JOINT][: recovery.messages[JOINT]]
+    assert (
+        by_rosbags(tmp_path / "saved.mcap")[JOINT]
+        == by_rosbags(bag)[JOINT][: recovery.messages[JOINT]]
+    )
     assert 0 < recovery.damages[0].length < 1000
 
 
@@ -147,7 +157,8 @@ def test_zeros_that_a_power_cut_left_are_no_values(bag, damaged, tmp_path):
 
 @pytest.fixture
 def several(tmp_path):
-    """A compressed bag of five chunks, each with messages of its own; the bytes, and the chunks' places."""
+    """A compressed bag of five chunks, each with messages of its own; the bytes, and the chunks'
+    places."""
 
     def make(compression):
         path = tmp_path / "five.mcap"
@@ -217,7 +228,9 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
             recover(tmp_path / name, tmp_path / "saved.mcap")
         assert str(error.value).startswith(str(tmp_path / name))
         assert "\n" not in str(error.value)
-    with pytest.raises(LogError, match=r"cannot be read .Is a directory.; give the path of a \.mcap file"):
+    with pytest.raises(
+        LogError, match=r"cannot be read .Is a directory.; give the path of a \.mcap file"
+    ):
         recover(tmp_path, tmp_path / "saved.mcap")
     assert not (tmp_path / "saved.mcap").exists()
 
@@ -232,11 +245,15 @@ def test_nothing_is_overwritten_unless_it_is_said_and_never_the_original(damaged
     recover(path, out, overwrite=True)
     with pytest.raises(ArtifactError, match="exists already"):
         recover(path, path, overwrite=True)
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["harmed.mcap", "harmed.recovered.mcap"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "harmed.mcap",
+        "harmed.recovered.mcap",
+    ]
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
-    """Bytes changed, cut out, repeated, lengths forged; sometimes with the chunk's checksum set right again."""
+    """Bytes changed, cut out, repeated, lengths forged; sometimes with the chunk's checksum set
+    right again."""
     found = bytearray(data)
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(len(found))
@@ -244,7 +261,9 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
         if kind == 0:
             found[at] ^= 1 << rng.randrange(8)
         elif kind == 1:
-            found[at : at + rng.choice((2, 4, 8))] = rng.choice((b"\xff", b"\0", b"\x7f")) * rng.choice((2, 4, 8))
+            found[at : at + rng.choice((2, 4, 8))] = rng.choice(
+                (b"\xff", b"\0", b"\x7f")
+            ) * rng.choice((2, 4, 8))
         elif kind == 2:
             del found[at : at + rng.randint(1, 200)]
         elif kind == 3:
@@ -252,12 +271,16 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
         elif kind == 4:
             del found[at:]
         else:
-            found[at : at + 8] = struct.pack("<Q", rng.choice((2**63, 2**40, 2**32 - 1, 2**31, len(found), 0, 1)))
+            found[at : at + 8] = struct.pack(
+                "<Q", rng.choice((2**63, 2**40, 2**32 - 1, 2**31, len(found), 0, 1))
+            )
         found = found or bytearray(b"\x89")
     if rng.random() < 0.5:
         for start, end in chunks(bytes(found)):
             if end <= len(found) and end - start >= 49:
-                found[start + 33 : start + 37] = struct.pack("<I", zlib.crc32(found[start + 49 : end]))
+                found[start + 33 : start + 37] = struct.pack(
+                    "<I", zlib.crc32(found[start + 49 : end])
+                )
     return bytes(found)
 
 
@@ -275,7 +298,8 @@ def test_no_mutation_of_a_bag_does_more_than_raise_one_line(tmp_path):
     small = record(tmp_path / "small.mcap", rows=6).read_bytes()
     folder = tmp_path / "target"
     folder.mkdir()
-    path, out = folder / "case.mcap", folder / "saved.mcap"
+    path = folder / "case.mcap"
+    out = folder / "saved.mcap"
     counts = Counter()
     config = ImportConfig()
     slowest = 0.0
@@ -285,7 +309,9 @@ def test_no_mutation_of_a_bag_does_more_than_raise_one_line(tmp_path):
         counts["recovered", refusal(lambda: recover(path, out)) is None] += 1
         for one in (path, out):
             if one.exists():
-                complaint = refusal(lambda one=one: logs_of(read_bag(one, one.name, "train", config), config))
+                complaint = refusal(
+                    lambda one=one: logs_of(read_bag(one, one.name, "train", config), config)
+                )
                 assert complaint is None or complaint.isprintable(), seed
                 counts["read", complaint is None] += 1
         slowest = max(slowest, time.perf_counter() - start)

@@ -12,7 +12,16 @@ from softfin.core.errors import LogError, RunError
 from softfin.data.importing.rosbag import READABLE_TYPES as READABLE
 from softfin.data.recordings import open_logs
 from softfin.storage.bag import writer as bag_writer
-from softfin.storage.bag.messages import COMMAND, CURRENT, DEFAULT_TOPICS, EVENTS, JOINT, REFERENCE, TYPES, WRENCH
+from softfin.storage.bag.messages import (
+    COMMAND,
+    CURRENT,
+    DEFAULT_TOPICS,
+    EVENTS,
+    JOINT,
+    REFERENCE,
+    TYPES,
+    WRENCH,
+)
 from softfin.storage.bag.recovery import recover
 from softfin.storage.bag.writer import BagRecorder
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
@@ -22,11 +31,17 @@ from tests.rig.machines import Hours
 
 def test_two_readers_find_the_same_values_in_a_recorded_bag(tmp_path):
     path = record(tmp_path / "run.mcap")
-    first, second = by_rosbags(path), by_mcap_ros2(path)
+    first = by_rosbags(path)
+    second = by_mcap_ros2(path)
     assert first == second
     assert {topic: len(rows) for topic, rows in first.items()} == {
-        COMMAND: 300, JOINT: 300, WRENCH: 300, CURRENT: 300, REFERENCE: 3, EVENTS: 3,
-    }  # fmt: skip
+        COMMAND: 300,
+        JOINT: 300,
+        WRENCH: 300,
+        CURRENT: 300,
+        REFERENCE: 3,
+        EVENTS: 3,
+    }
     logged, stamp, name, *numbers = first[JOINT][123]
     assert logged == stamp
     assert name == "fin"
@@ -37,7 +52,9 @@ def test_two_readers_find_the_same_values_in_a_recorded_bag(tmp_path):
     assert first[EVENTS][2][1] == "row 200"
 
 
-def test_stamps_are_the_clock_plus_what_the_wall_clock_was_ahead_at_the_start(tmp_path, monkeypatch):
+def test_stamps_are_the_clock_plus_what_the_wall_clock_was_ahead_at_the_start(
+    tmp_path, monkeypatch
+):
     hours = Hours()
     hours.now = 50.0
     recorder = BagRecorder(tmp_path / "run.mcap", clock=hours)
@@ -78,7 +95,9 @@ def test_rows_are_in_the_file_before_it_is_closed(tmp_path):
 
 def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
     with contextlib.closing(BagRecorder(tmp_path / "new" / "run.mcap")) as recorder:
-        with pytest.raises(LogError, match="exists already, recordings are never overwritten") as error:
+        with pytest.raises(
+            LogError, match="exists already, recordings are never overwritten"
+        ) as error:
             BagRecorder(recorder.path)
         assert "\n" not in str(error.value)
     assert by_rosbags(recorder.path) == {}
@@ -123,7 +142,8 @@ def test_a_disk_that_fails_is_told_and_what_was_written_recovers(tmp_path, monke
 
 
 def test_a_disk_that_has_room_again_gets_the_tail(tmp_path, monkeypatch):
-    fsync, full = os.fsync, [True]
+    fsync = os.fsync
+    full = [True]
 
     def sync(file):
         if full[0]:
@@ -142,7 +162,8 @@ def test_a_disk_that_has_room_again_gets_the_tail(tmp_path, monkeypatch):
 
 
 def test_a_disk_that_hangs_is_told_and_close_gives_up(tmp_path, monkeypatch):
-    hold, hangs = threading.Event(), threading.Event()
+    hold = threading.Event()
+    hangs = threading.Event()
     recorder = BagRecorder(tmp_path / "run.mcap", flush_s=0.05)
     fsync = os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (hangs.set(), hold.wait(HANG_S), fsync(file)))

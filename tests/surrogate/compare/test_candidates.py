@@ -14,7 +14,9 @@ from tests.surrogate.compare.test_compare import LOGS, candidate
 def test_fits_of_one_configuration_that_chose_other_networks_are_no_seeds_of_one_another(tmp_path):
     paths = [tmp_path / name for name in "abc"]
     for seed, path in enumerate(paths):
-        save_surrogate(path, small.surrogate(seed), None, {"data_hash": "d"}, configuration={"paper": 1})
+        save_surrogate(
+            path, small.surrogate(seed), None, {"data_hash": "d"}, configuration={"paper": 1}
+        )
     file = paths[2] / "surrogate.json"
     description = json.loads(file.read_text())
     description["networks"]["forcenet"]["layers"][3]["rate"] = 0.2
@@ -35,6 +37,8 @@ def test_beyond_training_commands_that_never_changed_is_counted_over_1_rad_s():
     steady.surrogate.limits = limits
     log = LOGS[0]
     zero = jax.tree.map(np.zeros_like, log.command.angle)
-    same, faster = (log._replace(command=Command(zero, np.full_like(zero, speed))) for speed in (2.0, 2.5))
+    same, faster = (
+        log._replace(command=Command(zero, np.full_like(zero, speed))) for speed in (2.0, 2.5)
+    )
     assert beyond_limits([steady], [same]) == (0, 0)
     assert beyond_limits([steady], [same, faster]) == pytest.approx((0.5, 0.5))

@@ -9,7 +9,13 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.quantities import Log, Reading
 from softfin.core.window import interval
 from softfin.surrogate import save_surrogate
-from softfin.surrogate.compare.compare import Candidate, CompareConfig, beyond_limits, candidates, compare
+from softfin.surrogate.compare.compare import (
+    Candidate,
+    CompareConfig,
+    beyond_limits,
+    candidates,
+    compare,
+)
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.streaming.ensemble import Interval
 from tests.plants import AnalyticFin
@@ -49,12 +55,18 @@ class Attentive(Surrogate):
 
 def candidate(seed, group="a", kind=Surrogate, folder=None):
     one = small.surrogate(seed)
-    return Candidate(Path(folder or f"{group}-{seed}"), kind(one.posnet, one.forcenet, one.scaling), group)
+    return Candidate(
+        Path(folder or f"{group}-{seed}"), kind(one.posnet, one.forcenet, one.scaling), group
+    )
 
 
 def saved(path, seed=0, configuration=None, data_hash="d"):
     save_surrogate(
-        path, small.surrogate(seed), None, {"data_hash": data_hash, "seed": seed}, configuration=configuration
+        path,
+        small.surrogate(seed),
+        None,
+        {"data_hash": data_hash, "seed": seed},
+        configuration=configuration,
     )
     return path
 
@@ -82,14 +94,17 @@ def test_seeds_of_one_configuration_and_dataset_are_one_group(tmp_path):
 @pytest.mark.parametrize("again", ["a", "../here/a"])
 def test_a_folder_given_twice_is_refused(tmp_path, again):
     folder = saved(tmp_path / "here" / "a")
-    with pytest.raises(ConfigurationError, match="a: given twice, or a copy of another; give each surrogate once"):
+    with pytest.raises(
+        ConfigurationError, match="a: given twice, or a copy of another; give each surrogate once"
+    ):
         candidates([folder, tmp_path / "here" / again])
     with pytest.raises(ConfigurationError, match="given twice"):
         candidates([folder, folder])
 
 
 def test_a_copy_of_a_surrogate_is_no_second_seed(tmp_path):
-    one, copy = saved(tmp_path / "a"), saved(tmp_path / "b")
+    one = saved(tmp_path / "a")
+    copy = saved(tmp_path / "b")
     with pytest.raises(ConfigurationError, match="b: given twice, or a copy of another"):
         candidates([one, copy])
 
@@ -101,10 +116,16 @@ def test_no_surrogate_at_all_is_refused():
 
 def test_groups_of_one_model_are_told_apart_by_their_folders():
     def names(*found):
-        return [row["name"] for row in compare(found, LOGS, CompareConfig(horizons_s=(0.2,))).summary["groups"]]
+        return [
+            row["name"]
+            for row in compare(found, LOGS, CompareConfig(horizons_s=(0.2,))).summary["groups"]
+        ]
 
     assert names(candidate(0), candidate(1), candidate(2, "b", Attentive)) == ["paper", "attentive"]
-    assert names(candidate(0, "x"), candidate(1, "x"), candidate(2, "y")) == ["paper (x-0)", "paper (y-2)"]
+    assert names(candidate(0, "x"), candidate(1, "x"), candidate(2, "y")) == [
+        "paper (x-0)",
+        "paper (y-2)",
+    ]
 
 
 def test_all_surrogates_are_scored_on_the_same_rows():
@@ -114,7 +135,9 @@ def test_all_surrogates_are_scored_on_the_same_rows():
         {"segments": 10, "rows": 1000, "rows_left": 120},
         {"segments": 4, "rows": 1000, "rows_left": 120},
     ]
-    np.testing.assert_array_equal(comparison.measured.reading.force[1], LOGS[0].reading.force[290:540])
+    np.testing.assert_array_equal(
+        comparison.measured.reading.force[1], LOGS[0].reading.force[290:540]
+    )
     # The same weights with the same rows have the same errors, whatever the kind is called.
     paper, attentive = comparison.groups
     assert paper.longest[0].scores["force_mae_n"] == attentive.longest[0].scores["force_mae_n"]
@@ -127,7 +150,10 @@ def test_a_score_is_the_mean_over_the_seeds_with_its_interval():
     assert len(set(each)) == 3
     assert row["seeds"] == 3
     assert row["surrogates"] == ["a-0", "a-1", "a-2"]
-    assert row["horizons"][1]["force_x_rmse_n"] == {"mean": pytest.approx(each.mean()), "interval": interval(each)}
+    assert row["horizons"][1]["force_x_rmse_n"] == {
+        "mean": pytest.approx(each.mean()),
+        "interval": interval(each),
+    }
     assert comparison.summary["groups"][1]["horizons"][1]["force_x_rmse_n"]["interval"] is None
 
 
@@ -151,7 +177,10 @@ def test_the_noise_floor_runs_from_rest_and_is_scored_on_the_same_segments():
     from softfin.surrogate.compare.scores import run_from_rest
 
     own = run_from_rest(fin, LOGS, jax.random.key(0))
-    logs = [Log(log.command, Reading(*map(np.asarray, reading))) for log, reading in zip(LOGS, own, strict=True)]
+    logs = [
+        Log(log.command, Reading(*map(np.asarray, reading)))
+        for log, reading in zip(LOGS, own, strict=True)
+    ]
     comparison = compare([candidate(0)], logs, CONFIG, noise_floor=("fin", fin))
     floor = comparison.summary["noise_floor"]
     assert floor["name"] == "second recording (fin)"
@@ -176,7 +205,9 @@ def test_few_seeds_and_commands_beyond_training_are_noted():
 
 
 def test_logs_shorter_than_the_longest_horizon_are_refused():
-    with pytest.raises(LogError, match=r"test log 0: 560 rows; 12 to begin with and a horizon of 5.5 s need 562"):
+    with pytest.raises(
+        LogError, match=r"test log 0: 560 rows; 12 to begin with and a horizon of 5.5 s need 562"
+    ):
         compare([candidate(0)], LOGS, CompareConfig(horizons_s=(1, 5.5)))
 
 
@@ -200,6 +231,12 @@ def test_horizons_are_put_in_order():
 
 def test_progress_ends_at_the_whole():
     seen = []
-    compare([candidate(0)], LOGS, CONFIG, ("fin", AnalyticFin()), lambda stage, done, note: seen.append((done, note)))
+    compare(
+        [candidate(0)],
+        LOGS,
+        CONFIG,
+        ("fin", AnalyticFin()),
+        lambda stage, done, note: seen.append((done, note)),
+    )
     assert [note for _, note in seen] == ["a-0, 1 s", "a-0, 2.5 s", "second recording (fin)"]
     assert [done for done, _ in seen] == pytest.approx([1 / 3, 2 / 3, 1])

@@ -18,16 +18,23 @@ def rows_of(log, begin, end):
 
 
 def test_a_warm_free_running_surrogate_predicts_what_its_nets_do_over_the_log():
-    plant, log, start = small.surrogate(), small.log(rows=200), small.WINDOW
+    plant = small.surrogate()
+    log = small.log(rows=200)
+    start = small.WINDOW
     _, reading = roll(
-        plant, plant.warm(rows_of(log, 0, start)), jax.tree.map(jnp.asarray, rows_of(log, start - 1, -1)[0])
+        plant,
+        plant.warm(rows_of(log, 0, start)),
+        jax.tree.map(jnp.asarray, rows_of(log, start - 1, -1)[0]),
     )
     np.testing.assert_allclose(reading.angle, plant.predict_angle(log), atol=1e-5)
-    np.testing.assert_allclose(reading.force, plant.predict_force(log, free_running=True), atol=1e-5)
+    np.testing.assert_allclose(
+        reading.force, plant.predict_force(log, free_running=True), atol=1e-5
+    )
 
 
 def test_warm_counts_on_from_the_time_of_the_last_row():
-    plant, log = small.surrogate(), small.log(rows=60)
+    plant = small.surrogate()
+    log = small.log(rows=60)
     _, reading = plant.advance(
         plant.warm(rows_of(log, 0, 50)), jax.tree.map(lambda x: jnp.asarray(x[49]), log.command), 1
     )
@@ -35,17 +42,24 @@ def test_warm_counts_on_from_the_time_of_the_last_row():
 
 
 def test_warm_takes_a_unix_clock_and_counts_within_its_day():
-    plant, log = small.surrogate(), small.log(rows=60)
+    plant = small.surrogate()
+    log = small.log(rows=60)
     unix = log._replace(reading=log.reading._replace(time=1.7e9 + np.arange(60) / 100))
-    _, reading = plant.advance(plant.warm(unix), jax.tree.map(lambda x: jnp.asarray(x[-1]), log.command), 1)
+    _, reading = plant.advance(
+        plant.warm(unix), jax.tree.map(lambda x: jnp.asarray(x[-1]), log.command), 1
+    )
     assert float(reading.time[0]) == pytest.approx(1.7e9 % 86400 + 0.60, abs=0.01)
 
 
 def test_only_the_last_rows_of_a_history_matter():
-    plant, log = small.surrogate(), small.log(rows=100)
-    long, short = plant.warm(log), plant.warm(rows_of(log, 100 - plant.memory, 100))
+    plant = small.surrogate()
+    log = small.log(rows=100)
+    long = plant.warm(log)
+    short = plant.warm(rows_of(log, 100 - plant.memory, 100))
     assert all(np.array_equal(a, b) for a, b in zip(long, short, strict=True))
-    with pytest.raises(LogError, match="11 rows of history; a surrogate that sees 12 samples is warm after as many"):
+    with pytest.raises(
+        LogError, match="11 rows of history; a surrogate that sees 12 samples is warm after as many"
+    ):
         plant.warm(rows_of(log, 0, 11))
 
 
@@ -65,14 +79,16 @@ def test_segments_lie_end_to_end_and_whole_in_each_log():
 
 def test_a_log_shorter_than_the_horizon_is_named_with_what_it_needs():
     with pytest.raises(
-        LogError, match=r"test log 1: 111 rows; 12 to begin with and a horizon of 1 s need 112; .*--hor"
+        LogError,
+        match=r"test log 1: 111 rows; 12 to begin with and a horizon of 1 s need 112; .*--hor",
     ):
         segments_of([500, 111], ticks=100, first=12)
     assert segments_of([112], ticks=100, first=12) == [(0, 12)]
 
 
 def test_segments_in_batches_are_those_rolled_one_by_one():
-    plant, logs = small.surrogate(), [small.log(rows=150, seed=1), small.log(rows=90, seed=2)]
+    plant = small.surrogate()
+    logs = [small.log(rows=150, seed=1), small.log(rows=90, seed=2)]
     where = segments_of([150, 90], ticks=25, first=20)
     # Eight segments in batches of at most three: the last one is filled up.
     reading, members = free_run(plant, logs, where, ticks=25)
@@ -88,8 +104,12 @@ def test_segments_in_batches_are_those_rolled_one_by_one():
 def test_rows_that_are_taken_are_those_of_the_log():
     logs = [small.log(rows=60, seed=seed) for seed in range(2)]
     taken = take(logs, [(1, 7), (0, 30)], ticks=5)
-    np.testing.assert_array_equal(taken.reading.force, [logs[1].reading.force[7:12], logs[0].reading.force[30:35]])
-    np.testing.assert_array_equal(taken.command.angle, [logs[1].command.angle[7:12], logs[0].command.angle[30:35]])
+    np.testing.assert_array_equal(
+        taken.reading.force, [logs[1].reading.force[7:12], logs[0].reading.force[30:35]]
+    )
+    np.testing.assert_array_equal(
+        taken.command.angle, [logs[1].command.angle[7:12], logs[0].command.angle[30:35]]
+    )
 
 
 @pytest.mark.parametrize("fin", [AnalyticFin(noise_n=0.0), PlainFin()])

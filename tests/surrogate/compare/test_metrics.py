@@ -4,7 +4,13 @@ import pytest
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
 from softfin.surrogate.channels import SKIPPED
-from softfin.surrogate.compare.scores import DTW_BAND, dtw_mae, measured_ranges, score_segments, table_one
+from softfin.surrogate.compare.scores import (
+    DTW_BAND,
+    dtw_mae,
+    measured_ranges,
+    score_segments,
+    table_one,
+)
 from softfin.surrogate.streaming.ensemble import parameters, single
 from tests.surrogate import small
 from tests.surrogate.streaming import small as streaming
@@ -39,11 +45,14 @@ def test_table_one_scores_each_net_in_both_units():
     assert set(table) == {"posnet", "forcenet_measured", "forcenet_free_running"}
     assert table["posnet"]["parameters"] == small.POSNET.parameters()
     # An angle range of 3.2 rad is scaled onto 0 .. 1.
-    assert table["posnet"]["physical"]["rmse"] == pytest.approx(3.2 * table["posnet"]["scaled"]["rmse"], rel=1e-4)
+    assert table["posnet"]["physical"]["rmse"] == pytest.approx(
+        3.2 * table["posnet"]["scaled"]["rmse"], rel=1e-4
+    )
 
 
 def test_table_one_of_a_streaming_surrogate_scores_both_nets_over_all_members():
-    plant, logs = streaming.surrogate(), [streaming.recorded(250, seed) for seed in range(2)]
+    plant = streaming.surrogate()
+    logs = [streaming.recorded(250, seed) for seed in range(2)]
     table = table_one(plant, logs)
     assert set(table) == {"drive", "force_measured", "force_free_running"}
     drive, force = (parameters(net) for net in (plant.members.drive, plant.members.force))
@@ -53,18 +62,26 @@ def test_table_one_of_a_streaming_surrogate_scores_both_nets_over_all_members():
     def rmse(predicted, measured):
         return np.mean(np.sqrt(np.mean((predicted - measured)[SKIPPED:] ** 2, axis=0)))
 
-    angle, free, given = [], [], []
+    angle = []
+    free = []
+    given = []
     for log, said in zip(logs, streaming.predict_logs(plant.members, logs), strict=True):
         reading = log.reading
         angle.append(rmse(said.motion.angle.mean(axis=0)[:, None], reading.angle[:, None]))
         free.append(rmse(said.force.mean(axis=0), reading.force))
-        alone = [streaming.forces_of(single(plant.members.force, index), reading) for index in range(2)]
-        given.append(rmse(np.concatenate([reading.force[:1], np.mean(alone, axis=0)]), reading.force))
+        alone = [
+            streaming.forces_of(single(plant.members.force, index), reading) for index in range(2)
+        ]
+        given.append(
+            rmse(np.concatenate([reading.force[:1], np.mean(alone, axis=0)]), reading.force)
+        )
     for row, expected in zip(table.values(), (angle, given, free), strict=True):
         assert row["physical"]["rmse"] == pytest.approx(np.mean(expected), rel=1e-4)
     # One range for both logs: its width is what scales.
     width = np.ptp(np.concatenate([log.reading.angle for log in logs]))
-    assert table["drive"]["scaled"]["rmse"] == pytest.approx(table["drive"]["physical"]["rmse"] / width, rel=1e-3)
+    assert table["drive"]["scaled"]["rmse"] == pytest.approx(
+        table["drive"]["physical"]["rmse"] / width, rel=1e-3
+    )
 
 
 def test_test_logs_whose_command_never_changes_are_scored():
@@ -75,8 +92,12 @@ def test_test_logs_whose_command_never_changes_are_scored():
 
 def test_test_logs_in_which_nothing_is_measured_are_refused():
     log = streaming.recorded(250)
-    still = log._replace(reading=log.reading._replace(force=abs(log.reading.force) * np.float32([1, 0])))
-    with pytest.raises(LogError, match="test logs: column force_y_n is 0 in every row, so that no prediction"):
+    still = log._replace(
+        reading=log.reading._replace(force=abs(log.reading.force) * np.float32([1, 0]))
+    )
+    with pytest.raises(
+        LogError, match="test logs: column force_y_n is 0 in every row, so that no prediction"
+    ):
         table_one(streaming.surrogate(), [still])
 
 
@@ -87,11 +108,15 @@ def log(segments=3, ticks=260):
     shape = (segments, ticks)
     command = Command(np.zeros(shape, np.float32), np.ones(shape, np.float32))
     angle, velocity, time = RANDOM.normal(size=(3, *shape)).astype(np.float32)
-    return Log(command, Reading(time, angle, velocity, RANDOM.normal(size=(*shape, 2)).astype(np.float32)))
+    return Log(
+        command, Reading(time, angle, velocity, RANDOM.normal(size=(*shape, 2)).astype(np.float32))
+    )
 
 
 def off(reading, angle=0.0, force=(0.0, 0.0)):
-    return reading._replace(angle=reading.angle + np.float32(angle), force=reading.force + np.float32(force))
+    return reading._replace(
+        angle=reading.angle + np.float32(angle), force=reading.force + np.float32(force)
+    )
 
 
 MEASURED = log()
@@ -105,14 +130,18 @@ def test_a_perfect_prediction_has_no_error():
 
 
 def test_a_channel_that_never_moves_has_no_r2_and_does_not_stop_a_comparison():
-    still = MEASURED._replace(reading=MEASURED.reading._replace(angle=np.zeros_like(MEASURED.reading.angle)))
+    still = MEASURED._replace(
+        reading=MEASURED.reading._replace(angle=np.zeros_like(MEASURED.reading.angle))
+    )
     scores = score_segments(still, off(still.reading, angle=0.1), SPANS).scores
     assert scores["angle_r2"] == -np.inf
     assert scores["angle_rmse_rad"] == pytest.approx(0.1)
 
 
 def test_a_constant_error_shows_in_its_own_channel_with_its_size():
-    scores = score_segments(MEASURED, off(MEASURED.reading, angle=0.1, force=(0.3, -0.5)), SPANS).scores
+    scores = score_segments(
+        MEASURED, off(MEASURED.reading, angle=0.1, force=(0.3, -0.5)), SPANS
+    ).scores
     expected = {
         "angle_rmse_rad": 0.1,
         "angle_mae_rad": 0.1,
@@ -131,14 +160,18 @@ def test_a_constant_error_shows_in_its_own_channel_with_its_size():
 
 
 def test_errors_are_pooled_over_segments_not_averaged():
-    predicted = MEASURED.reading._replace(angle=MEASURED.reading.angle + np.float32([[0.0], [0.0], [0.3]]))
+    predicted = MEASURED.reading._replace(
+        angle=MEASURED.reading.angle + np.float32([[0.0], [0.0], [0.3]])
+    )
     scores = score_segments(MEASURED, predicted, SPANS).scores
     assert scores["angle_rmse_rad"] == pytest.approx(0.3 / np.sqrt(3), rel=1e-4)
 
 
 def test_the_scaled_distances_are_of_series_divided_by_their_ranges():
     scores = score_segments(
-        MEASURED, MEASURED.reading._replace(force=log().reading.force, angle=log().reading.angle), SPANS
+        MEASURED,
+        MEASURED.reading._replace(force=log().reading.force, angle=log().reading.angle),
+        SPANS,
     ).scores
     assert scores["angle_dtw_mae_scaled"] == pytest.approx(scores["angle_dtw_mae_rad"] / 2)
     only_y = off(MEASURED.reading)
@@ -167,6 +200,9 @@ def test_ranges_are_over_all_logs_and_a_dead_channel_is_named():
     flat = [Log(*(type(part)(*(x[0] for x in part)) for part in each)) for each in (one, other)]
     both = np.concatenate([each.reading.force[:, 1] for each in flat])
     assert measured_ranges(flat)["force_y_n"] == pytest.approx(both.max() - both.min())
-    dead = [each._replace(reading=each.reading._replace(angle=np.zeros(260, np.float32))) for each in flat]
+    dead = [
+        each._replace(reading=each.reading._replace(angle=np.zeros(260, np.float32)))
+        for each in flat
+    ]
     with pytest.raises(LogError, match="column angle_rad is 0 in every row"):
         measured_ranges(dead)

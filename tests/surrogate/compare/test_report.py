@@ -33,16 +33,21 @@ def test_traces_show_what_was_measured_and_what_each_group_predicted():
         shown = lines(axes[index])
         measured = shown["measured"].get_ydata()
         segment = next(
-            i for i, force in enumerate(comparison.measured.reading.force) if np.array_equal(force[:, index], measured)
+            i
+            for i, force in enumerate(comparison.measured.reading.force)
+            if np.array_equal(force[:, index], measured)
         )
         for group in comparison.groups:
-            np.testing.assert_array_equal(shown[group.row["name"]].get_ydata(), group.reading.force[segment, :, index])
+            np.testing.assert_array_equal(
+                shown[group.row["name"]].get_ydata(), group.reading.force[segment, :, index]
+            )
     assert axes[1].get_xlabel() == "time since the surrogate began to run free [s]"
 
 
 def test_errors_stand_over_their_horizons_with_intervals_and_the_noise_floor():
     comparison = compared()
-    summary, axes = comparison.summary, comparison_figure(comparison).get_axes()[2]
+    summary = comparison.summary
+    axes = comparison_figure(comparison).get_axes()[2]
     bars = {container.get_label(): container for container in axes.containers}
     assert set(bars) == {"paper, x", "paper, y", "attentive, x", "attentive, y"}
     cells = [row["force_y_rmse_n"]["mean"] for row in summary["groups"][0]["horizons"]]
@@ -51,7 +56,9 @@ def test_errors_stand_over_their_horizons_with_intervals_and_the_noise_floor():
     assert not bars["attentive, y"].has_yerr
     floor = summary["noise_floor"]["horizons"][0]
     mean = (floor["force_x_rmse_n"]["mean"] + floor["force_y_rmse_n"]["mean"]) / 2
-    assert lines(axes)["second recording (fin), mean of x and y"].get_ydata()[0] == pytest.approx(mean)
+    assert lines(axes)["second recording (fin), mean of x and y"].get_ydata()[0] == pytest.approx(
+        mean
+    )
     assert [text.get_text() for text in axes.get_xticklabels()] == ["1", "2.5"]
 
 
@@ -80,7 +87,11 @@ def test_panels_without_data_are_left_out():
 
 
 def test_groups_that_are_not_shown_are_counted():
-    many = compare([candidate(seed, group=str(seed)) for seed in range(5)], LOGS, CompareConfig(horizons_s=(1,)))
+    many = compare(
+        [candidate(seed, group=str(seed)) for seed in range(5)],
+        LOGS,
+        CompareConfig(horizons_s=(1,)),
+    )
     above = comparison_figure(many).get_axes()[0]
     assert len(above.get_lines()) == 4
     assert above.get_title(loc="left").endswith("2 more not shown")

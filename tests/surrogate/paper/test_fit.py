@@ -9,7 +9,9 @@ from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
 from softfin.surrogate.paper.fit import PaperLearner, fit, window_starts
 from tests.surrogate import small
 
-CONFIG = FitConfig(posnet=small.POSNET, forcenet=small.FORCENET, epochs=4, batch=32, learning_rate=3e-3)
+CONFIG = FitConfig(
+    posnet=small.POSNET, forcenet=small.FORCENET, epochs=4, batch=32, learning_rate=3e-3
+)
 LOGS = [small.log(rows=600, seed=seed) for seed in range(5)]
 
 
@@ -18,7 +20,9 @@ def weights_of(surrogate):
 
 
 def same_weights(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(weights_of(one), weights_of(other), strict=True))
+    return all(
+        np.array_equal(a, b) for a, b in zip(weights_of(one), weights_of(other), strict=True)
+    )
 
 
 class Killed(BaseException):
@@ -40,18 +44,28 @@ def test_fitting_learns_angle_and_forces(tmp_path):
     test = small.log(rows=600, seed=99)
     fitted = fit(LOGS, CONFIG.changed(["epochs=24"]), 0, RunDirectory(tmp_path / "s", {}))
     predictions = fitted.predict_angle(test), fitted.predict_force(test, free_running=True)
-    for predicted, measured in zip(predictions, (test.reading.angle, test.reading.force), strict=True):
-        error, spread = predicted - measured[small.WINDOW :], measured.std()
+    for predicted, measured in zip(
+        predictions, (test.reading.angle, test.reading.force), strict=True
+    ):
+        error = predicted - measured[small.WINDOW :]
+        spread = measured.std()
         assert np.sqrt(np.mean(error**2)) < 0.4 * spread
 
 
 def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
     """They choose the epoch whose weights are kept, and nothing else: all epochs learn alike."""
-    last, run_directory = LOGS[-1], RunDirectory(tmp_path / "s", {})
-    changed = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(100)))
+    last = LOGS[-1]
+    run_directory = RunDirectory(tmp_path / "s", {})
+    changed = last._replace(
+        reading=last.reading._replace(force=last.reading.force * np.float32(100))
+    )
     fitted = fit([*LOGS[:-1], changed], CONFIG, 0, run_directory)
     histories = whole[1], read_log(run_directory.folder / LOG)
-    for name, alike in (("train/posnet_mse", True), ("train/forcenet_mse", True), ("held_out/forcenet_mse", False)):
+    for name, alike in (
+        ("train/posnet_mse", True),
+        ("train/forcenet_mse", True),
+        ("held_out/forcenet_mse", False),
+    ):
         one, other = ([entry[name] for entry in history] for history in histories)
         assert len(one) == len(other) == CONFIG.epochs
         assert (one == other) == alike
@@ -64,7 +78,8 @@ def test_the_best_weights_are_kept_not_the_last(tmp_path):
     fitted = fit(LOGS, config, 0, run_directory)
     history = read_log(run_directory.folder / LOG)
     least = min(entry["held_out/forcenet_mse"] for entry in history)
-    predicted, held = fitted.predict_force(LOGS[-1], free_running=False), LOGS[-1].reading.force[small.WINDOW :]
+    predicted = fitted.predict_force(LOGS[-1], free_running=False)
+    held = LOGS[-1].reading.force[small.WINDOW :]
     scale = np.array([fitted.scaling.channels[name].scale for name in ("force_x_n", "force_y_n")])
     assert np.mean(((predicted - held) * scale) ** 2) == pytest.approx(least, rel=1e-3)
     assert least < history[-1]["held_out/forcenet_mse"]
@@ -79,7 +94,9 @@ def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
         fit(LOGS, CONFIG, 0, RunDirectory(tmp_path / "cut", {"a": 1}), killer)
     resumed_from = []
     run_directory = RunDirectory(tmp_path / "cut", {"a": 1}, resume=True)
-    resumed = fit(LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done))
+    resumed = fit(
+        LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done)
+    )
     assert min(resumed_from) > 0.5
     assert same_weights(whole[0], resumed)
     assert [entry["step"] for entry in read_log(run_directory.folder / LOG)] == [1, 2, 3, 4]
@@ -93,18 +110,29 @@ def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
         RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(ArtifactError, match=r"of another run .seed was 0 and is 1"):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
-    assert RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
+    assert (
+        RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None
+    )
 
 
 def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
     RunDirectory(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
     with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
         RunDirectory(tmp_path / "s", {"seed": 0})
-    with pytest.raises(ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"):
+    with pytest.raises(
+        ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"
+    ):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
-    tree, metadata = RunDirectory(tmp_path / "s", {"seed": 0}, resume=True).part("1").load({"x": np.zeros(2, int)})
+    tree, metadata = (
+        RunDirectory(tmp_path / "s", {"seed": 0}, resume=True)
+        .part("1")
+        .load({"x": np.zeros(2, int)})
+    )
     assert (tree["x"].tolist(), metadata) == ([0, 1], {"epoch": 1})
-    assert RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)}) is None
+    assert (
+        RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).part("1").load({"x": np.zeros(2)})
+        is None
+    )
 
 
 def test_the_training_logs_of_parts_are_kept(tmp_path):
@@ -123,7 +151,9 @@ def test_damaged_work_is_refused_by_name(tmp_path):
     run_directory = RunDirectory(tmp_path / "s", {})
     run_directory.save({"x": np.zeros(2)}, {})
     (run_directory.folder / "checkpoint.safetensors").write_bytes(b"short")
-    with pytest.raises(ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start anew with --overwrite"):
+    with pytest.raises(
+        ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start anew with --overwrite"
+    ):
         RunDirectory(tmp_path / "s", {}, resume=True)
 
 
@@ -138,7 +168,10 @@ def test_logs_shorter_than_a_batch_are_refused(tmp_path):
 
 
 def test_a_column_that_never_changes_is_named(tmp_path):
-    still = [log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32))) for log in LOGS]
+    still = [
+        log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32)))
+        for log in LOGS
+    ]
     with pytest.raises(LogError, match="column command_velocity_rad_s is 2 in every training row"):
         fit(still, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 

@@ -13,7 +13,12 @@ from softfin.surrogate import import_keras
 from tests.surrogate.paper.test_network import convolution, lstm
 
 SCALERS = {
-    name: {"scale": scale, "offset": offset, "data_min": -offset / scale, "data_max": (1 - offset) / scale}
+    name: {
+        "scale": scale,
+        "offset": offset,
+        "data_min": -offset / scale,
+        "data_max": (1 - offset) / scale,
+    }
     for name, scale, offset in [
         ("command_angle_rad", 0.3, 0.5),
         ("command_velocity_rad_s", 0.6, 0.0),
@@ -26,8 +31,14 @@ WINDOW = 10
 
 
 def write_keras(path, layers, channels, arrays):
-    """A file laid out as Keras 2.15 does: layers in JSON, weights in HDF5 groups numbered within their class."""
-    listed = [{"class_name": "InputLayer", "config": {"batch_input_shape": [None, channels, WINDOW], "name": "input"}}]
+    """A file laid out as Keras 2.15 does: layers in JSON, weights in HDF5 groups numbered within
+    their class."""
+    listed = [
+        {
+            "class_name": "InputLayer",
+            "config": {"batch_input_shape": [None, channels, WINDOW], "name": "input"},
+        }
+    ]
     listed += [{"class_name": kind, "config": config} for kind, config in layers]
     weights = io.BytesIO()
     with h5py.File(weights, "w") as file:
@@ -35,7 +46,9 @@ def write_keras(path, layers, channels, arrays):
             for number, value in enumerate(values):
                 file[f"layers/{group}/vars/{number}"] = value
     with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("config.json", json.dumps({"class_name": "Sequential", "config": {"layers": listed}}))
+        archive.writestr(
+            "config.json", json.dumps({"class_name": "Sequential", "config": {"layers": listed}})
+        )
         archive.writestr("metadata.json", json.dumps({"keras_version": "2.15.0"}))
         archive.writestr("model.weights.h5", weights.getvalue())
 
@@ -121,7 +134,9 @@ def test_scalers_turn_units_into_what_the_nets_see(files):
     surrogate = load(files[0])
     assert surrogate.scaling.scaled("angle_rad", np.ones(1)) == pytest.approx(0.81)
     assert surrogate.limits.velocity_max == pytest.approx(1 / 0.6)
-    np.testing.assert_allclose(surrogate.scaling.physical(["force_x_n"], jnp.asarray([[0.4]])), 0.0, atol=1e-5)
+    np.testing.assert_allclose(
+        surrogate.scaling.physical(["force_x_n"], jnp.asarray([[0.4]])), 0.0, atol=1e-5
+    )
 
 
 def rewrite(path, name, data):
@@ -146,7 +161,10 @@ def test_damaged_weights_are_refused_by_name(files):
 
 
 def test_nets_in_the_wrong_order_are_told_apart(files):
-    with pytest.raises(ArtifactError, match="takes 3 channels; this network must take command_angle_rad, command_velo"):
+    with pytest.raises(
+        ArtifactError,
+        match="takes 3 channels; this network must take command_angle_rad, command_velo",
+    ):
         import_keras(files[0] / "force.keras", files[0] / "pos.keras", files[0] / "scalers.json")
 
 
@@ -159,7 +177,14 @@ def test_an_unknown_layer_is_named(files):
 def test_a_convolution_with_stride_is_refused(files):
     layer = (
         "Conv1D",
-        {"name": "c", "filters": 2, "kernel_size": [3], "padding": "same", "strides": [2], "activation": "relu"},
+        {
+            "name": "c",
+            "filters": 2,
+            "kernel_size": [3],
+            "padding": "same",
+            "strides": [2],
+            "activation": "relu",
+        },
     )
     write_keras(files[0] / "pos.keras", [layer], 2, {})
     with pytest.raises(ArtifactError, match=r"layer c has strides = \[2\]; it must be \[1\]"):
@@ -170,9 +195,15 @@ def test_a_convolution_with_stride_is_refused(files):
     ("change", "words"),
     [
         (lambda s: s.pop("force_y_n"), "no scaling for force_y_n"),
-        (lambda s: s["angle_rad"].update(scale=-1), "angle_rad.scale = -1: Input should be greater than 0"),
+        (
+            lambda s: s["angle_rad"].update(scale=-1),
+            "angle_rad.scale = -1: Input should be greater than 0",
+        ),
         (lambda s: s["angle_rad"].pop("offset"), "angle_rad.offset: is required, and missing"),
-        (lambda s: s["command_angle_rad"].update(data_max=100.0), r"scalers\.json: limits: angle_max_rad is 100"),
+        (
+            lambda s: s["command_angle_rad"].update(data_max=100.0),
+            r"scalers\.json: limits: angle_max_rad is 100",
+        ),
     ],
 )
 def test_scalers_that_miss_something_are_refused(files, change, words):
@@ -191,13 +222,17 @@ def test_pickled_scalers_are_refused_unread(files):
 
 def test_published_nets_say_what_keras_says(published):
     surrogate = import_keras(
-        published / "cnn_pos_net.keras", published / "lstm_force_net.keras", published / "scalers.json"
+        published / "cnn_pos_net.keras",
+        published / "lstm_force_net.keras",
+        published / "scalers.json",
     )
     assert surrogate.posnet.config.parameters() == 113_601
     assert surrogate.forcenet.config.parameters() == 144_258
     reference = np.load(published / "keras_reference.npz")
     np.testing.assert_allclose(
-        surrogate.posnet(jnp.asarray(reference["posnet_input"])), reference["posnet_output"], atol=1e-6
+        surrogate.posnet(jnp.asarray(reference["posnet_input"])),
+        reference["posnet_output"],
+        atol=1e-6,
     )
     forces = surrogate.forcenet(jnp.asarray(reference["forcenet_input"]))
     np.testing.assert_allclose(forces, reference["forcenet_output"], atol=1e-6)
@@ -210,7 +245,9 @@ def test_published_nets_say_what_keras_says(published):
         Reading(time, series["angle"], np.zeros_like(time), measured),
     )
     np.testing.assert_allclose(surrogate.predict_angle(log), series["angle"][100:], atol=1e-5)
-    np.testing.assert_allclose(surrogate.predict_force(log, free_running=True), measured[100:], atol=1e-4)
+    np.testing.assert_allclose(
+        surrogate.predict_force(log, free_running=True), measured[100:], atol=1e-4
+    )
 
 
 FIRST = "layers/conv1d/vars/0"
@@ -233,7 +270,10 @@ def of_other_shape(file):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda file: file.pop(FIRST), r"not a whole Keras 2 \.keras file \(.*object '0' doesn't exist"),
+        (
+            lambda file: file.pop(FIRST),
+            r"not a whole Keras 2 \.keras file \(.*object '0' doesn't exist",
+        ),
         (of_other_shape, r"0\.kernel has the shape \(5, 3\), must have \(5, 10, 6\)"),
     ],
 )
@@ -248,7 +288,9 @@ def test_a_damaged_heap_is_one_line(files):
     with zipfile.ZipFile(files[0] / "pos.keras") as archive:
         content = archive.read("model.weights.h5")
     rewrite(files[0] / "pos.keras", "model.weights.h5", content.replace(b"HEAP", b"PEAH"))
-    with pytest.raises(ArtifactError, match=r"pos\.keras: not a whole Keras 2 \.keras file") as error:
+    with pytest.raises(
+        ArtifactError, match=r"pos\.keras: not a whole Keras 2 \.keras file"
+    ) as error:
         load(files[0])
     assert "\n" not in str(error.value)
 
@@ -263,9 +305,15 @@ def listing(*layers):
         b"[" * 100_000,
         b'{"a": ' * 200 + b"1" + b"}" * 200,
         b"[]",
-        listing(b'{"class_name": "InputLayer", "config": {"batch_input_shape": [null, 1e999, 10]}}'),
+        listing(
+            b'{"class_name": "InputLayer", "config": {"batch_input_shape": [null, 1e999, 10]}}'
+        ),
         listing(b'{"class_name": "Flatten", "config": {}}', b"{}"),
-        listing(b'{"class_name": "Dense", "config": {"activation": "relu", "units": 1' + b"0" * 4000 + b"}}"),
+        listing(
+            b'{"class_name": "Dense", "config": {"activation": "relu", "units": 1'
+            + b"0" * 4000
+            + b"}}"
+        ),
     ],
 )
 def test_a_description_that_is_no_nets_is_one_line(files, description):

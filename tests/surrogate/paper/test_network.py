@@ -5,13 +5,23 @@ import pytest
 from pydantic import ValidationError
 
 from softfin.core.errors import ArtifactError
-from softfin.surrogate.paper.network import FORCENET, LSTM, POSNET, Conv1D, Dropout, Flatten, Network, NetworkConfig
+from softfin.surrogate.paper.network import (
+    FORCENET,
+    LSTM,
+    POSNET,
+    Conv1D,
+    Dropout,
+    Flatten,
+    Network,
+    NetworkConfig,
+)
 from softfin.surrogate.training import named, restored
 
 
 def convolution(x, kernel, bias):
     """Same-padded, stride 1, one example (steps, features), by the definition."""
-    steps, taps = len(x), len(kernel)
+    steps = len(x)
+    taps = len(kernel)
     y = np.tile(bias, (steps, 1)).astype(float)
     for t in range(steps):
         for k in range(taps):
@@ -24,7 +34,9 @@ def convolution(x, kernel, bias):
 def lstm(x, kernel, recurrent, bias):
     """All hidden states of one example (steps, features), by the definition."""
     units = len(recurrent)
-    h, c, states = np.zeros(units), np.zeros(units), []
+    h = np.zeros(units)
+    c = np.zeros(units)
+    states = []
     for step in x:
         z = step @ kernel + h @ recurrent + bias
         i, f, g, o = (z[n * units : (n + 1) * units] for n in range(4))
@@ -36,12 +48,16 @@ def lstm(x, kernel, recurrent, bias):
 
 def test_posnet_has_the_parameters_of_table_one():
     assert POSNET.parameters() == 113_601
-    assert sum(a.size for a in jax.tree.leaves(Network.create(POSNET, jax.random.key(0)))) == 113_601
+    assert (
+        sum(a.size for a in jax.tree.leaves(Network.create(POSNET, jax.random.key(0)))) == 113_601
+    )
 
 
 def test_forcenet_has_the_parameters_of_table_one():
     assert FORCENET.parameters() == 129_794
-    assert sum(a.size for a in jax.tree.leaves(Network.create(FORCENET, jax.random.key(0)))) == 129_794
+    assert (
+        sum(a.size for a in jax.tree.leaves(Network.create(FORCENET, jax.random.key(0)))) == 129_794
+    )
 
 
 @pytest.mark.parametrize("kernel", [1, 2, 3, 5])
@@ -53,7 +69,9 @@ def test_a_convolution_is_the_sum_over_its_taps(kernel, steps):
         "bias": random.normal(size=4).astype(np.float32),
     }
     x = random.normal(size=(3, steps, 7)).astype(np.float32)
-    y = Conv1D(filters=4, kernel=kernel, activation="linear").apply(jax.tree.map(jnp.asarray, weights), jnp.asarray(x))
+    y = Conv1D(filters=4, kernel=kernel, activation="linear").apply(
+        jax.tree.map(jnp.asarray, weights), jnp.asarray(x)
+    )
     np.testing.assert_allclose(y, [convolution(one, **weights) for one in x], atol=1e-5)
 
 
@@ -72,13 +90,18 @@ def test_counted_flops_are_those_that_the_compiler_counts():
     for config in (POSNET, FORCENET):
         net = Network.create(config, jax.random.key(0))
         x = jnp.zeros((256, len(config.channels), config.window))
-        counted = jax.jit(lambda net, x: net(x)).lower(net, x).compile().cost_analysis()["flops"] / 256
+        counted = (
+            jax.jit(lambda net, x: net(x)).lower(net, x).compile().cost_analysis()["flops"] / 256
+        )
         assert config.flops() == pytest.approx(counted, rel=0.06)
 
 
 def test_dropout_drops_only_with_a_key_and_keeps_the_mean():
-    config = NetworkConfig(channels=("a",), outputs=("b",), window=4096, layers=(Flatten(), Dropout(rate=0.4)))
-    net, ones = Network.create(config, jax.random.key(0)), jnp.ones((1, 1, 4096))
+    config = NetworkConfig(
+        channels=("a",), outputs=("b",), window=4096, layers=(Flatten(), Dropout(rate=0.4))
+    )
+    net = Network.create(config, jax.random.key(0))
+    ones = jnp.ones((1, 1, 4096))
     assert (net(ones) == 1).all()
     dropped = net(ones, jax.random.key(1))
     assert float((dropped == 0).mean()) == pytest.approx(0.4, abs=0.03)
@@ -101,12 +124,18 @@ def test_weights_by_name_make_the_same_network():
             lambda a: a.pop("0.kernel"),
             r"here: 0.kernel is missing, must have \(5, 100, 128\); copy",
         ),
-        (lambda a: a.update({"0.bias": np.zeros(3)}), r"0.bias has the shape \(3,\), must have \(128,\)"),
+        (
+            lambda a: a.update({"0.bias": np.zeros(3)}),
+            r"0.bias has the shape \(3,\), must have \(128,\)",
+        ),
         (lambda a: a["0.bias"].fill(np.nan), "0.bias is not finite"),
     ],
 )
 def test_odd_weights_are_refused_by_name(change, words):
-    arrays = {name: array.copy() for name, array in named(Network.create(POSNET, jax.random.key(0)).layers).items()}
+    arrays = {
+        name: array.copy()
+        for name, array in named(Network.create(POSNET, jax.random.key(0)).layers).items()
+    }
     change(arrays)
     with pytest.raises(ArtifactError, match=words):
         restored(POSNET.shapes(), arrays, "here")
@@ -114,4 +143,6 @@ def test_odd_weights_are_refused_by_name(change, words):
 
 def test_an_unknown_layer_is_no_network():
     with pytest.raises(ValidationError, match="attention"):
-        NetworkConfig.model_validate({"channels": ["a"], "outputs": ["b"], "layers": [{"kind": "attention"}]})
+        NetworkConfig.model_validate(
+            {"channels": ["a"], "outputs": ["b"], "layers": [{"kind": "attention"}]}
+        )

@@ -27,7 +27,9 @@ def test_holding_a_command_equals_issuing_it_every_tick():
     actions = Command(jnp.asarray([0.7, -1.2, 0.3, 0.9]), jnp.asarray([1.0, 2.5, 3.0, 1.5]))
     start = plant.init(jax.random.key(0))
     held_state, held = hold(plant, start, actions)
-    each = jax.tree.map(lambda x: jnp.repeat(x, np.array([*ACTION_TICKS, ACTION_TICKS[0]])), actions)
+    each = jax.tree.map(
+        lambda x: jnp.repeat(x, np.array([*ACTION_TICKS, ACTION_TICKS[0]])), actions
+    )
     state, reading = roll(plant, start, each)
     for a, b in zip(held, reading, strict=True):
         np.testing.assert_allclose(a, b, atol=2e-4)
@@ -43,7 +45,11 @@ def test_after_an_action_it_remembers_the_ticks_that_were_held(ticks):
         for config in (small.POSNET, small.FORCENET)
     )
     plant = Surrogate(*nets, small.scaling())
-    past = SurrogateState(jnp.int32(0), jnp.linspace(-1, 1, 2 * window).reshape(2, window), jnp.linspace(-1, 1, window))
+    past = SurrogateState(
+        jnp.int32(0),
+        jnp.linspace(-1, 1, 2 * window).reshape(2, window),
+        jnp.linspace(-1, 1, window),
+    )
     command = Command(jnp.float32(0.7), jnp.float32(2.0))
     held, _ = plant.hold_action(past, command, ticks)
     expected, _ = plant.advance(past, command, ticks)
@@ -54,7 +60,8 @@ def test_after_an_action_it_remembers_the_ticks_that_were_held(ticks):
 
 
 def test_the_plant_says_what_the_nets_say_of_the_windows_of_its_own_log():
-    """Row k holds reading k and the command issued then, so window i .. i+w-1 predicts reading i+w."""
+    """Row k holds reading k and the command issued then, so window i .. i+w-1 predicts reading
+    i+w."""
     plant = small.surrogate()
     log = small.log(rows=200)
     commands = jax.tree.map(jnp.asarray, log.command)
@@ -68,16 +75,23 @@ def test_the_plant_says_what_the_nets_say_of_the_windows_of_its_own_log():
 
 
 def test_angles_given_and_angles_predicted_lead_to_other_forces():
-    plant, log = small.surrogate(), small.log(rows=100)
+    plant = small.surrogate()
+    log = small.log(rows=100)
     free, given = (plant.predict_force(log, free_running=free) for free in (True, False))
     assert np.abs(free - given).max() > 0.01
 
 
 def test_velocity_is_the_change_of_the_angle():
     plant = small.surrogate()
-    _, reading = plant.advance(plant.init(jax.random.key(0)), Command(jnp.float32(1), jnp.float32(2)), 20)
-    np.testing.assert_allclose(reading.velocity[1:], np.diff(reading.angle) * 100, rtol=1e-3, atol=1e-3)
-    assert float(reading.velocity[0]) == pytest.approx(float(reading.angle[0]) * 100, rel=1e-3, abs=1e-3)
+    _, reading = plant.advance(
+        plant.init(jax.random.key(0)), Command(jnp.float32(1), jnp.float32(2)), 20
+    )
+    np.testing.assert_allclose(
+        reading.velocity[1:], np.diff(reading.angle) * 100, rtol=1e-3, atol=1e-3
+    )
+    assert float(reading.velocity[0]) == pytest.approx(
+        float(reading.angle[0]) * 100, rel=1e-3, abs=1e-3
+    )
 
 
 def test_limits_are_the_range_of_the_training_commands():
@@ -88,8 +102,13 @@ def test_gradients_go_through_a_stroke():
     plant = small.surrogate()
 
     def mean_force(angle):
-        return plant.advance(plant.init(jax.random.key(0)), Command(angle, jnp.float32(2)), 10)[1].force[:, 1].mean()
+        return (
+            plant.advance(plant.init(jax.random.key(0)), Command(angle, jnp.float32(2)), 10)[1]
+            .force[:, 1]
+            .mean()
+        )
 
-    at, step = jnp.float32(0.5), 1e-2
+    at = jnp.float32(0.5)
+    step = 1e-2
     measured = (mean_force(at + step) - mean_force(at - step)) / (2 * step)
     assert float(jax.grad(mean_force)(at)) == pytest.approx(float(measured), rel=0.02)

@@ -1,4 +1,5 @@
-"""Streaming networks small enough for tests, with random weights everywhere, and logs of a fin that is known."""
+"""Streaming networks small enough for tests, with random weights everywhere, and logs of a fin that
+is known."""
 
 import functools
 from types import SimpleNamespace
@@ -29,7 +30,14 @@ DRIVE = DriveNetConfig(units=3, hidden=4)
 FORCE = ForceNetConfig(units=3, hidden=4, wake=2)
 PROFILE = Profile(delay=2.5, acceleration=60.0)
 CONFIG = StreamingConfig(
-    drive=DRIVE, force=FORCE, members=2, drive_updates=10, force_updates=10, batch=8, ticks=40, burn_in=10
+    drive=DRIVE,
+    force=FORCE,
+    members=2,
+    drive_updates=10,
+    force_updates=10,
+    batch=8,
+    ticks=40,
+    burn_in=10,
 )
 MOUNT = lambda net: (net.mount_turn, net.offset)  # noqa: E731
 """What a force network knows of the sensor, to which no symmetry of the fin applies."""
@@ -44,10 +52,15 @@ def filled(tree, seed=0, spread=0.5):
 
 
 def members(count=2, drive=DRIVE, force=FORCE, profile=PROFILE, seed=0, spread=0.5):
-    """An ensemble whose weights are noise, but not the profile's coefficients and the wake's times."""
+    """An ensemble whose weights are noise, but not the profile's coefficients and the wake's
+    times."""
     # Not drawn as for a fit: to compile that takes longer than most tests.
-    shapes = jax.eval_shape(lambda key: ensemble(count, drive, force, SCALES, key), jax.random.key(seed))
-    noise = filled(jax.tree.map(lambda leaf: np.zeros(leaf.shape, np.float32), shapes), seed, spread)
+    shapes = jax.eval_shape(
+        lambda key: ensemble(count, drive, force, SCALES, key), jax.random.key(seed)
+    )
+    noise = filled(
+        jax.tree.map(lambda leaf: np.zeros(leaf.shape, np.float32), shapes), seed, spread
+    )
 
     def known(members):
         return (members.force.log_time, members.drive.profile)
@@ -77,7 +90,9 @@ def interval():
 def surrogate(seed=0):
     nets = members(seed=seed)
     size = remembered(single(nets.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
-    return StreamingSurrogate(nets, PAPER_LIMITS, interval(), Familiarity(jnp.zeros(size), jnp.eye(size)))
+    return StreamingSurrogate(
+        nets, PAPER_LIMITS, interval(), Familiarity(jnp.zeros(size), jnp.eye(size))
+    )
 
 
 def commands(rows, seed=0, reach=1.5, speeds=(1.0, 3.0), held=(15, 60)):
@@ -85,13 +100,17 @@ def commands(rows, seed=0, reach=1.5, speeds=(1.0, 3.0), held=(15, 60)):
     random = np.random.default_rng(seed)
     count = rows // held[0] + 1
     ticks = random.integers(*held, count)
-    angle, velocity = random.uniform(-reach, reach, count), random.uniform(*speeds, count)
-    return Command(*(np.repeat(part, ticks)[:rows].astype(np.float32) for part in (angle, velocity)))
+    angle = random.uniform(-reach, reach, count)
+    velocity = random.uniform(*speeds, count)
+    return Command(
+        *(np.repeat(part, ticks)[:rows].astype(np.float32) for part in (angle, velocity))
+    )
 
 
 @jax.jit
 def followed(profile, commands):
-    """The motion of a drive at rest that follows its profile: of row k what command k - 1 leads to."""
+    """The motion of a drive at rest that follows its profile: of row k what command k - 1 leads
+    to."""
     still = Motion(jnp.zeros(()), jnp.zeros(()))
     waiting = Command(jnp.zeros(LONGEST_DELAY), jnp.ones(LONGEST_DELAY))
 
@@ -102,11 +121,13 @@ def followed(profile, commands):
 
 
 def recorded(rows, seed=0, profile=PROFILE, sided=False, noise_n=0.01, noise_rad=0.0, **options):
-    """Thrust v^2 / 4 and drag v |v| / 3 along and across the fin; `sided`: thrust v / 2 instead, which has a sign."""
+    """Thrust v^2 / 4 and drag v |v| / 3 along and across the fin; `sided`: thrust v / 2 instead,
+    which has a sign."""
     issued = commands(rows, seed, **options)
     angle, velocity = map(np.asarray, followed(profile, issued))
     random = np.random.default_rng(seed + 1000)
-    along, across = (velocity / 2 if sided else velocity**2 / 4), -velocity * np.abs(velocity) / 3
+    along = velocity / 2 if sided else velocity**2 / 4
+    across = -velocity * np.abs(velocity) / 3
     force = turned(np.stack([along, across], axis=1), angle) + random.normal(0, noise_n, (rows, 2))
     time = np.arange(rows) * TICK_S
     angle = angle + random.normal(0, noise_rad, rows)
@@ -115,7 +136,10 @@ def recorded(rows, seed=0, profile=PROFILE, sided=False, noise_n=0.01, noise_rad
 
 def turned(force, angle):
     """Forces (x, y) of a fin that is turned by an angle: thrust goes along (cos, -sin)."""
-    x, y, cos, sin = force[..., 0], force[..., 1], np.cos(angle), np.sin(angle)
+    x = force[..., 0]
+    y = force[..., 1]
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
 
 
@@ -133,7 +157,8 @@ def mirrored(force):
 def motion(rows, seed=0):
     """Of a smooth random kind."""
     random = np.random.default_rng(seed)
-    phase, time = random.uniform(0, 6, 3), np.arange(rows) * TICK_S
+    phase = random.uniform(0, 6, 3)
+    time = np.arange(rows) * TICK_S
     rates = np.array([4.0, 7.0, 11.0])
     angle = np.sin(np.outer(time, rates) + phase) @ [0.6, 0.4, 0.2]
     velocity = np.cos(np.outer(time, rates) + phase) @ (rates * [0.6, 0.4, 0.2])

@@ -6,7 +6,10 @@ import pytest
 from softfin.surrogate.streaming.nets import SLOWEST, MirrorCore, Parity, magnitude, products
 from tests.surrogate.streaming.small import filled
 
-INPUTS, OUTPUTS, UNITS, HIDDEN = Parity(2, 3), Parity(1, 2), 3, 4
+INPUTS = Parity(2, 3)
+OUTPUTS = Parity(1, 2)
+UNITS = 3
+HIDDEN = 4
 
 
 def core(seed=0):
@@ -24,7 +27,8 @@ def scanned(net, series):
 
 
 def test_step_by_step_it_says_what_a_scan_says():
-    net, series = core(), inputs(12)
+    net = core()
+    series = inputs(12)
     said = scanned(net, series)
     memory = net.blank()
     for tick in range(12):
@@ -35,22 +39,26 @@ def test_step_by_step_it_says_what_a_scan_says():
 
 
 def test_a_mirror_changes_the_sign_of_what_is_odd_and_nothing_else():
-    net, series = core(), inputs(50)
-    said, other = scanned(net, series), scanned(net, series._replace(odd=-series.odd))
+    net = core()
+    series = inputs(50)
+    said = scanned(net, series)
+    other = scanned(net, series._replace(odd=-series.odd))
     np.testing.assert_allclose(other.even, said.even, atol=1e-6)
     np.testing.assert_allclose(other.odd, -said.odd, atol=1e-6)
     assert min(np.abs(said.even).max(), np.abs(said.odd).max()) > 0.1
 
 
 def test_the_odd_outputs_of_a_mirror_core_see_the_even_inputs_and_the_other_way_round():
-    net, series = core(), inputs(50)
+    net = core()
+    series = inputs(50)
     said = scanned(net, series)
     assert np.abs(scanned(net, series._replace(even=series.even + 1)).odd - said.odd).max() > 0.1
     assert np.abs(scanned(net, series._replace(odd=2 * series.odd)).even - said.even).max() > 0.1
 
 
 def test_products_are_those_of_a_count_by_hand():
-    # Mirror: 6 x 6 odd, 8 x 12 gates, 6 x 4 hidden, 4 x 1 even out, 4 x 6 factors and their 2 x 3 with the memory.
+    # Mirror: 6 x 6 odd, 8 x 12 gates, 6 x 4 hidden, 4 x 1 even out, 4 x 6 factors and their 2 x 3
+    # with the memory.
     assert products(core()) == 36 + 96 + 24 + 4 + 24 + 6
 
 

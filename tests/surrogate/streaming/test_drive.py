@@ -25,7 +25,8 @@ def mirrored_run(net):
 
 def test_mirrored_commands_make_mirrored_motions():
     net = small.drive_net()
-    said, other = run(net, BEFORE, WAITING, COMMANDS), mirrored_run(net)
+    said = run(net, BEFORE, WAITING, COMMANDS)
+    other = mirrored_run(net)
     for one, mirror in zip(said, other, strict=True):
         np.testing.assert_allclose(mirror, -one, atol=1e-5)
     assert np.abs(said.angle).max() > 0.1
@@ -33,10 +34,13 @@ def test_mirrored_commands_make_mirrored_motions():
 
 def test_a_net_that_follows_says_the_profile_before_it_has_learnt():
     net = small.drive_net()
-    silent = eqx.tree_at(lambda net: net.core, net, replace_fn=lambda core: jax.tree.map(jnp.zeros_like, core))
+    silent = eqx.tree_at(
+        lambda net: net.core, net, replace_fn=lambda core: jax.tree.map(jnp.zeros_like, core)
+    )
     still = Motion(jnp.float32(0.0), jnp.float32(0.0))
     waiting = Command(jnp.zeros(LONGEST_DELAY), jnp.ones(LONGEST_DELAY))
-    said, profile = run(silent, still, waiting, COMMANDS), small.followed(net.profile, COMMANDS)
+    said = run(silent, still, waiting, COMMANDS)
+    profile = small.followed(net.profile, COMMANDS)
     np.testing.assert_allclose(said.angle[:-1], profile.angle, atol=1e-6)
     np.testing.assert_allclose(said.velocity[:-1], profile.velocity, atol=1e-6)
     assert np.abs(run(net, still, waiting, COMMANDS).angle - said.angle).max() > 1e-3

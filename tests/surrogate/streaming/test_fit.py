@@ -30,8 +30,11 @@ def whole(tmp_path_factory):
     """A fit that was not interrupted, its log, and what it told on the way."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "identify", lambda logs, seed: (KNOWN, 0.0))
-        run_directory, seen = RunDirectory(tmp_path_factory.mktemp("whole") / "s", {"a": 1}), []
-        fitted = fit_streaming(LOGS, CONFIG, 0, run_directory, lambda stage, done, note: seen.append((done, note)))
+        run_directory = RunDirectory(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
+        seen = []
+        fitted = fit_streaming(
+            LOGS, CONFIG, 0, run_directory, lambda stage, done, note: seen.append((done, note))
+        )
         return fitted, read_log(run_directory.folder / LOG), seen
 
 
@@ -45,7 +48,9 @@ class Killed(BaseException):
 
 
 def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one, other)), strict=True))
+    return all(
+        np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one, other)), strict=True)
+    )
 
 
 @pytest.mark.parametrize(("after", "from_then_on"), [(0.3, 0.1), (0.7, 0.5)])
@@ -60,7 +65,9 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
         fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "cut", {"a": 1}), killer)
     resumed_from = []
     run_directory = RunDirectory(tmp_path / "cut", {"a": 1}, resume=True)
-    resumed = fit_streaming(LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done))
+    resumed = fit_streaming(
+        LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done)
+    )
     assert min(resumed_from) > from_then_on
     surrogate, history, _ = whole
     assert same(surrogate, resumed)
@@ -73,8 +80,14 @@ def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
     surrogate, _, _ = whole
     scales = scales_of(LOGS[:-1])
     fresh = ensemble(2, CONFIG.drive, CONFIG.force, scales, key_of(0, "fit/weights"))
-    before, after = (dict(jax.tree_util.tree_leaves_with_path(nets)) for nets in (fresh, surrogate.members))
-    held = [jax.tree_util.keystr(path) for path in before if before[path].size and same(before[path], after[path])]
+    before, after = (
+        dict(jax.tree_util.tree_leaves_with_path(nets)) for nets in (fresh, surrogate.members)
+    )
+    held = [
+        jax.tree_util.keystr(path)
+        for path in before
+        if before[path].size and same(before[path], after[path])
+    ]
     assert all(name.startswith(".drive.profile.") for name in held)
     for index in range(2):
         assert same(single(surrogate.members.drive.profile, index), KNOWN)
@@ -83,7 +96,8 @@ def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
 def test_the_members_are_not_alike(whole):
     one, other = (single(whole[0].members, index) for index in range(2))
     alike = [
-        np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one.force.core, other.force.core)), strict=True)
+        np.array_equal(a, b)
+        for a, b in zip(*map(jax.tree.leaves, (one.force.core, other.force.core)), strict=True)
     ]
     assert not any(alike)
 
@@ -96,14 +110,17 @@ def test_the_best_weights_of_each_member_are_kept(whole):
 
 
 def test_limits_are_the_range_of_the_training_commands(whole):
-    limits, command = whole[0].limits, [log.command for log in LOGS[:-1]]
+    limits = whole[0].limits
+    command = [log.command for log in LOGS[:-1]]
     angle, velocity = (np.concatenate([c[i] for c in command]) for i in range(2))
     assert limits == pytest.approx((angle.min(), angle.max(), velocity.min(), velocity.max()))
 
 
 def test_held_out_logs_reach_no_weight(tmp_path, whole):
     last = LOGS[-1]
-    strange = last._replace(reading=last.reading._replace(force=last.reading.force * np.float32(1e-6)))
+    strange = last._replace(
+        reading=last.reading._replace(force=last.reading.force * np.float32(1e-6))
+    )
     run_directory = RunDirectory(tmp_path / "s", {})
     fit_streaming([*LOGS[:-1], strange], CONFIG, 0, run_directory)
     both = whole[1], read_log(run_directory.folder / LOG)
@@ -118,12 +135,14 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
         (
             LOGS,
             ["ticks=390"],
-            "the longest of 3 training logs has 400 rows; 411 are needed in one piece; .* shorter .--set ticks=N",
+            "the longest of 3 training logs has 400 rows; 411 are needed in one piece; .* shorter "
+            ".--set ticks=N",
         ),
         (
             [*LOGS[:2], small.rows_of(LOGS[2], 0, 209)],
             [],
-            r"none of 1 held-out logs has 210 rows: .* behind burn_in = 10 need as many; record longer",
+            r"none of 1 held-out logs has 210 rows: .* behind burn_in = 10 need as many; record "
+            r"longer",
         ),
     ],
 )

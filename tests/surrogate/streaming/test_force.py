@@ -19,7 +19,8 @@ MOTION = small.motion(61)
 @functools.partial(jax.jit, static_argnames="wake")
 def force_of(net, motion, wake=0.0):
     """From a state whose wake is already moving, if it is asked for."""
-    before, after = jax.tree.map(lambda x: x[0], motion), jax.tree.map(lambda x: x[1:], motion)
+    before = jax.tree.map(lambda x: x[0], motion)
+    after = jax.tree.map(lambda x: x[1:], motion)
     start = net.start(before)
     start = start._replace(wake=jax.tree.map(lambda x: x + wake, start.wake))
     return jax.lax.scan(lambda state, now: net.step(state, now), start, after)[1]
@@ -44,7 +45,8 @@ def test_mirrored_motions_make_mirrored_forces(options):
 @settings(max_examples=20, deadline=None)
 @given(turn=st.floats(-7, 7))
 def test_a_motion_that_is_turned_makes_a_force_that_is_turned(turn):
-    """The wake of a fin that is turned stands turned in the tank: along and across the fin it is the same."""
+    """The wake of a fin that is turned stands turned in the tank: along and across the fin it is
+    the same."""
     net = small.force_net()
     offset = np.asarray(net.offset) * small.SCALES.force_n
     said = force(net, MOTION, 0.7) - offset
@@ -76,8 +78,10 @@ def quasi_steady():
 
 def test_the_quasi_steady_force_is_along_and_across_the_fin():
     angle, velocity = (np.asarray(part, np.float64) for part in MOTION)
-    v, change = velocity[1:] / small.SCALES.velocity_rad_s, np.diff(velocity) / small.SCALES.change_rad_s
-    along, across = 0.5 * v**2 + 0.2 * v * change, 0.3 * change - 0.4 * v * np.abs(v) - 0.1 * v
+    v = velocity[1:] / small.SCALES.velocity_rad_s
+    change = np.diff(velocity) / small.SCALES.change_rad_s
+    along = 0.5 * v**2 + 0.2 * v * change
+    across = 0.3 * change - 0.4 * v * np.abs(v) - 0.1 * v
     expected = small.SCALES.force_n * small.turned(np.stack([along, across], axis=1), angle[1:])
     np.testing.assert_allclose(force(quasi_steady(), MOTION), expected, atol=1e-4)
 
@@ -96,6 +100,7 @@ def test_forces_is_step_by_step():
 
 
 def test_products_are_those_of_the_core_and_of_the_wake():
-    # 3 units: 4 x 8 odd ... see test_core; the wake is pushed by 3 even and 3 odd units, 2 vectors each.
+    # 3 units: 4 x 8 odd ... see test_core; the wake is pushed by 3 even and 3 odd units, 2 vectors
+    # each.
     net = small.force_net()
     assert products(net) == (3 + 5) * 6 + (6 + 2) * 12 + 6 * 4 + 4 + 3 + 4 * 3 + 2 * 3 * 2

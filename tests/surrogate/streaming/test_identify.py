@@ -8,7 +8,9 @@ from softfin.surrogate.streaming import profile as module
 from softfin.surrogate.streaming.profile import Profile, identify
 from tests.surrogate.streaming import small
 
-TRUE = Profile(gain=1.03, zero=0.02, delay=3.4, velocity_factor=0.95, velocity_limit=2.5, acceleration=30.0)
+TRUE = Profile(
+    gain=1.03, zero=0.02, delay=3.4, velocity_factor=0.95, velocity_limit=2.5, acceleration=30.0
+)
 NOISE_RAD = 1e-3
 
 
@@ -21,7 +23,10 @@ def test_the_coefficients_of_a_drive_are_read_off_its_logs(monkeypatch):
     monkeypatch.setattr(module, "STARTS", 1)
     logs = [small.recorded(800, seed, TRUE, noise_rad=NOISE_RAD) for seed in range(4)]
     profile, error = identify(logs, seed=0)
-    found, true = (SimpleNamespace(**{name: float(x) for name, x in vars(each).items()}) for each in (profile, TRUE))
+    found, true = (
+        SimpleNamespace(**{name: float(x) for name, x in vars(each).items()})
+        for each in (profile, TRUE)
+    )
     assert found.gain == pytest.approx(true.gain, abs=1e-3)
     assert found.zero == pytest.approx(true.zero, abs=5e-4)
     # A lag is a delay but for the corners of the profile.
@@ -42,7 +47,8 @@ def test_short_logs_are_read_in_shorter_pieces(monkeypatch):
 def test_numpys_global_generator_is_left_alone_and_the_seed_alone_decides(monkeypatch):
     monkeypatch.setattr(module, "GENERATIONS", 1)
     monkeypatch.setattr(module, "SEGMENTS", 2)
-    logs, found = [small.recorded(80, 0)], []
+    logs = [small.recorded(80, 0)]
+    found = []
     for state in (5, 6):
         np.random.seed(state)  # noqa: NPY002
         before = np.random.get_state()  # noqa: NPY002
@@ -57,7 +63,9 @@ def test_searches_begin_at_several_delays_and_the_best_counts(monkeypatch):
     """From one delay alone, one search in five ends at a wrong one."""
     monkeypatch.setattr(module, "GENERATIONS", 1)
     monkeypatch.setattr(module, "SEGMENTS", 2)
-    begun, errors, search = [], [], module.cma_es
+    begun = []
+    errors = []
+    search = module.cma_es
 
     def noted(guess, step, *words, **options):
         begun.append((guess[2], step))

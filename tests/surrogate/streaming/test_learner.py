@@ -38,17 +38,23 @@ def slopes(function, net):
 
 def test_gradients_reach_every_weight_of_a_force_net():
     net = small.force_net()
-    found = slopes(lambda net: force_loss(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY, CONFIG), net)
+    found = slopes(
+        lambda net: force_loss(net, SEGMENTS, predicted(), jnp.float32(0.5), KEY, CONFIG), net
+    )
     assert [jax.tree_util.keystr(path) for path, slope in found.items() if not np.all(slope)] == []
 
 
 def test_gradients_reach_every_weight_of_a_drive_net_and_none_of_its_profile():
     net = small.drive_net()
-    found = slopes(lambda net: drive_loss(net, SEGMENTS, predicted(), jnp.float32(0), KEY, CONFIG), net)
+    found = slopes(
+        lambda net: drive_loss(net, SEGMENTS, predicted(), jnp.float32(0), KEY, CONFIG), net
+    )
     names = {jax.tree_util.keystr(path): slope for path, slope in found.items()}
     coefficients = {name for name in names if name.startswith(".profile")}
     assert len(coefficients) == 7
-    assert [name for name, slope in names.items() if name not in coefficients and not np.all(slope)] == []
+    assert [
+        name for name, slope in names.items() if name not in coefficients and not np.all(slope)
+    ] == []
     assert [name for name in coefficients if names[name] != 0] == []
 
 
@@ -57,7 +63,9 @@ def test_what_is_wrong_within_the_burn_in_does_not_count(part):
     def with_error(tick):
         if part == "force":
             return SEGMENTS._replace(force=SEGMENTS.force.at[:, tick].add(5.0))
-        return SEGMENTS._replace(motion=SEGMENTS.motion._replace(angle=SEGMENTS.motion.angle.at[:, 1 + tick].add(5.0)))
+        return SEGMENTS._replace(
+            motion=SEGMENTS.motion._replace(angle=SEGMENTS.motion.angle.at[:, 1 + tick].add(5.0))
+        )
 
     def error(segments):
         if part == "force":
@@ -72,7 +80,9 @@ def test_force_nets_see_the_measured_motion_first_and_the_predicted_one_in_the_e
     net, begin, end = small.force_net(), *CONFIG.free_running
     told = predicted()
     fed = SEGMENTS._replace(motion=told)
-    measured, free = (float(force_error(net, segments, predicted(0.0), 0.0)) for segments in (SEGMENTS, fed))
+    measured, free = (
+        float(force_error(net, segments, predicted(0.0), 0.0)) for segments in (SEGMENTS, fed)
+    )
     assert abs(free - measured) > 0.05 * measured
     for done, expected in ((0.0, measured), (begin, measured), (end, free), (1.0, free)):
         assert float(force_error(net, SEGMENTS, told, done)) == pytest.approx(expected, rel=1e-5)
@@ -91,7 +101,10 @@ def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_ar
     nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     state, loss = learner.run(learner.start(twins), TABLE, nowhere, jnp.int32(0), 4, KEY)
     assert loss[0] != loss[1]
-    moved = [np.asarray(new - old) for new, old in zip(*map(jax.tree.leaves, (state.nets, twins)), strict=True)]
+    moved = [
+        np.asarray(new - old)
+        for new, old in zip(*map(jax.tree.leaves, (state.nets, twins)), strict=True)
+    ]
     assert all(np.abs(x[0] - x[1]).max() > 0 for x in moved if x.size)
 
     first, better = keep_best(state, loss, jnp.asarray([1.0, 2.0]), "nets")
@@ -106,7 +119,8 @@ def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_ar
 
 
 def test_two_calls_are_one_compiled_program(learner, monkeypatch):
-    compiled, loss = [], learner.loss
+    compiled = []
+    loss = learner.loss
 
     def counted(*args):
         compiled.append(1)

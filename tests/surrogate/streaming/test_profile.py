@@ -14,7 +14,8 @@ STEPS = 2
 
 def tank_drive(config, commands):
     """Angle and velocity behind each command of a drive with nothing on its shaft."""
-    drive, seconds = Drive(config), TICK_S / STEPS
+    drive = Drive(config)
+    seconds = TICK_S / STEPS
     free = jnp.zeros(())
 
     def tick(state, command):
@@ -32,9 +33,15 @@ def tank_drive(config, commands):
 def test_an_unloaded_stiff_drive_of_the_tank_follows_its_profile(dead_time, delay):
     commands = small.commands(400, seed=3)
     stiff = DriveConfig(
-        dead_time_s=dead_time, lag_s=0.0, acceleration_rad_s2=60.0, encoder_step_rad=0.0, stiffness_nm_rad=1e6,
-        inertia_kg_m2=1e-5, torque_limit_nm=1e6, fastest_rad_s=100.0,
-    )  # fmt: skip
+        dead_time_s=dead_time,
+        lag_s=0.0,
+        acceleration_rad_s2=60.0,
+        encoder_step_rad=0.0,
+        stiffness_nm_rad=1e6,
+        inertia_kg_m2=1e-5,
+        torque_limit_nm=1e6,
+        fastest_rad_s=100.0,
+    )
     angle, _ = tank_drive(stiff, commands)
     said = small.followed(Profile(delay=delay, acceleration=60.0), commands)
     np.testing.assert_allclose(said.angle[1:], angle[:-1], atol=1e-3)
@@ -62,7 +69,8 @@ def test_it_speeds_up_and_brakes_by_its_acceleration():
 
 
 def test_a_lag_puts_the_shaft_behind_by_its_velocity():
-    before, behind = settled(Profile()), settled(Profile(lag=0.03))
+    before = settled(Profile())
+    behind = settled(Profile(lag=0.03))
     np.testing.assert_allclose(behind.angle, before.angle - 0.03 * before.velocity, atol=1e-6)
 
 

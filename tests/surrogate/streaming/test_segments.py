@@ -22,13 +22,17 @@ def test_segments_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
     fitting = [count for count in rows if count >= ticks + LONGEST_DELAY + 1]
     logs = [numbered(count, i) for i, count in enumerate(rows)]
     if not fitting:
-        with pytest.raises(LogError, match=f"has {max(rows)} rows; {ticks + LONGEST_DELAY + 1} are needed"):
+        with pytest.raises(
+            LogError, match=f"has {max(rows)} rows; {ticks + LONGEST_DELAY + 1} are needed"
+        ):
             Table.of(logs, ticks)
         return
     table = Table.of(logs, ticks)
     assert table.starts.size == sum(count - ticks - LONGEST_DELAY for count in fitting)
-    column, starts = np.asarray(table.motion.angle), np.asarray(table.starts)
-    first, last = column[starts - LONGEST_DELAY], column[starts + ticks]
+    column = np.asarray(table.motion.angle)
+    starts = np.asarray(table.starts)
+    first = column[starts - LONGEST_DELAY]
+    last = column[starts + ticks]
     np.testing.assert_array_equal(last - first, LONGEST_DELAY + ticks)
 
 
@@ -39,17 +43,23 @@ def test_a_segment_holds_commands_and_what_the_row_behind_each_shows_of_them():
     np.testing.assert_array_equal(segment.commands.angle, at[:, None] + np.arange(10))
     np.testing.assert_array_equal(segment.motion.velocity, at[:, None] + np.arange(11))
     np.testing.assert_array_equal(segment.force[..., 1], at[:, None] + np.arange(1, 11))
-    np.testing.assert_array_equal(segment.waiting.velocity, at[:, None] - np.arange(1, LONGEST_DELAY + 1))
+    np.testing.assert_array_equal(
+        segment.waiting.velocity, at[:, None] - np.arange(1, LONGEST_DELAY + 1)
+    )
 
 
 def test_scales_are_the_spreads_of_the_logs_and_no_change_reaches_over_their_ends():
     logs = [small.recorded(300, seed=seed) for seed in range(3)]
     scales = scales_of(logs)
     force = np.concatenate([log.reading.force for log in logs])
-    assert scales.angle_rad == pytest.approx(np.concatenate([log.reading.angle for log in logs]).std(), rel=1e-5)
+    assert scales.angle_rad == pytest.approx(
+        np.concatenate([log.reading.angle for log in logs]).std(), rel=1e-5
+    )
     assert scales.force_n == pytest.approx(np.sqrt(np.mean(force**2)), rel=1e-5)
-    shifted = [log._replace(reading=log.reading._replace(velocity=log.reading.velocity + i)) for i, log in
-               enumerate(logs)]  # fmt: skip
+    shifted = [
+        log._replace(reading=log.reading._replace(velocity=log.reading.velocity + i))
+        for i, log in enumerate(logs)
+    ]
     assert scales_of(shifted).change_rad_s == pytest.approx(scales.change_rad_s, rel=1e-4)
 
 

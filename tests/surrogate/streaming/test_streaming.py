@@ -21,7 +21,9 @@ START = PLANT.init(jax.random.key(0))
 @pytest.fixture(scope="module")
 def advance():
     """Two programs for all: of one tick, and of 33."""
-    return jax.jit(lambda state, command, ticks: PLANT.advance(state, command, ticks), static_argnums=2)
+    return jax.jit(
+        lambda state, command, ticks: PLANT.advance(state, command, ticks), static_argnums=2
+    )
 
 
 def test_a_streaming_surrogate_is_a_plant():
@@ -30,7 +32,8 @@ def test_a_streaming_surrogate_is_a_plant():
 
 def test_33_ticks_are_33_times_one(advance):
     held_state, held = advance(START, STROKE, 33)
-    state, each = START, []
+    state = START
+    each = []
     for _ in range(33):
         state, reading = advance(state, STROKE, 1)
         each.append(reading)
@@ -58,14 +61,17 @@ def test_the_state_does_not_grow_with_what_it_remembers():
 
 
 def test_it_begins_at_rest_and_stays_there_until_it_is_told_otherwise(advance):
-    after, parts = START, []
+    after = START
+    parts = []
     for _ in range(3):
         after, part = advance(after, rest_command(PLANT.limits), 33)
         parts.append(part)
     for each, atol in (("force", 1e-4), ("angle", 1e-5), ("velocity", 1e-5)):
         values = np.concatenate([getattr(part, each) for part in parts])
         np.testing.assert_allclose(values, np.repeat(values[:1], 99, axis=0), atol=atol)
-    for one, other in zip(*(jax.tree.leaves(state.members) for state in (START, after)), strict=True):
+    for one, other in zip(
+        *(jax.tree.leaves(state.members) for state in (START, after)), strict=True
+    ):
         np.testing.assert_allclose(one, other, atol=1e-4)
     assert float(parts[0].time[0]) == pytest.approx(0.01)
 
@@ -87,8 +93,11 @@ def test_warm_is_where_following_the_log_from_there_on_comes_to():
 
 
 def test_warm_counts_on_from_the_time_of_the_last_row_and_sees_only_its_memory(advance):
-    long, short = PLANT.warm(LOG), PLANT.warm(small.rows_of(LOG, 400 - PLANT.memory, None))
-    assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (long, short)), strict=True))
+    long = PLANT.warm(LOG)
+    short = PLANT.warm(small.rows_of(LOG, 400 - PLANT.memory, None))
+    assert all(
+        np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (long, short)), strict=True)
+    )
     _, reading = advance(long, STROKE, 1)
     assert float(reading.time[0]) == pytest.approx(float(LOG.reading.time[-1]) + 0.01)
 
@@ -107,12 +116,18 @@ def test_a_short_history_is_refused():
 def test_the_cost_of_a_tick_is_that_of_the_products_of_all_members():
     member = single(PLANT.members)
     assert PLANT.flops_per_tick() == 2 * 2 * (products(member.drive) + products(member.force))
-    assert PLANT.parameters() == sum(leaf.size for leaf in jax.tree.leaves(PLANT.members)) == 2 * parameters(member)
+    assert (
+        PLANT.parameters()
+        == sum(leaf.size for leaf in jax.tree.leaves(PLANT.members))
+        == 2 * parameters(member)
+    )
     assert (PLANT.model, PLANT.size) == ("streaming", 2)
 
 
 def test_a_mirrored_fin_says_mirrored_readings():
-    members = small.eqx.tree_at(lambda m: small.MOUNT(m.force), PLANT.members, replace_fn=jnp.zeros_like)
+    members = small.eqx.tree_at(
+        lambda m: small.MOUNT(m.force), PLANT.members, replace_fn=jnp.zeros_like
+    )
     plant = StreamingSurrogate(members, PLANT.limits, PLANT.interval, PLANT.familiarity)
     issued = Command(*map(jnp.asarray, small.commands(200, seed=2)))
     start = plant.init(jax.random.key(0))
@@ -124,5 +139,7 @@ def test_a_mirrored_fin_says_mirrored_readings():
 
 def test_the_distance_is_that_of_the_first_members_force_net(advance):
     state, _ = advance(START, STROKE, 33)
-    memory = np.concatenate([np.ravel(leaf[0]) for leaf in jax.tree.leaves(state.members.force[:2])])
+    memory = np.concatenate(
+        [np.ravel(leaf[0]) for leaf in jax.tree.leaves(state.members.force[:2])]
+    )
     assert float(PLANT.distance(state)) == pytest.approx(np.linalg.norm(memory), rel=1e-4)

@@ -6,7 +6,14 @@ import pytest
 from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import Command, Log, Reading
 from softfin.core.window import window_means
-from softfin.surrogate.streaming.ensemble import Interval, calibrated, familiar, predict_motion, remembered, single
+from softfin.surrogate.streaming.ensemble import (
+    Interval,
+    calibrated,
+    familiar,
+    predict_motion,
+    remembered,
+    single,
+)
 from tests.surrogate.streaming import small
 
 BURN_IN = 7
@@ -14,7 +21,9 @@ BURN_IN = 7
 
 def log_of(means):
     """With these mean forces in its windows, behind the burn-in."""
-    force = np.concatenate([np.full((7, 2), 99.0), np.repeat(means, WINDOW, axis=0), np.full((5, 2), 99.0)])
+    force = np.concatenate(
+        [np.full((7, 2), 99.0), np.repeat(means, WINDOW, axis=0), np.full((5, 2), 99.0)]
+    )
     rows = np.zeros(len(force), np.float32)
     return Log(Command(rows, rows), Reading(rows, rows, rows, force.astype(np.float32)))
 
@@ -30,16 +39,24 @@ def test_means_are_those_of_whole_windows_behind_the_burn_in():
 
 @pytest.mark.parametrize("windows", [10, 200])
 def test_the_interval_holds_its_share_of_errors_that_it_was_not_calibrated_with(windows):
-    """Members that disagree more where they are more wrong; so few logs, of a window each, that one more is seen."""
-    random, held = np.random.default_rng(windows), []
+    """Members that disagree more where they are more wrong; so few logs, of a window each, that one
+    more is seen."""
+    random = np.random.default_rng(windows)
+    held = []
     for _ in range(300):
         size = random.uniform(0.1, 1.0, (windows + 50, 2))
-        error, spread = random.normal(0, 0.3, size.shape) * size, 0.3 * size
+        error = random.normal(0, 0.3, size.shape) * size
+        spread = 0.3 * size
         members = [error + spread, error - spread]
-        found = calibrated(
-            [said_of([m[i : i + 1] for m in members]) for i in range(windows)],
-            [log_of(np.zeros((1, 2)))] * windows, BURN_IN,
-        ) if windows == 10 or len(held) < 10 else found  # fmt: skip
+        found = (
+            calibrated(
+                [said_of([m[i : i + 1] for m in members]) for i in range(windows)],
+                [log_of(np.zeros((1, 2)))] * windows,
+                BURN_IN,
+            )
+            if windows == 10 or len(held) < 10
+            else found
+        )
         fresh = np.stack(members)[:, windows:]
         held.append(np.mean(np.abs(fresh.mean(axis=0)) <= found.half_width(fresh)))
     assert 0.895 <= np.mean(held) <= (0.96 if windows == 10 else 0.93)
@@ -48,12 +65,16 @@ def test_the_interval_holds_its_share_of_errors_that_it_was_not_calibrated_with(
 
 @pytest.mark.parametrize("logs", [1, 2, 5])
 def test_the_interval_holds_its_share_where_the_errors_of_a_log_are_all_its_drift(logs):
-    """On average over calibrations: from few logs it is wider, for its scale is known from few drifts alone."""
-    random, held = np.random.default_rng(logs), []
+    """On average over calibrations: from few logs it is wider, for its scale is known from few
+    drifts alone."""
+    random = np.random.default_rng(logs)
+    held = []
     for _ in range(400):
         drifts = np.repeat(random.normal(0, 0.05, (logs + 20, 1, 2)), 3, axis=1)
         means = drifts + random.normal(0, 0.01, drifts.shape)
-        found = calibrated([said_of([np.zeros((3, 2))] * 2)] * logs, [log_of(m) for m in means[:logs]], BURN_IN)
+        found = calibrated(
+            [said_of([np.zeros((3, 2))] * 2)] * logs, [log_of(m) for m in means[:logs]], BURN_IN
+        )
         held.append(np.mean(np.abs(means[logs:]) <= found.half_width(np.zeros((2, 20, 3, 2)))))
     assert 0.88 <= np.mean(held) <= 0.95
 
@@ -67,10 +88,13 @@ def test_the_half_width_grows_with_the_spread_of_the_members():
 
 @pytest.fixture(scope="module")
 def known():
-    """Training logs of slow commands to small angles, and distances of the memories of such logs."""
+    """Training logs of slow commands to small angles, and distances of the memories of such
+    logs."""
     members = small.members(seed=3, spread=0.3)
     return members, familiar(
-        members.force, predict_motion(members.drive, [training(seed) for seed in range(6)]), burn_in=100
+        members.force,
+        predict_motion(members.drive, [training(seed) for seed in range(6)]),
+        burn_in=100,
     )
 
 
@@ -89,7 +113,9 @@ def distances(known, log):
         return state, familiarity.distance(remembered(state.force))
 
     start = member.start(small.rows_of_first(log), waiting)
-    return np.asarray(jax.jit(lambda commands: jax.lax.scan(step, start, commands)[1])(log.command))[100:]
+    return np.asarray(
+        jax.jit(lambda commands: jax.lax.scan(step, start, commands)[1])(log.command)
+    )[100:]
 
 
 def test_one_in_a_thousand_moments_of_the_training_data_is_further_than_1(known):
@@ -105,7 +131,9 @@ def test_commands_that_were_never_trained_are_far(known):
     assert np.mean(usual > 1) < 0.02
 
 
-@pytest.mark.parametrize(("logs", "said"), [(10, None), (9, "9 held-out logs;"), (1, "1 held-out log;")])
+@pytest.mark.parametrize(
+    ("logs", "said"), [(10, None), (9, "9 held-out logs;"), (1, "1 held-out log;")]
+)
 def test_an_interval_from_few_logs_says_that_it_hardly_covers_them(logs, said):
     caveat = small.interval().model_copy(update={"logs": logs}).caveat()
     assert (caveat is None) if said is None else said in caveat

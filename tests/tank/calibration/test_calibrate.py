@@ -26,7 +26,9 @@ EVEN = np.ones(3) / 3
 
 def truth():
     """The tank that made the logs, its sensor's noise and all."""
-    changes = [f"{name}={value}" for name, value in TRUTH.items() if not name.startswith("recording")]
+    changes = [
+        f"{name}={value}" for name, value in TRUTH.items() if not name.startswith("recording")
+    ]
     return CONFIG.tank.changed([*changes, "sensor.drift_n=0.0", "sensor.noise_n=0.2"])
 
 
@@ -34,13 +36,18 @@ def truth():
 def dataset(tmp_path_factory):
     """Its logs, written as by one whose commands are larger than what the drive is told."""
     folder = tmp_path_factory.mktemp("calibrate")
-    # Over ten seeds the root mean square of error over standard error is 0.7 to 1.2; seed 0 has one of 3.4.
-    plain = collect_logs(Tank(truth()), CollectConfig(logs=6, test_logs=2, rows=600, seed=1), folder / "plain")
+    # Over ten seeds the root mean square of error over standard error is 0.7 to 1.2; seed 0 has one
+    # of 3.4.
+    plain = collect_logs(
+        Tank(truth()), CollectConfig(logs=6, test_logs=2, rows=600, seed=1), folder / "plain"
+    )
     gain = TRUTH["recording.angle_gain"]
 
     def rewritten(paths):
         for log in map(read_log, paths):
-            yield log._replace(command=log.command._replace(angle=log.command.angle / np.float32(gain)))
+            yield log._replace(
+                command=log.command._replace(angle=log.command.angle / np.float32(gain))
+            )
 
     return write_dataset(folder / "dataset", rewritten(plain.train), rewritten(plain.test), {})
 
@@ -70,7 +77,9 @@ def test_on_unseen_logs_it_errs_by_the_noise_of_the_sensor(found):
     for axis in ("force_x", "force_y"):
         # Three standard errors of the deviation of 600 samples.
         assert unseen[axis]["rmse"] == pytest.approx(0.2, abs=3 * 0.2 / np.sqrt(2 * 600))
-        assert unseen[axis]["r2"] == pytest.approx(1 - 0.04 / unseen[axis]["std_measured"] ** 2, abs=0.01)
+        assert unseen[axis]["r2"] == pytest.approx(
+            1 - 0.04 / unseen[axis]["std_measured"] ** 2, abs=0.01
+        )
 
 
 def test_what_is_not_fitted_stays_as_it_was(found):
@@ -85,11 +94,17 @@ def test_what_is_not_fitted_stays_as_it_was(found):
 def test_the_loss_is_the_weighted_mean_of_one_less_the_pooled_r2(logs):
     space, train, _ = prepared(CONFIG, *logs)
     errors = space.errors(train, 2)
-    expected = scores(np.asarray(read(stacked([space.configs(space.start)]), train.command)[0]), train)
+    expected = scores(
+        np.asarray(read(stacked([space.configs(space.start)]), train.command)[0]), train
+    )
     misfit = misfits(errors, [space.start])[0]
-    np.testing.assert_allclose(misfit, [1 - expected[channel]["r2"] for channel in FITTED_CHANNELS], rtol=1e-4)
+    np.testing.assert_allclose(
+        misfit, [1 - expected[channel]["r2"] for channel in FITTED_CHANNELS], rtol=1e-4
+    )
     weights = np.array([1.0, 2.0, 3.0]) / 6
-    assert linearised(errors, space.start, weights).loss == pytest.approx(misfit @ weights, rel=1e-4)
+    assert linearised(errors, space.start, weights).loss == pytest.approx(
+        misfit @ weights, rel=1e-4
+    )
 
 
 def test_a_tank_gives_the_same_whatever_is_simulated_beside_it(logs):
@@ -101,8 +116,12 @@ def test_a_tank_gives_the_same_whatever_is_simulated_beside_it(logs):
 
 def test_the_local_search_stops_at_the_faces_of_the_box(logs):
     space, train, _ = prepared(CONFIG, *logs)
-    narrow = [p._replace(low=6e6) if p.name == "fin.youngs_modulus_pa" else p for p in space.parameters]
-    linear = polish(Space(narrow, CONFIG.tank, CONFIG.recording).errors(train, 6), space.start, EVEN, 5)
+    narrow = [
+        p._replace(low=6e6) if p.name == "fin.youngs_modulus_pa" else p for p in space.parameters
+    ]
+    linear = polish(
+        Space(narrow, CONFIG.tank, CONFIG.recording).errors(train, 6), space.start, EVEN, 5
+    )
     assert linear.point[0] == 0.0
     assert linear.normal()[1][0] > 0
 
@@ -119,10 +138,18 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
         calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}), stop)
     seen = []
     again = calibrate(
-        CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}, resume=True), lambda *report: seen.append(report[:2])
+        CONFIG,
+        *logs,
+        0,
+        RunDirectory(tmp_path / "out", {}, resume=True),
+        lambda *report: seen.append(report[:2]),
     )
     assert min(done for stage, done in seen if stage == "search") > 0.5
-    assert (again.tank, again.recording, again.determination) == (found.tank, found.recording, found.determination)
+    assert (again.tank, again.recording, again.determination) == (
+        found.tank,
+        found.recording,
+        found.determination,
+    )
 
 
 def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(dataset, tmp_path):
@@ -134,12 +161,18 @@ def test_the_folder_holds_a_tank_that_can_be_built_and_all_that_is_known_of_it(d
     recording = RecordingConfig.build(read_yaml(out / "recording.yaml"))
     assert recording.model_dump() == result["recording"]
     assert result["provenance"]["data_hash"] == dataset.data_hash
-    assert {file.name for file in out.iterdir()} >= {"calibration.png", "calibration.svg", "training"}
+    assert {file.name for file in out.iterdir()} >= {
+        "calibration.png",
+        "calibration.svg",
+        "training",
+    }
     assert not list(tmp_path.glob(".*"))
 
 
 def test_a_plant_is_moved_within_the_velocities_that_are_asked_for():
-    config = CONFIG.merged({"velocity_rad_s": [2.0, 3.0], "segments": 2, "segment_s": 3.0, "test_segments": 1}, "test")
+    config = CONFIG.merged(
+        {"velocity_rad_s": [2.0, 3.0], "segments": 2, "segment_s": 3.0, "test_segments": 1}, "test"
+    )
     train, test, _ = material(Tank(truth()), config, 0)
     assert (len(train), len(test)) == (2, 1)
     for log in (*train, *test):
@@ -158,7 +191,9 @@ def test_a_plant_is_moved_within_the_velocities_that_are_asked_for():
         ),
     ],
 )
-def test_what_cannot_be_fitted_is_refused_before_anything_is_simulated(logs, changes, error, message):
+def test_what_cannot_be_fitted_is_refused_before_anything_is_simulated(
+    logs, changes, error, message
+):
     config = CalibrateConfig.build({**CONFIG.model_dump(), **changes})
     with pytest.raises(error, match=message):
         prepared(config, *logs)
@@ -166,7 +201,10 @@ def test_what_cannot_be_fitted_is_refused_before_anything_is_simulated(logs, cha
 
 @pytest.mark.parametrize(
     ("velocity", "message"),
-    [((0.5, 2.0), "velocity_rad_s = 0.5, 2: the plant takes 1 to"), ((3.0, 2.0), "the lower first")],
+    [
+        ((0.5, 2.0), "velocity_rad_s = 0.5, 2: the plant takes 1 to"),
+        ((3.0, 2.0), "the lower first"),
+    ],
 )
 def test_velocities_that_a_plant_does_not_take_are_refused(velocity, message):
     with pytest.raises(ConfigurationError, match=message):
@@ -186,7 +224,9 @@ def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path)
 
 
 def test_the_tank_is_written_as_yaml_that_people_can_read(dataset, tmp_path):
-    calibrate_stage(dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"]))
+    calibrate_stage(
+        dataset.path, tmp_path / "out", CONFIG.changed(["evaluations=0", "iterations=1"])
+    )
     text = (tmp_path / "out" / "tank.yaml").read_text()
     assert text.startswith("# ")
     assert list(yaml.safe_load(text)) == list(TankConfig().model_dump())

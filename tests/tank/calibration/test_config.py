@@ -19,17 +19,26 @@ from softfin.tank.calibration.model import Space
 
 def space(**ranges):
     names = {name.replace("__", "."): limits for name, limits in ranges.items()}
-    return Space([Parameter(name, *limits) for name, limits in names.items()], TankConfig(), RecordingConfig())
+    return Space(
+        [Parameter(name, *limits) for name, limits in names.items()],
+        TankConfig(),
+        RecordingConfig(),
+    )
 
 
-@given(st.floats(0, 1), st.sampled_from([("fin.length_m", 0.1, 0.4), ("recording.angle_offset_rad", -0.2, 0.3)]))
+@given(
+    st.floats(0, 1),
+    st.sampled_from([("fin.length_m", 0.1, 0.4), ("recording.angle_offset_rad", -0.2, 0.3)]),
+)
 def test_scaled_coordinates_and_values_are_inverse(at, limits):
     parameter = Parameter(*limits)
     assert parameter.scaled(parameter.value(at)) == pytest.approx(at, abs=1e-9)
     assert parameter.low - 1e-9 <= parameter.value(at) <= parameter.high + 1e-9
 
 
-@pytest.mark.parametrize("limits", [("fin.length_m", 0.1, 0.4), ("recording.angle_offset_rad", -0.2, 0.3)])
+@pytest.mark.parametrize(
+    "limits", [("fin.length_m", 0.1, 0.4), ("recording.angle_offset_rad", -0.2, 0.3)]
+)
 def test_the_slope_is_that_of_the_value(limits):
     parameter = Parameter(*limits)
     rise = parameter.value(0.3 + 1e-5) - parameter.value(0.3 - 1e-5)
@@ -56,7 +65,9 @@ def test_all_that_is_free_by_default_exists_and_starts_within_its_range():
         found = parameters_of(config.parameters)
         assert found
         assert (Space(found, config.tank, config.recording).start >= 0).all()
-    assert {parameter.name for parameter in parameters_of(CALIBRATE_PRESETS["full"].parameters)} == set(FREE)
+    assert {
+        parameter.name for parameter in parameters_of(CALIBRATE_PRESETS["full"].parameters)
+    } == set(FREE)
 
 
 def test_a_point_becomes_a_tank_and_a_recording():
@@ -68,11 +79,15 @@ def test_a_point_becomes_a_tank_and_a_recording():
 
 
 def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by_set():
-    dotted = CalibrateConfig().merged({"parameters": {"fin.span_m": [0.05, 0.2], "fin": {"length_m": None}}}, "file")
+    dotted = CalibrateConfig().merged(
+        {"parameters": {"fin.span_m": [0.05, 0.2], "fin": {"length_m": None}}}, "file"
+    )
     names = {parameter.name for parameter in parameters_of(dotted.parameters)}
     assert "fin.span_m" in names
     assert "fin.length_m" not in names
-    changed = CalibrateConfig().changed(["parameters.fin.density_kg_m3=[900, 1300]", "parameters.drive.lag_s=null"])
+    changed = CalibrateConfig().changed(
+        ["parameters.fin.density_kg_m3=[900, 1300]", "parameters.drive.lag_s=null"]
+    )
     names = {parameter.name for parameter in parameters_of(changed.parameters)}
     assert "fin.density_kg_m3" in names
     assert "drive.lag_s" not in names
@@ -83,7 +98,10 @@ def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by
     [
         ({"fin.lenght_m": (0.1, 0.4)}, "there is no 'fin.lenght_m'; did you mean 'fin.length_m'?"),
         ({"sail.area": (0.1, 0.4)}, "there is no 'sail.area'; did you mean '"),
-        ({"fin.length_m": (0.4, 0.1)}, r"parameters.fin.length_m = \[0.4, 0.1\]: write \[low, high\]"),
+        (
+            {"fin.length_m": (0.4, 0.1)},
+            r"parameters.fin.length_m = \[0.4, 0.1\]: write \[low, high\]",
+        ),
     ],
 )
 def test_an_unknown_parameter_or_a_range_out_of_order_is_refused(ranges, message):
@@ -93,12 +111,16 @@ def test_an_unknown_parameter_or_a_range_out_of_order_is_refused(ranges, message
 
 
 def test_a_range_without_its_start_is_refused_and_says_what_to_set():
-    with pytest.raises(ConfigurationError, match=r"starts at tank.fin.length_m = 0.\d+, which is outside; widen"):
+    with pytest.raises(
+        ConfigurationError, match=r"starts at tank.fin.length_m = 0.\d+, which is outside; widen"
+    ):
         space(fin__length_m=(1.0, 2.0))
 
 
 def test_a_range_beyond_what_a_tank_may_be_is_refused():
-    with pytest.raises(ConfigurationError, match=r"parameters.drive.dead_time_s: drive.dead_time_s = 5.0"):
+    with pytest.raises(
+        ConfigurationError, match=r"parameters.drive.dead_time_s: drive.dead_time_s = 5.0"
+    ):
         space(drive__dead_time_s=(0.0, 5.0))
 
 

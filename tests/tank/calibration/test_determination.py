@@ -4,17 +4,22 @@ import pytest
 from softfin.tank.calibration.config import Parameter
 from softfin.tank.calibration.search import Linear, _row, determination
 
-PARAMETERS = tuple(Parameter(f"fin.{name}", 1.0, 2.0) for name in ("length_m", "span_m", "density_kg_m3"))
+PARAMETERS = tuple(
+    Parameter(f"fin.{name}", 1.0, 2.0) for name in ("length_m", "span_m", "density_kg_m3")
+)
 
 
 def linear(slopes, noise, seed=0, point=(0.5, 0.5, 0.5)):
-    """A problem whose residuals are noise about the optimum: 40 pieces of 200 ticks, one channel."""
+    """A problem whose residuals are noise about the optimum: 40 pieces of 200 ticks, one
+    channel."""
     generator = np.random.default_rng(seed)
     residuals = noise(generator, (40, 200, 1))
     flat = slopes.reshape(len(slopes), -1)
     # At the optimum the residuals are at right angles to the slopes.
     used = flat[np.abs(flat).sum(axis=1) > 0]
-    residuals -= (used.T @ np.linalg.lstsq(used.T, residuals.reshape(-1), rcond=None)[0]).reshape(residuals.shape)
+    residuals -= (used.T @ np.linalg.lstsq(used.T, residuals.reshape(-1), rcond=None)[0]).reshape(
+        residuals.shape
+    )
     return Linear(np.array(point), residuals, slopes)
 
 
@@ -49,7 +54,9 @@ def test_with_white_errors_it_is_the_formula_of_ordinary_least_squares(slopes):
 def test_errors_that_last_are_not_counted_as_independent():
     constant = np.repeat(np.random.default_rng(1).normal(size=(1, 40, 10, 1)), 20, axis=2)
     slopes = np.concatenate([constant, np.random.default_rng(2).normal(size=(2, 40, 200, 1))])
-    lasting, brief = (errors(determination(linear(slopes, noise), 20, PARAMETERS))[0] for noise in (slow, white))
+    lasting, brief = (
+        errors(determination(linear(slopes, noise), 20, PARAMETERS))[0] for noise in (slow, white)
+    )
     assert lasting / brief == pytest.approx(np.sqrt(20), rel=0.2)
 
 
@@ -77,7 +84,9 @@ def test_a_parameter_without_effect_and_one_on_a_bound_have_no_standard_error(sl
 
 def test_the_poorer_the_logs_the_poorer_the_verdict(slopes):
     verdicts = [
-        determination(linear(slopes * scale, white), 20, PARAMETERS)["parameters"]["fin.length_m"]["determined"]
+        determination(linear(slopes * scale, white), 20, PARAMETERS)["parameters"]["fin.length_m"][
+            "determined"
+        ]
         for scale in (1.0, 0.01, 0.001)
     ]
     assert verdicts == ["well", "roughly", "poorly"]

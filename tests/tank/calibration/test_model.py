@@ -12,7 +12,8 @@ COMMAND = Command(jnp.asarray([-1.0, 0.5]), jnp.asarray([1.0, 3.0]))
 
 
 class Echo:
-    """Its shaft stands where it is commanded to, and its force is the commanded velocity, either way."""
+    """Its shaft stands where it is commanded to, and its force is the commanded velocity, either
+    way."""
 
     limits = PAPER_LIMITS._replace(velocity_max=9.0)
 
@@ -22,7 +23,9 @@ class Echo:
     def advance(self, state, command, ticks):
         def tick(time, _):
             time = time + TICK_S
-            return time, Reading(time, command.angle, jnp.zeros(()), jnp.stack([command.velocity, -command.velocity]))
+            return time, Reading(
+                time, command.angle, jnp.zeros(()), jnp.stack([command.velocity, -command.velocity])
+            )
 
         return jax.lax.scan(tick, state, length=ticks)
 

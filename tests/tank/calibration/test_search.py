@@ -22,13 +22,21 @@ def test_it_finds_the_bottom_of_a_bowl_at_a_face_of_the_box():
 
 
 def test_known_losses_are_repeated_and_lead_to_the_same_end():
-    calls, kept = [], []
+    calls = []
+    kept = []
 
     def counted(points):
         calls.append(len(points))
         return bowl(points)
 
-    whole = search(counted, np.full(3, 0.5), 0.2, unknown(12), 3, lambda done, losses: kept.append(losses.copy()))
+    whole = search(
+        counted,
+        np.full(3, 0.5),
+        0.2,
+        unknown(12),
+        3,
+        lambda done, losses: kept.append(losses.copy()),
+    )
     assert len(calls) == 12
     calls.clear()
     resumed = search(counted, np.full(3, 0.5), 0.2, kept[6], 3)
@@ -41,7 +49,9 @@ def test_tanks_that_fail_are_the_worst_and_do_not_stop_it():
         return np.where([point[0] > 0.5 for point in points], np.nan, bowl(points))
 
     seen = []
-    point = search(partly, np.full(3, 0.5), 0.2, unknown(40), 0, lambda done, losses: seen.append(losses))
+    point = search(
+        partly, np.full(3, 0.5), 0.2, unknown(40), 0, lambda done, losses: seen.append(losses)
+    )
     np.testing.assert_allclose(point, TARGET, atol=0.05)
     assert (seen[-1] == FAILED).any()
 
@@ -52,7 +62,8 @@ def test_a_generation_without_a_single_tank_is_an_error():
 
 
 def valley(points):
-    """Rosenbrock's valley in the place of tanks: residuals (1 - x, 10 (y - x^2)), with x and y running from -1 to 2."""
+    """Rosenbrock's valley in the place of tanks: residuals (1 - x, 10 (y - x^2)), with x and y
+    running from -1 to 2."""
     for point in points:
         x, y = 3 * point - 1
         yield np.array([[[1 - x], [10 * (y - x**2)]]], np.float32)
@@ -76,7 +87,9 @@ def test_the_jacobian_is_that_of_the_residuals():
     expected = np.array([[-3.0, -60.0 * x], [0.0, 30.0]]) / np.sqrt(2)
     np.testing.assert_allclose(linear.jacobian[:, 0, :, 0], expected, rtol=1e-3, atol=1e-3)
     _, gradient = linear.normal()
-    np.testing.assert_allclose(gradient, expected @ linear.residuals.reshape(-1), rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(
+        gradient, expected @ linear.residuals.reshape(-1), rtol=1e-3, atol=1e-3
+    )
 
 
 def test_at_a_face_of_the_box_differences_are_one_sided():
@@ -86,7 +99,9 @@ def test_at_a_face_of_the_box_differences_are_one_sided():
 
 def test_steps_that_end_in_failure_are_shortened():
     seen = []
-    linear = polish(steep, np.array([0.2, 0.2]), EVEN, 12, lambda iteration, loss: seen.append(loss))
+    linear = polish(
+        steep, np.array([0.2, 0.2]), EVEN, 12, lambda iteration, loss: seen.append(loss)
+    )
     assert seen[-1] < linearised(valley, np.array([0.2, 0.2]), EVEN).loss
     assert np.isfinite(linear.loss)
     assert np.abs(linear.point - 0.2).max() < 0.01

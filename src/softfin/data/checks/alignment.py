@@ -1,11 +1,12 @@
 """Time offsets between command, angle and force: what follows what, and by how many milliseconds.
 
-The angle is the reference. A command appears in the angle's rate after the drive's dead time; the force follows the
-angle's rate and acceleration, after the fin has bent and the sensor has filtered.
+The angle is the reference. A command appears in the angle's rate after the drive's dead time; the
+force follows the angle's rate and acceleration, after the fin has bent and the sensor has filtered.
 
-Which way the force's axes lie is found by comparing what a fin must do with every way to swap and turn the measured
-axes: thrust points along (cos theta, -sin theta) and grows with the square of the rate; added mass and drag act across
-it, along (sin theta, cos theta), against acceleration and rate. No term may change its sign, so a turned axis shows.
+Which way the force's axes lie is found by comparing what a fin must do with every way to swap and
+turn the measured axes: thrust points along (cos theta, -sin theta) and grows with the square of the
+rate; added mass and drag act across it, along (sin theta, cos theta), against acceleration and
+rate. No term may change its sign, so a turned axis shows.
 """
 
 from typing import TypeAlias
@@ -45,10 +46,11 @@ def smoothed(values: Series) -> Series:
 
 
 def command_lag(command: Series, angle: Series) -> float | None:
-    """Compute the lag from a command to the angle [ms]: where the response to its steps rises, in the median.
+    """Compute the lag from a command to the angle [ms]: where the response to its steps rises, in
+    the median.
 
-    The median weighs all steps alike: an encoder that jumps now and then makes no response of its own. None where there
-    are fewer than 50 steps.
+    The median weighs all steps alike: an encoder that jumps now and then makes no response of its
+    own. None where there are fewer than 50 steps.
     """
     steps = np.flatnonzero(np.abs(np.diff(command, prepend=command[0])) > 1e-4)
     steps = steps[(steps >= -RESPONSE_TICKS[0]) & (steps < len(angle) - RESPONSE_TICKS[-1])]
@@ -57,7 +59,9 @@ def command_lag(command: Series, angle: Series) -> float | None:
     mirrored = np.cov(command[:-FOLLOWING_TICKS], angle[FOLLOWING_TICKS:])[0, 1] < 0
     # Towards the new target: a slow drive may be on its way there already.
     side = np.sign((-command if mirrored else command) - angle)[steps]
-    response = np.median(side[:, None] * np.gradient(angle)[steps[:, None] + RESPONSE_TICKS], axis=0)
+    response = np.median(
+        side[:, None] * np.gradient(angle)[steps[:, None] + RESPONSE_TICKS], axis=0
+    )
     # The drive has begun to obey where a fifth of the peak is reached.
     onset = 0.2 * response.max()
     below = np.flatnonzero(response[: response.argmax()] < onset)
@@ -69,10 +73,11 @@ def command_lag(command: Series, angle: Series) -> float | None:
 
 
 def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | None:
-    """Compute the lag at which a linear model of the motion explains most of the force [ms], whatever its axes.
+    """Compute the lag at which a linear model of the motion explains most of the force [ms],
+    whatever its axes.
 
-    None where the recording is too short, the best lag lies at the end of those that were searched, or the motion
-    explains less than a tenth of the force.
+    None where the recording is too short, the best lag lies at the end of those that were searched,
+    or the motion explains less than a tenth of the force.
     """
     ticks = SEARCHED_TICKS
     if len(angle) < SHORTEST_S * RATE_HZ:
@@ -104,23 +109,40 @@ def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | Non
 def frame_correlations(
     angle: Series, force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
 ) -> dict[str, float]:
-    """Compute the correlation of the force, taken in each of `FORCE_FRAMES`, with the best fit of a model fin."""
+    """Compute the correlation of the force, taken in each of `FORCE_FRAMES`, with the best fit of a
+    model fin."""
     across, along, rate, acceleration = _motion(angle)
-    terms = [-rate * np.abs(rate) * across, -acceleration * across, rate**2 * along, np.abs(rate) * along]
+    terms = [
+        -rate * np.abs(rate) * across,
+        -acceleration * across,
+        rate**2 * along,
+        np.abs(rate) * along,
+    ]
     ticks = round(lag_ms * RATE_HZ / 1e3)
     count = len(angle) - abs(ticks)
     model = np.stack(terms, axis=-1)[:, max(-ticks, 0) :][:, :count]
     smooth = np.stack([smoothed(axis) for axis in force.T])[:, max(ticks, 0) :][:, :count]
     model = (model - model.mean(axis=1, keepdims=True)).reshape(-1, len(terms))
     smooth = smooth - smooth.mean(axis=1, keepdims=True)
-    model, smooth = model / (np.linalg.norm(model, axis=0) + 1e-12), smooth / (np.linalg.norm(smooth) + 1e-12)
+    model = model / (np.linalg.norm(model, axis=0) + 1e-12)
+    smooth = smooth / (np.linalg.norm(smooth) + 1e-12)
     # The fit in the four dimensions of the model alone.
     basis, model = np.linalg.qr(model)
-    forces = {frame: basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame)) for frame in FORCE_FRAMES}
-    return {frame: float(np.linalg.norm(model @ nnls(model, force)[0])) for frame, force in forces.items()}
+    forces = {
+        frame: basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame))
+        for frame in FORCE_FRAMES
+    }
+    return {
+        frame: float(np.linalg.norm(model @ nnls(model, force)[0]))
+        for frame, force in forces.items()
+    }
 
 
-def _motion(angle: Series) -> tuple[Float[np.ndarray, "2 ticks"], Float[np.ndarray, "2 ticks"], Series, Series]:
+def _motion(
+    angle: Series,
+) -> tuple[Float[np.ndarray, "2 ticks"], Float[np.ndarray, "2 ticks"], Series, Series]:
     """Directions across the fin and along it, its rate [rad/s] and its acceleration [rad/s^2]."""
-    cos, sin, rate = np.cos(smoothed(angle)), np.sin(smoothed(angle)), rate_of(angle)
+    cos = np.cos(smoothed(angle))
+    sin = np.sin(smoothed(angle))
+    rate = rate_of(angle)
     return np.stack([sin, cos]), np.stack([cos, -sin]), rate, rate_of(rate)

@@ -1,4 +1,5 @@
-"""Checks of logs: each is a function that yields issues, and the list at the end of this file has those of one log."""
+"""Checks of logs: each is a function that yields issues, and the list at the end of this file has
+those of one log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -24,8 +25,9 @@ STUCK_S = 1.0
 """Shortest constant run that is reported [s]."""
 
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
-"""Lags from a command to the angle, the way through computer, bus and drive (32 ms in the virtual tank, 5 ms in the
-published fin), and from the angle to the force (20 ms in the tank, 45 ms in the published fin)."""
+"""Lags from a command to the angle, the way through computer, bus and drive (32 ms in the virtual
+tank, 5 ms in the published fin), and from the angle to the force (20 ms in the tank, 45 ms in the
+published fin)."""
 
 LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
 """Largest plausible difference of a log's lag from the median."""
@@ -34,11 +36,13 @@ USUAL_LAG_MS = 30.0
 """Either lag in a fin whose clocks agree."""
 
 FRAME_LEAST = 0.12
-"""Least correlation of a fin's force in any frame; the roughest log of the published networks has 0.2."""
+"""Least correlation of a fin's force in any frame; the roughest log of the published networks has
+0.2."""
 
 COUNTS_FIX = (
-    "convert them in the file: angles are (count - count at rest) * 2 * pi / counts per turn, velocities too are in "
-    "the drive's own unit; a Dynamixel X has 4096 counts per turn, 2048 at its centre, and 0.229 rpm per unit"
+    "convert them in the file: angles are (count - count at rest) * 2 * pi / counts per turn, "
+    "velocities too are in the drive's own unit; a Dynamixel X has 4096 counts per turn, 2048 at "
+    "its centre, and 0.229 rpm per unit"
 )
 """Remedy for the raw values of a drive's registers; only the drive's manual says what they mean."""
 
@@ -60,7 +64,13 @@ class CheckedLog(NamedTuple):
     """Options with which the log was read: fixes go on from them."""
 
     def issue(
-        self, severity: Severity, name: str, column: str, message: str, fix: str, row: int | None = None
+        self,
+        severity: Severity,
+        name: str,
+        column: str,
+        message: str,
+        fix: str,
+        row: int | None = None,
     ) -> Issue:
         """Make an issue of this log."""
         return Issue(severity, name, self.statistics.name, message, fix, column, row)
@@ -70,7 +80,10 @@ def check_counts(log: CheckedLog) -> Iterator[Issue]:
     """Angles in counts of an encoder that were read as radians."""
     for channel in channels_in_counts(log.raw):
         values = getattr(log.raw, channel)
-        message = f"spans {values.min():.4g} .. {values.max():.4g}: counts of an encoder, neither rad nor degrees"
+        message = (
+            f"spans {values.min():.4g} .. {values.max():.4g}: counts of an encoder, neither "
+            "rad nor degrees"
+        )
         yield log.issue("error", "counts", channel, message, COUNTS_FIX)
 
 
@@ -78,8 +91,13 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
     """Angles in degrees that were read as radians."""
     if wrong := channels_in_degrees(log.raw, log.config.velocity_rad_s is not None):
         ranges = {name: getattr(log.raw, name) for name in wrong}
-        spans = "; ".join(f"{name} spans {values.min():.4g} .. {values.max():.4g}" for name, values in ranges.items())
-        option = "deg" if set(wrong) == set(ANGLES) else ",".join(f"{channel}=deg" for channel in wrong)
+        spans = "; ".join(
+            f"{name} spans {values.min():.4g} .. {values.max():.4g}"
+            for name, values in ranges.items()
+        )
+        option = (
+            "deg" if set(wrong) == set(ANGLES) else ",".join(f"{channel}=deg" for channel in wrong)
+        )
         fix = f"--angles {option}"
         if all((values == np.round(values)).all() for values in ranges.values()):
             fix = f"{fix}; if these whole numbers are counts of an encoder instead, {COUNTS_FIX}"
@@ -89,37 +107,54 @@ def check_degrees(log: CheckedLog) -> Iterator[Issue]:
 def check_spikes(log: CheckedLog) -> Iterator[Issue]:
     """Outliers of one or two samples."""
     for channel, unit in CHANNEL_UNITS.items():
-        values, calm = getattr(log.columns, channel), getattr(log.calm, channel)
+        values = getattr(log.columns, channel)
+        calm = getattr(log.calm, channel)
         rows = np.flatnonzero(values != calm)
         if rows.size:
             message = (
-                f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} {unit} "
-                f"off the samples beside, where 98% of all lie within {np.ptp(np.percentile(values, [1, 99])):.3g}"
+                f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} "
+                f"{unit} off the samples beside, where 98% of all lie within "
+                f"{np.ptp(np.percentile(values, [1, 99])):.3g}"
             )
-            fix = "check the cable and the sensor's range; repair these samples in the file, or record again"
+            fix = (
+                "check the cable and the sensor's range; repair these samples in the file, or "
+                "record again"
+            )
             severity: Severity = "error" if rows.size > 1e-3 * len(values) else "warning"
             yield log.issue(severity, "spikes", channel, message, fix, int(rows[0]))
 
 
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
-    """Angles that no fin can have between two samples: the seam of two logs, or an encoder that lost its count."""
+    """Angles that no fin can have between two samples: the seam of two logs, or an encoder that
+    lost its count."""
     steps = np.abs(np.diff(log.calm.angle))
     # 200 rad/s; the published networks' own jumps reach 1.5 rad.
     rows = np.flatnonzero(steps > 2.0)
     if rows.size:
-        message = f"{counted(rows.size, 'jump')} of up to {steps.max():.2f} rad from one sample to the next"
-        fix = "--rows-per-log 20000, if logs of so many rows stand end to end; else cut the file at these rows"
+        message = (
+            f"{counted(rows.size, 'jump')} of up to {steps.max():.2f} rad from one sample to the "
+            "next"
+        )
+        fix = (
+            "--rows-per-log 20000, if logs of so many rows stand end to end; else cut the file "
+            "at these rows"
+        )
         yield log.issue("warning", "jumps", "angle", message, fix, int(rows[0]))
 
 
 def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     """Runs of one value in a channel that should have changed."""
     columns = log.columns
-    # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target moves.
+    # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target
+    # moves.
     moving = np.abs(rate_of(columns.angle)) > 0.2
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in CHANNEL_UNITS.items():
-        driven, cause = (behind, "the command is elsewhere") if channel == "angle" else (moving, "the fin moves")
+        driven, cause = (
+            (behind, "the command is elsewhere")
+            if channel == "angle"
+            else (moving, "the fin moves")
+        )
         values = getattr(columns, channel)
         # A fifth of a second for the dead time, and for the force a drive may press in vain.
         runs = [
@@ -131,8 +166,9 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         if runs:
             start, end = max(runs, key=lambda run: run[1] - run[0])
             message = (
-                f"stuck at {values[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s while {cause}; "
-                f"{counted(len(runs), 'such run')}, {sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
+                f"stuck at {values[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s while "
+                f"{cause}; {counted(len(runs), 'such run')}, "
+                f"{sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
             )
             fix = "check sensor and drive; cut these rows off, or record again"
             yield log.issue("error", "stuck", channel, message, fix, start)
@@ -146,7 +182,10 @@ def check_saturation(log: CheckedLog) -> Iterator[Issue]:
             runs = [(start, end) for start, end in true_runs(values == extreme) if end - start >= 3]
             rows = sum(end - start for start, end in runs)
             if len(runs) >= 2 and 10 <= rows < len(values):
-                message = f"clipped at {extreme:.4g} N: {rows:,} samples in {len(runs):,} runs of 3 or more stay there"
+                message = (
+                    f"clipped at {extreme:.4g} N: {rows:,} samples in {len(runs):,} runs of "
+                    "3 or more stay there"
+                )
                 fix = "choose a wider range of the sensor, and record again"
                 yield log.issue("warning", "saturated", channel, message, fix, runs[0][0])
 
@@ -165,7 +204,13 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
         return
     message = f"velocity is {slope:.3g} times the angle's rate (correlation {correlation:.2f})"
     if correlation < -0.5:
-        yield log.issue("error", "velocity sign", "velocity", f"{message}: of the wrong sign", "--negate velocity")
+        yield log.issue(
+            "error",
+            "velocity sign",
+            "velocity",
+            f"{message}: of the wrong sign",
+            "--negate velocity",
+        )
     elif correlation < 0.5:
         fix = "map another column, or none, so that it is derived: --columns velocity=-"
         yield log.issue("warning", "velocity", "velocity", f"{message}: it is something else", fix)
@@ -178,14 +223,21 @@ def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
     """A profile velocity that is not positive."""
     wrong = np.flatnonzero(log.columns.command_velocity <= 0)
     if wrong.size:
-        message = f"0 or negative in {wrong.size:,} of {len(log.raw.angle):,} rows; a profile velocity is positive"
+        message = (
+            f"0 or negative in {wrong.size:,} of {len(log.raw.angle):,} rows; a profile "
+            "velocity is positive"
+        )
         fix = "map the column of the drive's profile velocity"
-        yield log.issue("warning", "command velocity", "command_velocity", message, fix, int(wrong[0]))
+        yield log.issue(
+            "warning", "command velocity", "command_velocity", message, fix, int(wrong[0])
+        )
 
 
 def check_following(log: CheckedLog) -> Iterator[Issue]:
     """An angle that does not follow its command."""
-    following, command, column = log.statistics.following, log.calm.command_angle, "command_angle"
+    following = log.statistics.following
+    command = log.calm.command_angle
+    column = "command_angle"
     if len(command) < SHORTEST_S * RATE_HZ:
         return
     if np.ptp(command) == 0:
@@ -195,7 +247,8 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
     elif following < -0.3:
         message = f"the angle goes against its command: correlation {following:.2f}"
         if _is_mirrored(log.statistics):
-            column, message = "angle", f"{message}, and the force fits the mirrored angle"
+            column = "angle"
+            message = f"{message}, and the force fits the mirrored angle"
         # The option as it must be now: a channel that is negated already is so no more.
         names = [name for name in SIGNED if (name in log.config.negate) != (name == column)]
         fix = f"--negate {','.join(names)}" if names else "leave --negate out"
@@ -207,15 +260,17 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
-    """Axes of force that are swapped or negated, or a force that has nothing to do with the motion."""
+    """Axes of force that are swapped or negated, or a force that has nothing to do with the
+    motion."""
     frames = log.statistics.frames
     if frames is None or (log.statistics.following < -0.3 and _is_mirrored(log.statistics)):
         return
-    best, given = max(frames, key=frames.__getitem__), frames["x,y"]
+    best = max(frames, key=frames.__getitem__)
+    given = frames["x,y"]
     if frames[best] > max(given + 0.1, FRAME_LEAST):
         message = (
-            f"axes swapped or negated: correlation with the force of a model fin {given:.2f} as they are, "
-            f"{frames[best]:.2f} as {best}"
+            f"axes swapped or negated: correlation with the force of a model fin {given:.2f} as "
+            f"they are, {frames[best]:.2f} as {best}"
         )
         fix = f"--force={compose_frames(log.config.force, best)}"
         yield log.issue("error", "force axes", "force_x, force_y", message, fix)
@@ -230,7 +285,10 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
     found = log.statistics
     for axis, offset, deviation in zip(AXES, found.offset_n or (), found.force_std_n, strict=False):
         if abs(offset) > max(0.3, 0.2 * deviation):
-            message = f"{offset:+.2f} N on the fin at rest, beside a standard deviation of {deviation:.2f} N"
+            message = (
+                f"{offset:+.2f} N on the fin at rest, beside a standard deviation of "
+                f"{deviation:.2f} N"
+            )
             fix = "tare the sensor in still water before each log, or subtract this from the column"
             yield log.issue("warning", "force offset", f"force_{axis}", message, fix)
 
@@ -238,29 +296,56 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
     """Clocks that lie where no fin and drive put them, and clocks that differ between logs."""
     for name, (least, most) in PLAUSIBLE_LAG_MS.items():
-        measured = [(lag, one.name) for one in statistics if (lag := getattr(one, f"{name}_lag_ms")) is not None]
+        measured = [
+            (lag, one.name)
+            for one in statistics
+            if (lag := getattr(one, f"{name}_lag_ms")) is not None
+        ]
         # A lag is accurate to a tick.
-        low, high = least - 10.0, most + 10.0
+        low = least - 10.0
+        high = most + 10.0
         usual = np.median([lag for lag, _ in measured] or [USUAL_LAG_MS])
         for lag, log in measured:
-            is_far, is_plausible = abs(lag - usual) > LAG_SPREAD_MS[name], low <= lag <= high
-            # A log is wrong where all are, or where it stands out; a rough one may show its lag badly.
+            is_far = abs(lag - usual) > LAG_SPREAD_MS[name]
+            is_plausible = low <= lag <= high
+            # A log is wrong where all are, or where it stands out; a rough one may show its lag
+            # badly.
             if not is_far and (is_plausible or low <= usual <= high):
                 continue
-            first, second = ("the angle", "its command") if name == "command" else ("the force", "the angle")
-            relation = f"follows {second} by {lag:.0f} ms" if lag >= 0 else f"is {-lag:.0f} ms ahead of {second}"
-            beside = "" if len(measured) == 1 else f", {usual:.0f} ms in the median of {len(measured)} logs"
-            message = f"{first} {relation}{beside}; plausible are {least:.0f} to {most:.0f} ms: a clock is off"
-            # A command that is stamped late makes the angle early, a force that is stamped late is late itself.
+            first, second = (
+                ("the angle", "its command") if name == "command" else ("the force", "the angle")
+            )
+            relation = (
+                f"follows {second} by {lag:.0f} ms"
+                if lag >= 0
+                else f"is {-lag:.0f} ms ahead of {second}"
+            )
+            beside = (
+                ""
+                if len(measured) == 1
+                else f", {usual:.0f} ms in the median of {len(measured)} logs"
+            )
+            message = (
+                f"{first} {relation}{beside}; plausible are {least:.0f} to {most:.0f} ms: a "
+                "clock is off"
+            )
+            # A command that is stamped late makes the angle early, a force that is stamped late is
+            # late itself.
             late = lag - USUAL_LAG_MS if name == "force" else USUAL_LAG_MS - lag
             late += getattr(config, f"{name}_lag_ms")
-            fix = f"--{name}-lag {10 * round(late / 10):d} moves the {name} so that about {USUAL_LAG_MS:.0f} ms remain"
+            fix = (
+                f"--{name}-lag {10 * round(late / 10):d} moves the {name} so that about "
+                f"{USUAL_LAG_MS:.0f} ms remain"
+            )
             column = "command_angle" if name == "command" else "force_x, force_y"
-            yield Issue("warning" if is_plausible else "error", f"{name} lag", log, message, fix, column)
+            yield Issue(
+                "warning" if is_plausible else "error", f"{name} lag", log, message, fix, column
+            )
 
 
 def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Recordings without test logs, and commands of the training logs that leave much of their own range empty."""
+    """Recordings without test logs, and commands of the training logs that leave much of their own
+    range empty."""
     if not any(one.part == "test" for one in logs):
         fix = "choose some: --test PATTERN; or put them into a folder test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
@@ -271,12 +356,15 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
         is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MOST_ANGLE_RAD
         if is_in_radians and limits.angle_min < limits.angle_max and not limits.contains_rest:
             message = (
-                f"the commanded angles are {limits.angle_min:.3g} to {limits.angle_max:.3g} rad, without angle 0, at "
-                "which a fin rests"
+                f"the commanded angles are {limits.angle_min:.3g} to {limits.angle_max:.3g} rad, "
+                "without angle 0, at which a fin rests"
             )
             yield Issue("error", "no rest", "all logs", message, REST_FIX, "command_angle")
     commands = [log.command for log in training]
-    pairs = [np.stack([command.angle, command.velocity], axis=1).astype(np.float64) for command in commands]
+    pairs = [
+        np.stack([command.angle, command.velocity], axis=1).astype(np.float64)
+        for command in commands
+    ]
     steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
     # Under 300 random commands hardly any of 36 cells stays empty.
     if sum(map(len, steps)) < 300:
@@ -284,7 +372,10 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     angle, velocity = np.concatenate(steps).T
     filled = float((np.histogram2d(angle, velocity, bins=6)[0] > 0).mean())
     if filled < 0.5:
-        message = f"{filled:.0%} of the commands' range of angle and velocity, in 36 cells, has been commanded at all"
+        message = (
+            f"{filled:.0%} of the commands' range of angle and velocity, in 36 cells, has "
+            "been commanded at all"
+        )
         fix = "excite with random angles and velocities: softfin collect shows how"
         yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
 
@@ -294,7 +385,15 @@ def _is_mirrored(found: LogStatistics) -> bool:
 
 
 LOG_CHECKS: tuple[Callable[[CheckedLog], Iterator[Issue]], ...] = (
-    check_degrees, check_spikes, check_jumps, check_stuck, check_saturation, check_velocity, check_commanded_velocity,
-    check_following, check_force_axes, check_force_offset,
-)  # fmt: skip
+    check_degrees,
+    check_spikes,
+    check_jumps,
+    check_stuck,
+    check_saturation,
+    check_velocity,
+    check_commanded_velocity,
+    check_following,
+    check_force_axes,
+    check_force_offset,
+)
 """Checks of one log."""

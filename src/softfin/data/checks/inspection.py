@@ -42,7 +42,8 @@ class Inspection:
     logs: list[LogStatistics]
 
     def summary(self) -> dict[str, Any]:
-        """Amount of data, columns as read, lags [ms] and correlations of frames over all logs, and counts of issues."""
+        """Amount of data, columns as read, lags [ms] and correlations of frames over all logs, and
+        counts of issues."""
         frames = [one.frames for one in self.logs if one.frames is not None]
         parts = [one.part for one in self.logs]
         return {
@@ -52,8 +53,15 @@ class Inspection:
             "columns": {one.log: one.message for one in self.issues if one.name == "columns"},
             "command_lag_ms": _spread([one.command_lag_ms for one in self.logs]),
             "force_lag_ms": _spread([one.force_lag_ms for one in self.logs]),
-            "frames": {name: float(np.mean([one[name] for one in frames])) for name in FORCE_FRAMES if frames} or None,
-            "counts": {kind: sum(one.severity == kind for one in self.issues) for kind in SEVERITIES},
+            "frames": {
+                name: float(np.mean([one[name] for one in frames]))
+                for name in FORCE_FRAMES
+                if frames
+            }
+            or None,
+            "counts": {
+                kind: sum(one.severity == kind for one in self.issues) for kind in SEVERITIES
+            },
         }
 
     def to_dict(self) -> dict[str, Any]:
@@ -69,15 +77,22 @@ def inspect(
 ) -> Inspection:
     """Check logs; `issues` are those that were met when they were read with `config`."""
     config = config or ImportConfig()
-    found, statistics, series = list(issues), [], []
+    found = list(issues)
+    statistics = []
+    series = []
     comparable: list[LogStatistics] = []
     for index, named in enumerate(logs):
         # Channels are repaired where one fault would hide the next.
         raw = columns_of(named.log)
         in_degrees = channels_in_degrees(raw, config.velocity_rad_s is not None)
-        columns = raw._replace(**{channel: np.radians(getattr(raw, channel)) for channel in in_degrees})
+        columns = raw._replace(
+            **{channel: np.radians(getattr(raw, channel)) for channel in in_degrees}
+        )
         # Not the velocity, which is mostly a difference of angles, and rough by nature.
-        rough = {channel: without_spikes(getattr(columns, channel)) for channel in ("angle", "force_x", "force_y")}
+        rough = {
+            channel: without_spikes(getattr(columns, channel))
+            for channel in ("angle", "force_x", "force_y")
+        }
         calm = columns._replace(**rough)
         statistics.append(measure(calm, named))
         log = CheckedLog(raw, columns, calm, statistics[-1], config)
@@ -94,9 +109,15 @@ def inspect(
     if len(comparable) > 1 and all(one.rows < SHORTEST_S * RATE_HZ for one in comparable):
         # Short logs end to end: the seams are few beside the steps within.
         joined = Columns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
-        together = measure(joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together"))
+        together = measure(
+            joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together")
+        )
         pooled = CheckedLog(joined, joined, joined, together, config)
-        found += [*check_following(pooled), *check_force_axes(pooled), *check_lags([together], config)]
+        found += [
+            *check_following(pooled),
+            *check_force_axes(pooled),
+            *check_lags([together], config),
+        ]
     issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
 

@@ -1,4 +1,5 @@
-"""An inspection of logs as a folder: ``inspection.json`` and a figure of what is wrong, beside the logs themselves."""
+"""An inspection of logs as a folder: ``inspection.json`` and a figure of what is wrong, beside the
+logs themselves."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,14 +15,27 @@ from softfin.data.checks.inspection import Inspection
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
+from softfin.storage.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    new_figure,
+    save_figure,
+    styled,
+)
 
 SHOWN_LOG_S = 10
 """Length of the part of one log that is drawn, about the first row that has an issue [s]."""
 
 
 def write_inspection(
-    inspection: Inspection, logs: Sequence[NamedLog], out: Path, metadata: dict[str, Any], overwrite: bool = False
+    inspection: Inspection,
+    logs: Sequence[NamedLog],
+    out: Path,
+    metadata: dict[str, Any],
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all; returns the content of its JSON."""
     summary = {**artifacts.head("inspection"), **inspection.to_dict(), **metadata}
@@ -41,7 +55,9 @@ def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figur
         figure = new_figure(13, 8.4)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.35, 1)))
         counts = inspection.summary()["counts"]
-        above.suptitle(", ".join(counted(count, kind) for kind, count in counts.items()), weight="bold")
+        above.suptitle(
+            ", ".join(counted(count, kind) for kind, count in counts.items()), weight="bold"
+        )
         angle, force = above.subplots(2, 1, sharex=True)
         _draw_log(angle, force, inspection.issues, logs)
         commands, lags, frames = below.subplots(1, 3)
@@ -53,19 +69,30 @@ def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figur
 
 def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[NamedLog]) -> None:
     by_name = {one.name: one for one in logs}
-    marked = next((issue for issue in issues if issue.log in by_name and issue.row is not None), None)
+    marked = next(
+        (issue for issue in issues if issue.log in by_name and issue.row is not None), None
+    )
     shown, row = (logs[0], 0) if marked is None else (by_name[marked.log], marked.row or 0)
-    start = max(0, min(row - SHOWN_LOG_S * RATE_HZ // 3, len(shown.log.reading.time) - SHOWN_LOG_S * RATE_HZ))
+    start = max(
+        0,
+        min(row - SHOWN_LOG_S * RATE_HZ // 3, len(shown.log.reading.time) - SHOWN_LOG_S * RATE_HZ),
+    )
     rows = slice(start, start + SHOWN_LOG_S * RATE_HZ)
-    reading, command = shown.log.reading, shown.log.command
+    reading = shown.log.reading
+    command = shown.log.command
     time = reading.time[rows]
     above.step(time, command.angle[rows], where="post", color=ORANGE, label="commanded angle")
     above.plot(time, reading.angle[rows], color=BLACK, label="angle")
     for index, (axis, colour) in enumerate(zip(AXES, (BLUE, GREEN), strict=True)):
-        below.plot(time, reading.force[rows, index], color=colour, label=f"force {axis}", linewidth=0.9)
+        below.plot(
+            time, reading.force[rows, index], color=colour, label=f"force {axis}", linewidth=0.9
+        )
     above.set(ylabel="angle, taken as rad")
     below.set(ylabel="force [N]", xlabel="time [s]")
-    above.set_title(f"{shown.name}: {SHOWN_LOG_S} s" + ("" if marked is None else f" about row {row}: {marked.name}"))
+    above.set_title(
+        f"{shown.name}: {SHOWN_LOG_S} s"
+        + ("" if marked is None else f" about row {row}: {marked.name}")
+    )
     for axes in (above, below):
         if marked is not None and row < len(reading.time):
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)
@@ -79,8 +106,17 @@ def _draw_commands(axes: Axes, logs: Sequence[NamedLog]) -> None:
         pairs = [np.unique(np.stack([c.angle, c.velocity], axis=1), axis=0) for c in commands]
         if pairs:
             angle, velocity = np.concatenate(pairs).T
-            axes.plot(angle, velocity, marker, color=colour, markersize=1.2, linestyle="", alpha=0.5,
-                      label=f"{part} logs", rasterized=True)  # fmt: skip
+            axes.plot(
+                angle,
+                velocity,
+                marker,
+                color=colour,
+                markersize=1.2,
+                linestyle="",
+                alpha=0.5,
+                label=f"{part} logs",
+                rasterized=True,
+            )
     axes.set(title="commands", xlabel="commanded angle [rad]", ylabel="commanded velocity [rad/s]")
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, markerscale=4)
 
@@ -102,8 +138,12 @@ def _draw_frames(axes: Axes, inspection: Inspection) -> None:
     if frames := inspection.summary()["frames"]:
         best = max(frames, key=frames.__getitem__)
         names = [f"{frame}  (as it is)" if frame == "x,y" else frame for frame in frames]
-        axes.barh(names, frames.values(), color=[ORANGE if frame == best else GREY for frame in frames])
+        axes.barh(
+            names, frames.values(), color=[ORANGE if frame == best else GREY for frame in frames]
+        )
         axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    title = "force axes, the best in orange" if frames else "force axes: not known from logs under 10 s"
+    title = (
+        "force axes, the best in orange" if frames else "force axes: not known from logs under 10 s"
+    )
     axes.set(title=title, xlabel="correlation with a model fin", xlim=(0, 1))

@@ -1,4 +1,5 @@
-"""Channels of one log at 100 Hz in double precision, and its statistics: lags, axes of force, rest; `checks` judges."""
+"""Channels of one log at 100 Hz in double precision, and its statistics: lags, axes of force, rest;
+`checks` judges."""
 
 import dataclasses
 from typing import NamedTuple
@@ -15,12 +16,13 @@ from softfin.data.checks.alignment import (
     force_lag,
     frame_correlations,
     rate_of,
-)  # fmt: skip
+)
 from softfin.data.importing.clocks import NamedLog, Part
 
 MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
-"""Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6 turns a second. The
-size of a measured velocity proves nothing: the published networks' own jumps reach 145 rad/s."""
+"""Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6
+turns a second. The size of a measured velocity proves nothing: the published networks' own jumps
+reach 145 rad/s."""
 
 MOST_DEGREES = 360.0
 """Size beyond which an angle is not in degrees either, but in a drive's counts."""
@@ -55,7 +57,8 @@ class LogStatistics:
     force_lag_ms: float | None
     """Lag from angle to force."""
     frames: dict[str, float] | None
-    """Correlation with the force of a model fin, for each way to take the force's axes; None for a log under 10 s."""
+    """Correlation with the force of a model fin, for each way to take the force's axes; None for a
+    log under 10 s."""
     offset_n: tuple[float, ...] | None
     """Mean force on the settled fin; None where it never settles."""
     force_std_n: tuple[float, ...]
@@ -64,29 +67,47 @@ class LogStatistics:
 def columns_of(log: Log) -> Columns:
     """Take the channels of a log."""
     command, reading = log
-    series = (command.angle, command.velocity, reading.angle, reading.velocity, *np.asarray(reading.force).T)
+    series = (
+        command.angle,
+        command.velocity,
+        reading.angle,
+        reading.velocity,
+        *np.asarray(reading.force).T,
+    )
     return Columns(*(np.asarray(values, np.float64) for values in series))
 
 
 def channels_in_counts(columns: Columns) -> list[str]:
     """Find angles in counts of an encoder."""
     names = ("command_angle", "angle")
-    return [name for name in names if np.percentile(np.abs(getattr(columns, name)), 99) > MOST_DEGREES]
+    return [
+        name for name in names if np.percentile(np.abs(getattr(columns, name)), 99) > MOST_DEGREES
+    ]
 
 
 def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:
-    """Find channels in degrees; the commanded velocity is not in doubt where an option gave it in rad/s."""
+    """Find channels in degrees; the commanded velocity is not in doubt where an option gave it in
+    rad/s."""
     # The size of one sample in a hundred may be a spike's.
-    found = [name for name, most in MOST_RADIANS.items() if np.percentile(np.abs(getattr(columns, name)), 99) > most]
+    found = [
+        name
+        for name, most in MOST_RADIANS.items()
+        if np.percentile(np.abs(getattr(columns, name)), 99) > most
+    ]
     if "angle" in found and 0.5 < velocity_slope(columns)[1] < 2:
         found.append("velocity")
-    if {"angle", "command_angle"} <= {*found} and "command_velocity" not in found and not is_velocity_given:
+    if (
+        {"angle", "command_angle"} <= {*found}
+        and "command_velocity" not in found
+        and not is_velocity_given
+    ):
         found.append("command_velocity")
     return found
 
 
 def velocity_slope(columns: Columns) -> tuple[float, float]:
-    """Correlation of the velocity with the angle's rate, and their ratio; 0, 0 where either does not move."""
+    """Correlation of the velocity with the angle's rate, and their ratio; 0, 0 where either does
+    not move."""
     rate = np.gradient(columns.angle, TICK_S)
     if rate.std() < REST_RATE_RAD_S or columns.velocity.std() == 0:
         return 0.0, 0.0
@@ -97,17 +118,22 @@ def velocity_slope(columns: Columns) -> tuple[float, float]:
 def without_spikes(values: Series) -> Series:
     """Put the median of five in the place of outliers of one or two samples.
 
-    A spike is 1.2 times as high as half the span of 98% of the samples, where the published networks' own jumps reach
-    0.8 times; its second difference has a robust z of 8, since there are no spikes in a series that is rough anyway.
+    A spike is 1.2 times as high as half the span of 98% of the samples, where the published
+    networks' own jumps reach 0.8 times; its second difference has a robust z of 8, since there are
+    no spikes in a series that is rough anyway.
     """
     if len(values) < SHORTEST_S * RATE_HZ:
         return values
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1)
+    middle = np.median(
+        np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1
+    )
     bend = np.abs(np.diff(np.pad(values, 1, mode="edge"), 2))
     # Most of a fin at rest bends by nothing at all: the scale is that of the bends there are.
     scale = 1.4826 * float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     half = 0.5 * float(np.ptp(np.percentile(values, [1, 99])))
-    return np.where((np.abs(values - middle) > 1.2 * max(half, 1e-9)) & (bend > 8.0 * scale), middle, values)
+    return np.where(
+        (np.abs(values - middle) > 1.2 * max(half, 1e-9)) & (bend > 8.0 * scale), middle, values
+    )
 
 
 def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
@@ -119,11 +145,19 @@ def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
 def measure(columns: Columns, named: NamedLog) -> LogStatistics:
     """Compute the statistics of a log from its repaired channels."""
     force = np.stack([columns.force_x, columns.force_y], axis=1)
-    rows, lag, following, frames = len(force), force_lag(columns.angle, force), 0.0, None
+    rows = len(force)
+    lag = force_lag(columns.angle, force)
+    following = 0.0
+    frames = None
     if rows >= SHORTEST_S * RATE_HZ:
         frames = frame_correlations(columns.angle, force, lag or 0.0)
-        earlier, later = columns.command_angle[:-FOLLOWING_TICKS], columns.angle[FOLLOWING_TICKS:]
-        following = float(np.corrcoef(earlier, later)[0, 1]) if earlier.std() > 0 and later.std() > 0 else 0.0
+        earlier = columns.command_angle[:-FOLLOWING_TICKS]
+        later = columns.angle[FOLLOWING_TICKS:]
+        following = (
+            float(np.corrcoef(earlier, later)[0, 1])
+            if earlier.std() > 0 and later.std() > 0
+            else 0.0
+        )
     settled = np.zeros(rows, bool)
     for start, end in true_runs(np.abs(rate_of(columns.angle)) < REST_RATE_RAD_S):
         # Half a second later the water is still, too.

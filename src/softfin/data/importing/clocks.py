@@ -1,8 +1,8 @@
 """A recording as it was found, and its conversion to logs at 100 Hz.
 
-Rows without a valid time or value are left out, gaps split it, time begins at 0. A piece on a steady 100 Hz clock
-passes unchanged otherwise; any other is resampled: commands are held, readings are interpolated, behind a low-pass
-where the source is faster.
+Rows without a valid time or value are left out, gaps split it, time begins at 0. A piece on a
+steady 100 Hz clock passes unchanged otherwise; any other is resampled: commands are held, readings
+are interpolated, behind a low-pass where the source is faster.
 """
 
 import itertools
@@ -23,7 +23,8 @@ RATES_HZ = (5.0, 20_000.0)
 """Plausible rates; beyond them the unit of the time must be wrong."""
 
 CUTOFF_HZ = 40.0
-"""Frequency at which half of the amplitude is left: below the 50 Hz that 100 Hz can show, above all that a fin does."""
+"""Frequency at which half of the amplitude is left: below the 50 Hz that 100 Hz can show, above all
+that a fin does."""
 
 KERNEL_S = 0.1
 """Length of the filter [s]: 25 Hz pass and 56 Hz are gone."""
@@ -55,7 +56,9 @@ class Track(NamedTuple):
 
     def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
         """Keep some of the rows."""
-        return Track(self.time[rows], {name: values[rows] for name, values in self.channels.items()})
+        return Track(
+            self.time[rows], {name: values[rows] for name, values in self.channels.items()}
+        )
 
 
 class Recording(NamedTuple):
@@ -101,16 +104,22 @@ def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog],
 
 def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
     """Split a table whose clock goes back by more than a second: it is several logs end to end."""
-    name, (track, *others) = recording.name, recording.tracks
+    name = recording.name
+    (track, *others) = recording.tracks
     edges = [0, *(np.flatnonzero(np.diff(track.time) < -1.0) + 1).tolist(), len(track.time)]
     if others or len(edges) == 2:
         return [(name, recording.tracks)]
-    return [(f"{name} rows {a}..{b - 1}", (track.take(slice(a, b)),)) for a, b in itertools.pairwise(edges)]
+    return [
+        (f"{name} rows {a}..{b - 1}", (track.take(slice(a, b)),))
+        for a, b in itertools.pairwise(edges)
+    ]
 
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
-    """Leave out rows that hold no value or whose time repeats or goes back; check the rate of the others."""
-    issues, good = [], np.ones(len(track.time), bool)
+    """Leave out rows that hold no value or whose time repeats or goes back; check the rate of the
+    others."""
+    issues = []
+    good = np.ones(len(track.time), bool)
     for channel, values in {"time": track.time, **track.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -132,7 +141,10 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
             f"time repeats or goes back in {late.size:,} of {len(forward):,} rows, first at "
             f"{finite.time[late[0]]:.4f} s after {latest[late[0]]:.4f} s"
         )
-        fix = "sort by time and remove repeated rows; with errors ignored, rows not later than all before are left out"
+        fix = (
+            "sort by time and remove repeated rows; with errors ignored, rows not later than all "
+            "before are left out"
+        )
         row = int(np.flatnonzero(good)[late[0]])
         issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
     valid = finite.take(forward)
@@ -143,24 +155,35 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     if "angle" in valid.channels:
         wraps = find_wraps(valid.channels["angle"])
         if wraps.size:
-            message = f"jumps by a whole turn in {wraps.size:,} of {len(valid.time):,} rows: the encoder wraps"
+            message = (
+                f"jumps by a whole turn in {wraps.size:,} of {len(valid.time):,} rows: the "
+                "encoder wraps"
+            )
             fix = (
-                "set the encoder's zero to where the fin rests, so that it does not wrap within the fin's range, and "
-                "record again; with errors ignored the angle is unwrapped, to about 0"
+                "set the encoder's zero to where the fin rests, so that it does not wrap within "
+                "the fin's range, and record again; with errors ignored the angle is unwrapped, "
+                "to about 0"
             )
             row = int(np.flatnonzero(good)[forward][wraps[0]])
             issues.append(Issue("error", "wraps", name, message, fix, "angle", row))
             # Before anything is derived, filtered or interpolated across a jump.
-            valid = Track(valid.time, valid.channels | {"angle": unwrapped(valid.channels["angle"])})
+            valid = Track(
+                valid.time, valid.channels | {"angle": unwrapped(valid.channels["angle"])}
+            )
     rate = 1 / float(np.median(np.diff(valid.time)))
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
-            f"{name}: column time: a row every {1 / rate:g} s ({rate:g} Hz); allowed are {RATES_HZ[0]:g} to "
-            f"{RATES_HZ[1]:g} Hz; is it in another unit? Then give it, as --time-unit ms"
+            f"{name}: column time: a row every {1 / rate:g} s ({rate:g} Hz); allowed are "
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; is it in another unit? Then give it, as "
+            "--time-unit ms"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
-        issues.append(Issue("warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time"))
+        issues.append(
+            Issue(
+                "warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time"
+            )
+        )
     if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
         message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
         issues.append(Issue("note", "resampled", name, message, column="time"))
@@ -168,14 +191,16 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
 
 
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
-    """Find the rows in which an angle within one turn has jumped by a turn, as neither fins nor lost counts do."""
+    """Find the rows in which an angle within one turn has jumped by a turn, as neither fins nor
+    lost counts do."""
     if np.ptp(angle) > TURN_RAD + TURN_TOLERANCE_RAD:
         return np.array([], int)
     return np.flatnonzero(np.abs(np.diff(angle)) > TURN_RAD - TURN_TOLERANCE_RAD) + 1
 
 
 def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
-    """Remove an angle's jumps by a turn; of all turns the one whose median is nearest to rest, angle 0."""
+    """Remove an angle's jumps by a turn; of all turns the one whose median is nearest to rest,
+    angle 0."""
     continuous = np.unwrap(angle)
     return np.asarray(continuous - TURN_RAD * np.round(np.median(continuous) / TURN_RAD))
 
@@ -189,22 +214,35 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
     return [Track(track.time - lag, channels) for lag, channels in groups.items()]
 
 
-def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tuple[list[Span], list[Issue]]:
-    """Find where all clocks have readings; only gaps in readings count, since a command holds until the next."""
+def _split_at_gaps(
+    tracks: list[Track], name: str, config: ImportConfig
+) -> tuple[list[Span], list[Issue]]:
+    """Find where all clocks have readings; only gaps in readings count, since a command holds until
+    the next."""
     reading = [track for track in tracks if not track.channels.keys() <= COMMAND_CHANNELS]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
     if end - begin < TICK_S:
-        times = (f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s" for track in tracks)
+        times = (
+            f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s"
+            for track in tracks
+        )
         raise LogError(f"{name}: no time in common: {'; '.join(times)}; stamp all with one clock")
     gaps = []
     for time in (track.time for track in reading):
         steps = np.diff(time)
-        rows = np.flatnonzero(steps > max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9))
-        gaps += [(float(time[k]), float(time[k + 1]), int(k)) for k in rows if time[k + 1] > begin and time[k] < end]
+        rows = np.flatnonzero(
+            steps > max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9)
+        )
+        gaps += [
+            (float(time[k]), float(time[k + 1]), int(k))
+            for k in rows
+            if time[k + 1] > begin and time[k] < end
+        ]
     if not gaps:
         return [(begin, end)], []
-    spans, edge = list[Span](), begin
+    spans = list[Span]()
+    edge = begin
     for a, b, _ in sorted(gaps):
         spans.append((edge, a))
         edge = max(edge, b)
@@ -213,14 +251,15 @@ def _split_at_gaps(tracks: list[Track], name: str, config: ImportConfig) -> tupl
     dropped = [b - a for a, b in spans if 0 < b - a < config.shortest_s]
     a, b, row = min(gaps)
     message = (
-        f"{counted(len(gaps), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s after {a:.2f} s; "
-        f"{sum(b - a for a, b, _ in gaps):.2f} s are missing: the log is split there"
+        f"{counted(len(gaps), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s "
+        f"after {a:.2f} s; {sum(b - a for a, b, _ in gaps):.2f} s are missing: the log is split "
+        "there"
     )
     fix = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
     if dropped:
         message += (
-            f"; {counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} s, left out: "
-            f"{sum(dropped):.2f} s in all"
+            f"; {counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} "
+            f"s, left out: {sum(dropped):.2f} s in all"
         )
         fix += "; --shortest 1 would keep more"
     return kept, [Issue("warning", "gap", name, message, fix, "time", row)]
@@ -251,8 +290,9 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
     grid = start + np.arange(int((end - start + EARLY_S) * RATE_HZ) + 1) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
-        # The low-pass must see nothing from beyond a gap: from the last row by the start to the first from its
-        # end on, between which no wide gap lies. A command holds, however long ago it was issued.
+        # The low-pass must see nothing from beyond a gap: from the last row by the start to the
+        # first from its end on, between which no wide gap lies. A command holds, however long ago
+        # it was issued.
         first = int(np.searchsorted(track.time, start, "right")) - 1
         within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
         for name, values in track.channels.items():
@@ -265,11 +305,14 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
 
 
 def interpolated(
-    time: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"], grid: Float[np.ndarray, "ticks"]
+    time: Float[np.ndarray, "rows"],
+    values: Float[np.ndarray, "rows"],
+    grid: Float[np.ndarray, "ticks"],
 ) -> Float[np.ndarray, "ticks"]:
     """Interpolate a reading at other times; `time` rises strictly.
 
-    The low-pass before a faster source is a windowed sinc, which delays nothing; at the ends it sees what there is.
+    The low-pass before a faster source is a windowed sinc, which delays nothing; at the ends it
+    sees what there is.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else TICK_S
     if step < 0.67 * TICK_S:
@@ -277,16 +320,21 @@ def interpolated(
         values = np.interp(even, time, values)
         half = round(KERNEL_S / 2 / step)
         offset = np.arange(-half, half + 1) * step
-        kernel = np.sinc(2 * CUTOFF_HZ * offset) * np.cos(np.pi * offset / (KERNEL_S + 2 * step)) ** 2
+        kernel = (
+            np.sinc(2 * CUTOFF_HZ * offset) * np.cos(np.pi * offset / (KERNEL_S + 2 * step)) ** 2
+        )
         if len(values) < len(kernel):
             return np.full_like(grid, values.mean())
         weight = np.convolve(np.ones_like(values), kernel, "same")
-        time, values = even, np.convolve(values, kernel, "same") / weight
+        time = even
+        values = np.convolve(values, kernel, "same") / weight
     return np.asarray(np.interp(grid, time, values))
 
 
 def held(
-    time: Float[np.ndarray, "rows"], values: Float[np.ndarray, "rows"], grid: Float[np.ndarray, "ticks"]
+    time: Float[np.ndarray, "rows"],
+    values: Float[np.ndarray, "rows"],
+    grid: Float[np.ndarray, "ticks"],
 ) -> Float[np.ndarray, "ticks"]:
     """Take the last value issued by each time; none of `grid` lies before the first."""
     return np.asarray(values[np.searchsorted(time, grid + EARLY_S, side="right") - 1])

@@ -1,7 +1,9 @@
-"""Assignment of columns to channels, and conversion from the recording's units and axes to softfin's.
+"""Assignment of columns to channels, and conversion from the recording's units and axes to
+softfin's.
 
-What the user states counts first, then softfin's own names, then what `read_name` finds in a name; two columns that
-may be the same channel are refused. Every column that is not named as softfin does is shown with its unit.
+What the user states counts first, then softfin's own names, then what `read_name` finds in a name;
+two columns that may be the same channel are refused. Every column that is not named as softfin does
+is shown with its unit.
 """
 
 import difflib
@@ -35,13 +37,21 @@ class Column(NamedTuple):
 
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
-    """Find the column of each channel; raises LogError, naming the option that decides, where it is not certain."""
-    found = {channel: name for name, channel in OWN_NAMES.items() if name in names and channel not in config.columns}
+    """Find the column of each channel; raises LogError, naming the option that decides, where it is
+    not certain."""
+    found = {
+        channel: name
+        for name, channel in OWN_NAMES.items()
+        if name in names and channel not in config.columns
+    }
     for mapped, name in config.columns.items():
         if name not in (NO_COLUMN, *names):
             near = difflib.get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
-            raise LogError(f"{source}: --columns {mapped}={name}: no such column; {hint}it has {_listed(names)}")
+            raise LogError(
+                f"{source}: --columns {mapped}={name}: no such column; {hint}it has "
+                f"{_listed(names)}"
+            )
         if name != NO_COLUMN:
             found[mapped] = name
     # What an option states for the whole file is not guessed.
@@ -50,7 +60,11 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     candidates: dict[str, list[str]] = {}
     for name in names:
         read = read_name(name)
-        if read is not None and name not in found.values() and read[0] not in {*found, *config.columns, *stated}:
+        if (
+            read is not None
+            and name not in found.values()
+            and read[0] not in {*found, *config.columns, *stated}
+        ):
             candidates.setdefault(read[0], []).append(name)
     for channel, several in candidates.items():
         if channel == "command_velocity":
@@ -64,12 +78,15 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     if missing := [channel for channel in CHANNELS if channel not in {*found, *stated, "velocity"}]:
         others = {
             "time": "; --rate 100 takes the place of time, if a row was written every 10 ms",
-            "command_velocity": "; --velocity 3.1 takes its place, if all commands had that velocity [rad/s]",
+            "command_velocity": "; --velocity 3.1 takes its place, if all commands had that "
+            "velocity [rad/s]",
         }
+        options = ",".join(f"{channel}=NAME" for channel in missing)
+        hints = "".join(others.get(channel, "") for channel in missing)
         raise LogError(
-            f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known words and units "
-            f"({', '.join(UNITS[KINDS[missing[0]]])}) that means it; name it: --columns "
-            f"{','.join(f'{channel}=NAME' for channel in missing)}{''.join(others.get(each, '') for each in missing)}"
+            f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known "
+            f"words and units ({', '.join(UNITS[KINDS[missing[0]]])}) that means it; name it: "
+            f"--columns {options}{hints}"
         )
     columns = {}
     for channel in CHANNELS:
@@ -96,18 +113,23 @@ def stated_unit(channel: str, config: ImportConfig) -> str | None:
 
 
 def describe_columns(columns: Mapping[str, Column]) -> str:
-    """Describe which columns were taken, where their names are not softfin's own; empty where all are."""
+    """Describe which columns were taken, where their names are not softfin's own; empty where all
+    are."""
     return ", ".join(
-        f"{channel}={column.name!r} in {column.unit}" + ("" if column.is_unit_stated else " (assumed)")
+        f"{channel}={column.name!r} in {column.unit}"
+        + ("" if column.is_unit_stated else " (assumed)")
         for channel, column in columns.items()
         if OWN_NAMES.get(column.name) != channel
     )
 
 
 def converted(
-    channels: Mapping[str, Float[np.ndarray, "rows"]], config: ImportConfig, units: Mapping[str, str] | None = None
+    channels: Mapping[str, Float[np.ndarray, "rows"]],
+    config: ImportConfig,
+    units: Mapping[str, str] | None = None,
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Convert to SI units and softfin's signs and axes; `units` are the channels' own, else the options' or SI."""
+    """Convert to SI units and softfin's signs and axes; `units` are the channels' own, else the
+    options' or SI."""
     result = {}
     for channel, values in channels.items():
         kind = KINDS[channel]
@@ -117,7 +139,9 @@ def converted(
     for channel in negated & result.keys():
         result[channel] = -result[channel]
     if "force_x" in result:
-        result["force_x"], result["force_y"] = turned(result["force_x"], result["force_y"], config.force)
+        result["force_x"], result["force_y"] = turned(
+            result["force_x"], result["force_y"], config.force
+        )
     return result
 
 

@@ -1,17 +1,21 @@
 """The channel and the unit that the name of a column states.
 
-One table of words and one of units, for every kind of file whose columns have names. Case and separators do not
-count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are the same.
+One table of words and one of units, for every kind of file whose columns have names. Case and
+separators do not count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are the
+same.
 """
 
 import math
 import re
 from typing import Literal, get_args
 
-Channel = Literal["time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"]
+Channel = Literal[
+    "time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"
+]
 
 CHANNELS: tuple[str, ...] = get_args(Channel)
-"""Channels of a log. A recording may lack the velocity, and time and commanded velocity where an option gives them."""
+"""Channels of a log. A recording may lack the velocity, and time and commanded velocity where an
+option gives them."""
 
 KINDS: dict[str, str] = {channel: re.sub("command_|_x|_y", "", channel) for channel in CHANNELS}
 """Physical quantity of each channel."""
@@ -20,10 +24,21 @@ UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "turn": 2 * math.pi},
     "velocity": {
-        "rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "turn/s": 2 * math.pi, "rpm": 2 * math.pi / 60,
+        "rad/s": 1.0,
+        "mrad/s": 1e-3,
+        "deg/s": math.pi / 180,
+        "turn/s": 2 * math.pi,
+        "rpm": 2 * math.pi / 60,
     },
-    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216152605},
-}  # fmt: skip
+    "force": {
+        "N": 1.0,
+        "mN": 1e-3,
+        "kN": 1e3,
+        "gf": 9.80665e-3,
+        "kgf": 9.80665,
+        "lbf": 4.4482216152605,
+    },
+}
 """Units of each quantity, the SI unit first, with the factor that converts to it."""
 
 SI = {kind: next(iter(units)) for kind, units in UNITS.items()}
@@ -44,44 +59,108 @@ SPELLINGS = {
     "kN": "kn kilonewton kilonewtons",
     **{unit: unit for unit in ("gf", "kgf", "lbf")},
 }
-"""Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and a second's."""
+"""Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and a
+second's."""
 
 COMMAND_WORDS = {
-    "command", "commanded", "cmd", "target", "desired", "des", "demand", "demanded", "setpoint", "set", "goal",
-    "reference", "ref",
-}  # fmt: skip
-"""Words that make an angle or a velocity the commanded one. Alone, all but "reference" mean the commanded angle."""
+    "command",
+    "commanded",
+    "cmd",
+    "target",
+    "desired",
+    "des",
+    "demand",
+    "demanded",
+    "setpoint",
+    "set",
+    "goal",
+    "reference",
+    "ref",
+}
+"""Words that make an angle or a velocity the commanded one. Alone, all but "reference" mean the
+commanded angle."""
 
 PHRASES = {
     "time": ["time", "t", "timestamp", "stamp", "time stamp"],
     "angle": ["angle", "ang", "theta", "θ", "position", "pos", "angular position"],
     "velocity": [
-        "velocity", "vel", "speed", "omega", "ω", "angular velocity", "ang vel", "angular vel", "angular speed",
-        "angle rate", "angular rate", "theta dot", "angle velocity", "angle vel",
+        "velocity",
+        "vel",
+        "speed",
+        "omega",
+        "ω",
+        "angular velocity",
+        "ang vel",
+        "angular vel",
+        "angular speed",
+        "angle rate",
+        "angular rate",
+        "theta dot",
+        "angle velocity",
+        "angle vel",
     ],
     # The last one is a Dynamixel's of protocol 1.
     "command_velocity": ["profile velocity", "profile vel", "profile speed", "moving speed"],
     "force_x": ["force x", "fx", "f x"],
     "force_y": ["force y", "fy", "f y"],
-}  # fmt: skip
-"""Names of each channel, in any order of their words; with one of `COMMAND_WORDS`, of the commanded one."""
+}
+"""Names of each channel, in any order of their words; with one of `COMMAND_WORDS`, of the commanded
+one."""
 
 NEUTRAL_WORDS = {
-    "actual", "act", "present", "measured", "meas", "reading", "value", "joint", "shaft", "motor", "servo", "drive",
-    "fin", "encoder", "sensor", "wrench", "ft", "state", "states", "feedback", "header", "elapsed", "unix", "epoch",
-    "ros", "in", "point", "dynamixel", "dxl", "workbench",
-}  # fmt: skip
+    "actual",
+    "act",
+    "present",
+    "measured",
+    "meas",
+    "reading",
+    "value",
+    "joint",
+    "shaft",
+    "motor",
+    "servo",
+    "drive",
+    "fin",
+    "encoder",
+    "sensor",
+    "wrench",
+    "ft",
+    "state",
+    "states",
+    "feedback",
+    "header",
+    "elapsed",
+    "unix",
+    "epoch",
+    "ros",
+    "in",
+    "point",
+    "dynamixel",
+    "dxl",
+    "workbench",
+}
 """Words that do not change what a name means."""
 
-_PHRASES = {tuple(sorted(phrase.split())): channel for channel, some in PHRASES.items() for phrase in some}
+_PHRASES = {
+    tuple(sorted(phrase.split())): channel for channel, some in PHRASES.items() for phrase in some
+}
 
 
 def _spellings(kind: str) -> dict[str, str]:
-    spelled = {text: unit for unit, texts in SPELLINGS.items() if unit in UNITS[kind] for text in texts.split()}
+    spelled = {
+        text: unit
+        for unit, texts in SPELLINGS.items()
+        if unit in UNITS[kind]
+        for text in texts.split()
+    }
     if kind == "velocity":
         for unit in UNITS["angle"]:
             angles = SPELLINGS[unit].split()
-            spelled |= {f"{text}/{second}": f"{unit}/s" for text in angles for second in SPELLINGS["s"].split()}
+            spelled |= {
+                f"{text}/{second}": f"{unit}/s"
+                for text in angles
+                for second in SPELLINGS["s"].split()
+            }
         spelled |= {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "rps": "turn/s"}
     return spelled
 
@@ -91,13 +170,18 @@ SPELLED = {kind: _spellings(kind) for kind in UNITS}
 
 
 def read_name(name: str) -> tuple[str, str | None] | None:
-    """Find the channel of a name, and its unit or None; None for both unless every word of it is understood."""
+    """Find the channel of a name, and its unit or None; None for both unless every word of it is
+    understood."""
     for kind in UNITS:
         words, unit = split_unit(name, kind)
         commanded = COMMAND_WORDS.intersection(words)
         core = tuple(sorted(word for word in words if word not in COMMAND_WORDS | NEUTRAL_WORDS))
         channel = _PHRASES.get(core)
-        if not core and commanded - {"ref", "reference"} and (kind == "angle" or (kind == "velocity" and unit)):
+        if (
+            not core
+            and commanded - {"ref", "reference"}
+            and (kind == "angle" or (kind == "velocity" and unit))
+        ):
             channel = kind
         # Milliseconds are a time without any other word, but "min" is more often something else.
         if not words and kind == "time" and unit in ("s", "ms", "us", "ns"):
@@ -112,8 +196,10 @@ def read_name(name: str) -> tuple[str, str | None] | None:
 
 
 def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
-    """Split a name into its words in lower case, and the unit of a quantity in which it ends, or None."""
-    # "(t)" only states that it is a function of time; a second to the power of -1 is one below a slash.
+    """Split a name into its words in lower case, and the unit of a quantity in which it ends, or
+    None."""
+    # "(t)" only states that it is a function of time; a second to the power of -1 is one below a
+    # slash.
     plain = re.sub(r"\(t\)|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
     # Words are parted by anything but letters, and where capitals begin, but not within mN.
     parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)

@@ -1,6 +1,8 @@
-"""ROS 2 bags, MCAP or SQLite, read without ROS: the topics of command, joint and force in, a recording out.
+"""ROS 2 bags, MCAP or SQLite, read without ROS: the topics of command, joint and force in, a
+recording out.
 
-A message's own stamp counts where every message of the topic has one, else the time at which it was logged.
+A message's own stamp counts where every message of the topic has one, else the time at which it was
+logged.
 """
 
 from pathlib import Path
@@ -17,7 +19,15 @@ from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
 from softfin.data.importing.names import Channel
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity, counted
-from softfin.storage.bag.messages import DEFAULT_TOPICS, EVENTS, JOINT_STATE, STRING, WRENCH, WRENCH_STAMPED, type_store
+from softfin.storage.bag.messages import (
+    DEFAULT_TOPICS,
+    EVENTS,
+    JOINT_STATE,
+    STRING,
+    WRENCH,
+    WRENCH_STAMPED,
+    type_store,
+)
 from softfin.storage.bag.recovery import check_bag
 from softfin.storage.bag.zero import Force, parse_zero, zeros_at
 
@@ -40,12 +50,14 @@ LISTED = 12
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
-    """Read one bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of another type."""
+    """Read one bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of
+    another type."""
     try:
         for file in [path] if not path.is_dir() else sorted(path.glob("*.mcap")):
             check_bag(file)
         with Reader(path) as reader:
-            tracks, issues = [], []
+            tracks = []
+            issues = []
             for role in READABLE_TYPES:
                 track, found = _read_topic(reader, role, config, path, name)
                 issues += found
@@ -56,14 +68,21 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     except LogError:
         raise
     except Exception as error:
-        # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a way of its own.
+        # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a
+        # way of its own.
         reason = _plain(one_line(error))
-        raise LogError(f"{path}: truncated, or not a ROS 2 bag ({reason}); copy it, or: ros2 bag reindex") from None
+        raise LogError(
+            f"{path}: truncated, or not a ROS 2 bag ({reason}); copy it, or: ros2 bag reindex"
+        ) from None
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     if all(np.array_equal(tracks[0].time, track.time) for track in tracks):
         # Topics that are stamped alike are one track, which needs no other clock.
-        tracks = [Track(tracks[0].time, {name: v for track in tracks for name, v in track.channels.items()})]
+        tracks = [
+            Track(
+                tracks[0].time, {name: v for track in tracks for name, v in track.channels.items()}
+            )
+        ]
     return Recording(name, part, tuple(tracks), tuple(issues))
 
 
@@ -72,23 +91,35 @@ def _plain(text: str) -> str:
     return printable(text, most=500)
 
 
-def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, name: str) -> tuple[Track, list[Issue]]:
+def _read_topic(
+    reader: Reader, role: Topic, config: ImportConfig, path: Path, name: str
+) -> tuple[Track, list[Issue]]:
     topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
     there = {connection.topic: connection.msgtype for connection in reader.connections}
     connections = [connection for connection in reader.connections if connection.topic == topic]
-    where, kind = f"{path}: {topic}", there.get(topic, "")
+    where = f"{path}: {topic}"
+    kind = there.get(topic, "")
     if not connections:
-        listed = _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED])) or "no topics"
+        listed = (
+            _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED]))
+            or "no topics"
+        )
         fitting = [other for other, kind in there.items() if kind in READABLE_TYPES[role]]
         hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
         raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; name it: {hint}")
-    if kind not in READABLE_TYPES[role] or any(connection.msgtype != kind for connection in connections):
+    if kind not in READABLE_TYPES[role] or any(
+        connection.msgtype != kind for connection in connections
+    ):
         raise LogError(
-            f"{where} is {_plain(kind)}; a {role} must be {' or '.join(READABLE_TYPES[role])}, all of one type"
+            f"{where} is {_plain(kind)}; a {role} must be {' or '.join(READABLE_TYPES[role])}, all "
+            "of one type"
         )
-    logged, stamped, rows = [], [], []
+    logged = []
+    stamped = []
+    rows = []
     for _, stamp, data in reader.messages(connections):
-        # ROS 2's own definitions, not the bag's: the reader makes code of definitions, and a bag is anybody's.
+        # ROS 2's own definitions, not the bag's: the reader makes code of definitions, and a bag is
+        # anybody's.
         message: Any = type_store().deserialize_cdr(data, kind)
         header = getattr(message, "header", None)
         logged.append(stamp)
@@ -98,18 +129,25 @@ def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, n
         raise LogError(f"{where}: no messages; record the {role} too")
     issues = []
     if not (all(stamped) or stamped == logged):
-        text = f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages have no stamp: the time of logging counts"
+        text = (
+            f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages have no stamp: the "
+            "time of logging counts"
+        )
         fix = "stamp each message where it is measured: logging adds a delay that varies"
         severity: Severity = "warning" if kind in (JOINT_STATE, WRENCH_STAMPED) else "note"
         issues.append(Issue(severity, "no stamps", name, text, fix, role))
         stamped = logged
-    # Nanoseconds since 1970 as integers first: in double precision they are exact to a quarter of a microsecond.
-    time, pairs = np.array(stamped, np.int64) / 1e9, np.array(rows, np.float64)
+    # Nanoseconds since 1970 as integers first: in double precision they are exact to a quarter of a
+    # microsecond.
+    time = np.array(stamped, np.int64) / 1e9
+    pairs = np.array(rows, np.float64)
     # What a log cannot hold counts as a missing value, which is reported later.
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
     first, second = TOPIC_CHANNELS[role]
     channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
-    if role != "wrench" and (np.isnan(pairs[:, 1]).all() or config.columns.get(second) == NO_COLUMN):
+    if role != "wrench" and (
+        np.isnan(pairs[:, 1]).all() or config.columns.get(second) == NO_COLUMN
+    ):
         del channels[second]
     if role == "command" and second not in channels:
         if config.velocity_rad_s is None:
@@ -123,7 +161,9 @@ def _read_topic(reader: Reader, role: Topic, config: ImportConfig, path: Path, n
 
 def _read_zeros(reader: Reader) -> list[tuple[float, Force]]:
     """Time [s] and value [N] of each zero that softfin measured at rest while it recorded."""
-    connections = [each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING]
+    connections = [
+        each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING
+    ]
     zeros = []
     # Without connections the reader would go through all topics.
     for _, stamp, data in reader.messages(connections) if connections else ():
@@ -137,13 +177,17 @@ def _read_zeros(reader: Reader) -> list[tuple[float, Force]]:
 def _less_zero(
     force: Track, zeros: list[tuple[float, Force]], config: ImportConfig, name: str
 ) -> tuple[Track, list[Issue]]:
-    """Subtract the zeros from a force, as the session did for its controller and its logs; a bag's force is raw."""
+    """Subtract the zeros from a force, as the session did for its controller and its logs; a bag's
+    force is raw."""
     if not zeros:
         return force, []
     x, y = zeros_at(zeros, force.time).T
     zero = converted({"force_x": x, "force_y": y}, config)
     channels = {channel: values - zero[channel] for channel, values in force.channels.items()}
-    text = f"{WRENCH}: the force at rest is subtracted, which {EVENTS} holds ({counted(len(zeros), 'measurement')})"
+    text = (
+        f"{WRENCH}: the force at rest is subtracted, which {EVENTS} holds "
+        f"({counted(len(zeros), 'measurement')})"
+    )
     return Track(force.time, channels), [Issue("note", "zeroed", name, text)]
 
 
@@ -151,7 +195,9 @@ def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, flo
     """Angle and velocity, or force x and y."""
     if kind == ARRAY:
         if len(message.data) != 2:
-            raise LogError(f"{where}: an array of {len(message.data)} numbers; a command is [angle, velocity]")
+            raise LogError(
+                f"{where}: an array of {len(message.data)} numbers; a command is [angle, velocity]"
+            )
         return float(message.data[0]), float(message.data[1])
     if kind == JOINT_STATE:
         names = list(message.name)

@@ -19,7 +19,8 @@ from softfin.storage.paths import CSV
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
-    """Read the logs of one file; raises LogError for a file that is not such a table or lacks a channel."""
+    """Read the logs of one file; raises LogError for a file that is not such a table or lacks a
+    channel."""
     if path.suffix.lower() in CSV:
         names, delimiter = _read_header(path)
         found = choose_columns(names, config, str(path))
@@ -30,12 +31,17 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     rows = table.num_rows
     if not rows:
         raise LogError(f"{path}: empty: it has no rows; record it again")
-    values = {channel: _numbers(table.column(column.name), column.name, path) for channel, column in found.items()}
+    values = {
+        channel: _numbers(table.column(column.name), column.name, path)
+        for channel, column in found.items()
+    }
     values = converted(values, config, {channel: column.unit for channel, column in found.items()})
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
-    whole, issues, length = Track(time, values), tuple(_notes(name, names, found, config)), config.rows_per_log or rows
+    whole = Track(time, values)
+    issues = tuple(_notes(name, names, found, config))
+    length = config.rows_per_log or rows
     return [
         Recording(
             f"{name} rows {start}..{min(start + length, rows) - 1}" if length < rows else name,
@@ -47,16 +53,27 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     ]
 
 
-def _notes(name: str, names: list[str], found: dict[str, Column], config: ImportConfig) -> list[Issue]:
-    """Describe which column was taken for what and in which unit, unless softfin's own names state it."""
+def _notes(
+    name: str, names: list[str], found: dict[str, Column], config: ImportConfig
+) -> list[Issue]:
+    """Describe which column was taken for what and in which unit, unless softfin's own names state
+    it."""
     texts = [describe_columns(found)]
-    fix = "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit" * bool(texts[0])
-    options = {"command_velocity": (config.velocity_rad_s, "--velocity"), "time": (config.rate_hz, "--rate")}
+    fix = (
+        "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit"
+        * bool(texts[0])
+    )
+    options = {
+        "command_velocity": (config.velocity_rad_s, "--velocity"),
+        "time": (config.rate_hz, "--rate"),
+    }
     for channel, (value, option) in options.items():
         if value is not None and channel in found:
             texts.append(f"{option} {value:g} not used: {found[channel].name!r} holds it")
     if config.velocity_rad_s is not None and "command_velocity" not in found:
-        texts.append(f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity")
+        texts.append(
+            f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+        )
     text = "; ".join(filter(None, texts))
     notes = [Issue("note", "columns", name, text, fix)] if text else []
     read = {column.name for column in found.values()}
@@ -84,7 +101,10 @@ def _read_header(path: Path) -> tuple[list[str], str]:
     delimiter = max(",;\t", key=line.count)
     names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
     if all(re.fullmatch(r"[-+.eE\d]*\d[-+.eE\d]*", name) for name in names):
-        raise LogError(f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names above it")
+        raise LogError(
+            f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names "
+            "above it"
+        )
     if twice := [name for name in names if names.count(name) > 1]:
         raise LogError(f"{path}: column {twice[0]!r} is there twice; rename one of them")
     return names, delimiter
@@ -104,12 +124,15 @@ def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) 
         )
     except (pa.ArrowException, OSError) as error:
         reason = one_line(error)
-        raise LogError(f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty") from None
+        raise LogError(
+            f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty"
+        ) from None
 
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:
     try:
-        # Unsafe, since nanoseconds since 1970 have more digits than a double: that leaves a quarter of a microsecond.
+        # Unsafe, since nanoseconds since 1970 have more digits than a double: that leaves a quarter
+        # of a microsecond.
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
     except pa.ArrowException:
         raise LogError(

@@ -1,14 +1,16 @@
-"""Baselines evaluated as controllers are: what the fin does with no learning, or with a few fitted numbers alone.
+"""Baselines evaluated as controllers are: what the fin does with no learning, or with a few fitted
+numbers alone.
 
-===================== =============================================================================================
+===================== ========================================================================
 ``still``             the rest command: the fin does nothing
 ``sine``              the sine of the shaft of least error, searched for each reference
 ``inverse_F_hz``      the analytic inverse model of the U-CAT robots, a sine of F Hz
 ``recalibrated_F_hz`` the same with its one constant fitted to a few sines
 ``random_search``     the best of some random gaits of six actions, for each reference
-===================== =============================================================================================
+===================== ========================================================================
 
-All but the last are open loop. The search plant, as a rule a surrogate of the fin, is all that they learn from.
+All but the last are open loop. The search plant, as a rule a surrogate of the fin, is all that they
+learn from.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,7 +27,12 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command, Limits
 from softfin.evaluation.baselines import open_loop
 from softfin.evaluation.baselines.open_loop import ShaftSine, inverse
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, ExperimentsConfig, score_experiments
+from softfin.evaluation.evaluate import (
+    EvaluateConfig,
+    Evaluation,
+    ExperimentsConfig,
+    score_experiments,
+)
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.gaits.inverse_model import InverseConfig
 from softfin.storage import artifact as artifacts
@@ -41,26 +48,35 @@ class BaselinesConfig(ExperimentsConfig):
     inverse: InverseConfig = InverseConfig()
     """Coefficients of the inverse model."""
     inverse_frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(2.1, 1.1, 1.0), min_length=1)
-    """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1 Hz, whose periods
-    fill the window of 2 s: those of the other two leave a ripple in its mean that is not the model's error."""
+    """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1
+    Hz, whose periods fill the window of 2 s: those of the other two leave a ripple in its mean that
+    is not the model's error."""
 
     @property
     def experiments(self) -> EvaluateConfig:
         """The experiments that controllers would be scored by."""
-        return EvaluateConfig(references=self.references, seconds=self.seconds, seeds=self.seeds, seed=self.seed)
+        return EvaluateConfig(
+            references=self.references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
+        )
 
 
 def evaluate_baselines(
-    plant: Plant, search_in: Plant, config: BaselinesConfig, report: Callable[[float, str], None] = lambda *_: None
+    plant: Plant,
+    search_in: Plant,
+    config: BaselinesConfig,
+    report: Callable[[float, str], None] = lambda *_: None,
 ) -> dict[str, dict[str, Any]]:
-    """Find the baselines on one plant and evaluate them on another, the same one or the fin that it stands for.
+    """Find the baselines on one plant and evaluate them on another, the same one or the fin that it
+    stands for.
 
-    Returns by name, as ``baselines``, what `Evaluation.summary` gives, with what was ``commanded`` for each reference:
-    a sine with the fraction of ticks at which the plant's limits clipped its angle or velocity, or a gait; and as
-    ``left_out`` why a baseline has no scores. `report` is called with the done part (0 .. 1) and a note.
-    Raises PlantError where no command suits both plants.
+    Returns by name, as ``baselines``, what `Evaluation.summary` gives, with what was ``commanded``
+    for each reference: a sine with the fraction of ticks at which the plant's limits clipped its
+    angle or velocity, or a gait; and as ``left_out`` why a baseline has no scores. `report` is
+    called with the done part (0 .. 1) and a note. Raises PlantError where no command suits both
+    plants.
     """
-    references, seconds = np.asarray(config.references, np.float64), config.seconds
+    references = np.asarray(config.references, np.float64)
+    seconds = config.seconds
     limits = shared_limits(Limits(*search_in.limits), Limits(*plant.limits))
     search = open_loop.OpenLoopSearch(search_in, limits, config.search, config.seed)
     summaries: dict[str, Any] = {}
@@ -79,25 +95,39 @@ def evaluate_baselines(
         command, *clipped = sine.commands(limits, seconds * RATE_HZ)
         keys = ("centre_rad", "amplitude_rad", "frequency_hz", "angle_clipped", "velocity_clipped")
         rows = zip(zip(*sine, *clipped, strict=True), more, strict=True)
-        add_commands(name, command, [dict(zip(keys, _rounded(values), strict=True)) | row for values, row in rows])
+        add_commands(
+            name,
+            command,
+            [dict(zip(keys, _rounded(values), strict=True)) | row for values, row in rows],
+        )
 
     report(0.0, "still fin")
-    rest = Command(*(np.full((len(references), seconds * RATE_HZ), x) for x in rest_command(limits)))
+    rest = Command(
+        *(np.full((len(references), seconds * RATE_HZ), x) for x in rest_command(limits))
+    )
     add_commands("still", rest, nothing)
     report(0.1, "inverse model")
     for frequency in config.inverse_frequencies_hz:
         model = config.inverse
-        add_sines(f"inverse_{frequency:g}_hz", *inverse(references, frequency, limits, model, model.constant))
+        add_sines(
+            f"inverse_{frequency:g}_hz",
+            *inverse(references, frequency, limits, model, model.constant),
+        )
         name = f"recalibrated_{frequency:g}_hz"
         try:
-            constant = search.fitted_constant(frequency, (model.amplitude_min_rad, model.amplitude_max_rad))
+            constant = search.fitted_constant(
+                frequency, (model.amplitude_min_rad, model.amplitude_max_rad)
+            )
         except RunError as error:
             left_out[name] = str(error)
         else:
             add_sines(name, *inverse(references, frequency, limits, model, constant))
     report(0.4, "random gaits")
     gaits = search.best_gaits(references)
-    rows = [{"angles_rad": _rounded(angle), "velocities_rad_s": _rounded(v)} for angle, v in zip(*gaits, strict=True)]
+    rows = [
+        {"angles_rad": _rounded(angle), "velocities_rad_s": _rounded(v)}
+        for angle, v in zip(*gaits, strict=True)
+    ]
     add_commands("random_search", open_loop.repeated(gaits, seconds), rows)
     report(0.5, "sines")
     add_sines("sine", search.best_sines(references), nothing)
@@ -106,21 +136,28 @@ def evaluate_baselines(
 
 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:
-    """Score a series of commands for each reference, ``(references, ticks)``, as `evaluate` does a controller."""
+    """Score a series of commands for each reference, ``(references, ticks)``, as `evaluate` does a
+    controller."""
     recorded = open_loop.run_commands(jit_argument(plant), commands, config.keys())
     reading, true_force = jax.tree.map(np.asarray, recorded)
-    issued = Command(*(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands))
-    recording = ExperimentRecording(np.asarray(config.references, np.float32), issued, reading, true_force)
+    issued = Command(
+        *(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands)
+    )
+    recording = ExperimentRecording(
+        np.asarray(config.references, np.float32), issued, reading, true_force
+    )
     return score_experiments(recording, plant, config)
 
 
 def shared_limits(one: Limits, other: Limits) -> Limits:
     """The commands that two plants both take; raises PlantError where there are none."""
-    low, high = np.maximum(one, other).tolist(), np.minimum(one, other).tolist()
+    low = np.maximum(one, other).tolist()
+    high = np.minimum(one, other).tolist()
     limits = Limits(low[0], high[1], low[2], high[3])
     if limits.problem() is not None:
         raise PlantError(
-            f"baselines: no commands that both plants take: the search plant takes {one.to_dict()}, the evaluated one "
+            "baselines: no commands that both plants take: the search plant takes "
+            f"{one.to_dict()}, the evaluated one "
             f"{other.to_dict()}; search in a surrogate of the fin itself"
         )
     return limits

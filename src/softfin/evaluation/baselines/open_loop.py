@@ -1,10 +1,13 @@
-"""Open-loop commands, tried on a plant, as a rule a surrogate: sines of the shaft, the U-CAT robots' model, gaits.
+"""Open-loop commands, tried on a plant, as a rule a surrogate: sines of the shaft, the U-CAT
+robots' model, gaits.
 
-Commands are issued one a tick, so that a sine can be commanded; an action held for 33 ticks is 33 equal commands.
+Commands are issued one a tick, so that a sine can be commanded; an action held for 33 ticks is 33
+equal commands.
 
-The drive runs a velocity profile to its target angle, so the target goes along the sine and the profile velocity, which
-is a ceiling, stays at the sine's greatest speed. A ceiling that follows the sine's own speed holds the profile back at
-each turn: on the virtual tank a sine of 0.4 rad and 2 Hz then comes out as one of 0.25 rad, and as 0.39 rad this way.
+The drive runs a velocity profile to its target angle, so the target goes along the sine and the
+profile velocity, which is a ceiling, stays at the sine's greatest speed. A ceiling that follows the
+sine's own speed holds the profile back at each turn: on the virtual tank a sine of 0.4 rad and 2 Hz
+then comes out as one of 0.25 rad, and as 0.39 rad this way.
 
 The inverse model, `softfin.gaits.inverse_model`, chooses a sine for a force.
 """
@@ -54,10 +57,14 @@ class ShaftSine(NamedTuple):
     frequency: Float[AnyArray, "*shape"]
     """Periods a second [Hz]."""
 
-    def commands(self, limits: Limits, ticks: int) -> tuple[Command, Float[Array, "*shape"], Float[Array, "*shape"]]:
-        """Commands ``(*shape, ticks)`` within the limits, and fractions of ticks of which these clip angle and speed.
+    def commands(
+        self, limits: Limits, ticks: int
+    ) -> tuple[Command, Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Commands ``(*shape, ticks)`` within the limits, and fractions of ticks of which these
+        clip angle and speed.
 
-        A profile velocity that is raised to the plant's least one clips nothing: the target angle still sets the pace.
+        A profile velocity that is raised to the plant's least one clips nothing: the target angle
+        still sets the pace.
         """
         centre, amplitude, frequency = (jnp.asarray(part, jnp.float32)[..., None] for part in self)
         # The command of a tick shows in the reading at its end.
@@ -66,26 +73,37 @@ class ShaftSine(NamedTuple):
         fastest = 2 * jnp.pi * frequency * amplitude
         outside = (angle < limits.angle_min - ROUNDING) | (angle > limits.angle_max + ROUNDING)
         too_fast = fastest * jnp.abs(jnp.cos(turn)) > limits.velocity_max + ROUNDING
-        velocity = jnp.broadcast_to(jnp.clip(fastest, limits.velocity_min, limits.velocity_max), angle.shape)
+        velocity = jnp.broadcast_to(
+            jnp.clip(fastest, limits.velocity_min, limits.velocity_max), angle.shape
+        )
         command = Command(jnp.clip(angle, limits.angle_min, limits.angle_max), velocity)
         return command, outside.mean(axis=-1), too_fast.mean(axis=-1)
 
 
 def inverse(
-    force: Float[np.ndarray, "forces 2"], frequency: float, limits: Limits, config: InverseConfig, constant: float
+    force: Float[np.ndarray, "forces 2"],
+    frequency: float,
+    limits: Limits,
+    config: InverseConfig,
+    constant: float,
 ) -> tuple[ShaftSine, list[dict[str, Any]]]:
-    """The sine that should give each force (x, y) [N] on average; `constant` is K [N s2], the config's or a fitted one.
+    """The sine that should give each force (x, y) [N] on average; `constant` is K [N s2], the
+    config's or a fitted one.
 
-    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi where no amplitude gives as
-    much) and the centre to the angles that the plant takes. Thrust at angle theta points along (cos theta, -sin theta),
-    so a force towards -y is made at a positive angle.
+    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi where no
+    amplitude gives as much) and the centre to the angles that the plant takes. Thrust at angle
+    theta points along (cos theta, -sin theta), so a force towards -y is made at a positive angle.
     """
     wanted = np.arctan2(-force[:, 1], force[:, 0])
     centre = np.clip(wanted, limits.angle_min, limits.angle_max)
     exact = amplitude_of(np.linalg.norm(force, axis=1), frequency, constant)
     amplitude = np.clip(exact, config.amplitude_min_rad, config.amplitude_max_rad)
     limited = [
-        {"amplitude_limited": bool(size), "direction_limited": bool(direction), "constant_n_s2": constant}
+        {
+            "amplitude_limited": bool(size),
+            "direction_limited": bool(direction),
+            "constant_n_s2": constant,
+        }
         for size, direction in zip(amplitude != exact, centre != wanted, strict=True)
     ]
     return ShaftSine(centre, amplitude, np.full_like(amplitude, frequency)), limited
@@ -96,8 +114,11 @@ class SearchConfig(Configuration):
 
     seconds: int = Field(default=8, ge=3)
     """Length of a trial from rest [s], whole; its first 2 s fill the first window."""
-    frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0), min_length=1)
-    """Frequencies of the sines [Hz]; whole periods fill the window of 2 s, so that its mean has no ripple."""
+    frequencies_hz: tuple[PositiveFloat, ...] = Field(
+        default=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0), min_length=1
+    )
+    """Frequencies of the sines [Hz]; whole periods fill the window of 2 s, so that its mean has no
+    ripple."""
     centres: int = Field(default=13, ge=2)
     """Zero directions of the first lattice, over the angles that the plant takes."""
     amplitudes: int = Field(default=8, ge=2)
@@ -107,19 +128,24 @@ class SearchConfig(Configuration):
     kept: PositiveInt = 4
     """Sines that are refined for each reference."""
     refinements: int = Field(default=4, ge=0)
-    """Rounds; each halves the steps of centre and amplitude and tries the 5 x 5 sines round each kept one."""
+    """Rounds; each halves the steps of centre and amplitude and tries the 5 x 5 sines round each
+    kept one."""
     gaits: PositiveInt = 256
-    """Random gaits of six actions: some 20 s of what a surrogate learnt from, as many as a look-up table might hold."""
+    """Random gaits of six actions: some 20 s of what a surrogate learnt from, as many as a look-up
+    table might hold."""
     trials: int = Field(default=6, ge=1)
-    """Sines straight ahead that the inverse model's constant is fitted to, over the driver's amplitudes."""
+    """Sines straight ahead that the inverse model's constant is fitted to, over the driver's
+    amplitudes."""
 
 
 @eqx.filter_jit
-def run_commands(plant: Plant, commands: Command, keys: Key[Array, "seeds"]) -> tuple[Reading, Array | None]:
+def run_commands(
+    plant: Plant, commands: Command, keys: Key[Array, "seeds"]
+) -> tuple[Reading, Array | None]:
     """Issue every series of commands with every key of the plant, each from rest.
 
-    Returns the readings ``(cases, seeds, ticks)`` and the true force ``(cases, seeds, ticks, 2)`` [N], None where the
-    plant does not know it. `plant` as `jit_argument` makes it.
+    Returns the readings ``(cases, seeds, ticks)`` and the true force ``(cases, seeds, ticks, 2)``
+    [N], None where the plant does not know it. `plant` as `jit_argument` makes it.
     """
 
     def one(command: Command, key: PRNGKeyArray) -> tuple[Reading, Array | None]:
@@ -139,7 +165,9 @@ def repeated(gaits: Command, seconds: int) -> Command:
 
 def force_errors(forces: Forces, references: References) -> Float[np.ndarray, "cases references"]:
     """Error of each case at each reference: those of x and y together [N], as in Table II."""
-    return np.stack([moving_error(forces, reference).sum(axis=1) for reference in references], axis=1)
+    return np.stack(
+        [moving_error(forces, reference).sum(axis=1) for reference in references], axis=1
+    )
 
 
 class OpenLoopSearch(NamedTuple):
@@ -156,60 +184,90 @@ class OpenLoopSearch(NamedTuple):
         count = len(commands.angle)
         size = min(CHUNK, count)
         # Filled up with repetitions of the last case, whose forces are dropped again.
-        padded = Command(*(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands))
-        plant, keys = jit_argument(self.plant), key_of(self.seed, "baselines/search")[None]
+        padded = Command(
+            *(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands)
+        )
+        plant = jit_argument(self.plant)
+        keys = key_of(self.seed, "baselines/search")[None]
         parts = (Command(*(part[i : i + size] for part in padded)) for i in range(0, count, size))
-        return np.concatenate([np.asarray(run_commands(plant, part, keys)[0].force[:, 0]) for part in parts])[:count]
+        return np.concatenate(
+            [np.asarray(run_commands(plant, part, keys)[0].force[:, 0]) for part in parts]
+        )[:count]
 
     def forces_of_sines(self, sines: Sines) -> Forces:
         """Forces of many sines."""
-        return self.forces(ShaftSine(*sines.T).commands(self.limits, self.config.seconds * RATE_HZ)[0])
+        return self.forces(
+            ShaftSine(*sines.T).commands(self.limits, self.config.seconds * RATE_HZ)[0]
+        )
 
     def best_sines(self, references: References) -> ShaftSine:
-        """Find the sine of least error for each reference: in a lattice, then in finer ones round the best of each."""
+        """Find the sine of least error for each reference: in a lattice, then in finer ones round
+        the best of each."""
         config = self.config
-        low, high = np.array([(self.limits.angle_min, 0.0), (self.limits.angle_max, config.amplitude_max_rad)])
+        low, high = np.array(
+            [(self.limits.angle_min, 0.0), (self.limits.angle_max, config.amplitude_max_rad)]
+        )
         step = (high - low) / [config.centres - 1, config.amplitudes]
         centres = np.linspace(low[0], high[0], config.centres)
         amplitudes = np.linspace(low[1], high[1], config.amplitudes + 1)[1:]
         lattice = np.array(list(product(centres, amplitudes, config.frequencies_hz)))
-        tried = [(lattice, error) for error in force_errors(self.forces_of_sines(lattice), references).T]
+        tried = [
+            (lattice, error) for error in force_errors(self.forces_of_sines(lattice), references).T
+        ]
         for _ in range(config.refinements):
             step = step / 2
             near = []
             for points, error in tried:
                 best = points[np.argsort(error)[: config.kept]].repeat(len(OFFSETS), axis=0)
-                best[:, :2] = np.clip(best[:, :2] + np.tile(OFFSETS * step, (len(best) // len(OFFSETS), 1)), low, high)
+                best[:, :2] = np.clip(
+                    best[:, :2] + np.tile(OFFSETS * step, (len(best) // len(OFFSETS), 1)), low, high
+                )
                 near.append(best)
-            forces = np.split(self.forces_of_sines(np.concatenate(near)), np.cumsum([len(new) for new in near])[:-1])
+            forces = np.split(
+                self.forces_of_sines(np.concatenate(near)),
+                np.cumsum([len(new) for new in near])[:-1],
+            )
             tried = [
-                (np.concatenate([points, new]), np.concatenate([error, force_errors(force, reference[None])[:, 0]]))
-                for (points, error), new, force, reference in zip(tried, near, forces, references, strict=True)
+                (
+                    np.concatenate([points, new]),
+                    np.concatenate([error, force_errors(force, reference[None])[:, 0]]),
+                )
+                for (points, error), new, force, reference in zip(
+                    tried, near, forces, references, strict=True
+                )
             ]
         return ShaftSine(*np.stack([points[error.argmin()] for points, error in tried], axis=1))
 
     def best_gaits(self, references: References) -> Command:
-        """Find the gait of least error for each reference, ``(references, 6)``, of the same few random ones."""
-        limits, generator = self.limits, generator_of(self.seed, "baselines/gaits")
+        """Find the gait of least error for each reference, ``(references, 6)``, of the same few
+        random ones."""
+        limits = self.limits
+        generator = generator_of(self.seed, "baselines/gaits")
         shape = (self.config.gaits, CYCLE_ACTIONS)
         gaits = Command(
             generator.uniform(limits.angle_min, limits.angle_max, shape),
             generator.uniform(limits.velocity_min, limits.velocity_max, shape),
         )
-        best = force_errors(self.forces(repeated(gaits, self.config.seconds)), references).argmin(axis=0)
+        best = force_errors(self.forces(repeated(gaits, self.config.seconds)), references).argmin(
+            axis=0
+        )
         return Command(*(part[best] for part in gaits))
 
     def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
-        """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError where it pulls."""
+        """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError
+        where it pulls."""
         amplitude = np.linspace(*amplitudes, self.config.trials)
-        forces = self.forces_of_sines(np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1))
+        forces = self.forces_of_sines(
+            np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1)
+        )
         # At angle 0 thrust is along x. The first window shows how the fin starts.
         force = forces[:, 2 * RATE_HZ :, 0].mean(axis=1, dtype=np.float64)
         unit = frequency**2 * (1 - np.cos(amplitude))
         constant = float(unit @ force / (unit @ unit))
         if not constant > 0:
             raise RunError(
-                f"inverse model at {frequency:g} Hz: the trials' mean force is {force.mean():.3g} N, against the zero "
-                "direction; the model holds for fins that push along it; give another frequency"
+                f"inverse model at {frequency:g} Hz: the trials' mean force is {force.mean():.3g} "
+                "N, against the zero direction; the model holds for fins that push along it; give "
+                "another frequency"
             )
         return constant

@@ -33,7 +33,8 @@ def ticks_of(ticks: int, frames_per_second: int) -> range:
 
 
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
-    """Write all frames, in a loop. All of them share a palette, so that what stays costs no bytes."""
+    """Write all frames, in a loop. All of them share a palette, so that what stays costs no
+    bytes."""
     ticks = ticks_of(len(picture.footage.shape), frames_per_second)
     palette = PIL.Image.fromarray(picture.frame(-1)).quantize()
 
@@ -46,7 +47,14 @@ def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Repo
     first, *others = quantized_frames()
     buffer = io.BytesIO()
     # Browsers slow down a GIF whose frames take less than 2 hundredths of a second.
-    first.save(buffer, "GIF", save_all=True, append_images=others, duration=1000 // frames_per_second, loop=0)
+    first.save(
+        buffer,
+        "GIF",
+        save_all=True,
+        append_images=others,
+        duration=1000 // frames_per_second,
+        loop=0,
+    )
     artifacts.write_file(path, buffer.getvalue())
 
 
@@ -63,14 +71,18 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
         importlib.resources.files("softfin.evaluation.view").joinpath(name).read_text("utf-8")
         for name in ("page.html.jinja", "page.js")
     )
-    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(template).render(
-        title=title,
-        shape_known=footage.shape_known,
-        asked=footage.reference is not None,
-        force_known=footage.true_force is not None,
-        footage=Markup(json.dumps(to_dict(footage), separators=(",", ":"), allow_nan=False)),
-        script=Markup(with_canvas(script)),
-    )  # fmt: skip
+    page = (
+        jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+        .from_string(template)
+        .render(
+            title=title,
+            shape_known=footage.shape_known,
+            asked=footage.reference is not None,
+            force_known=footage.true_force is not None,
+            footage=Markup(json.dumps(to_dict(footage), separators=(",", ":"), allow_nan=False)),
+            script=Markup(with_canvas(script)),
+        )
+    )
     artifacts.write_file(path, page)
 
 
@@ -79,7 +91,9 @@ def to_dict(footage: Footage) -> dict[str, Any]:
     series = {"command": (footage.command.angle, 4), "angle": (footage.reading.angle, 4)}
     for i, axis in enumerate(AXES):
         vectors = {"force": footage.force, "mean": footage.average, "reference": footage.reference}
-        series |= {f"{name}_{axis}": (part[:, i], 3) for name, part in vectors.items() if part is not None}
+        series |= {
+            f"{name}_{axis}": (part[:, i], 3) for name, part in vectors.items() if part is not None
+        }
     series["thickness"] = (footage.thickness, 5)
     ticks, points = footage.shape.shape[:2]
     return {
@@ -90,7 +104,10 @@ def to_dict(footage: Footage) -> dict[str, Any]:
         "window": WINDOW,
         "trail": TRAIL_TICKS,
         "scale": scale_of(footage)._asdict(),
-        **{name: [round(float(value), digits) for value in values] for name, (values, digits) in series.items()},
+        **{
+            name: [round(float(value), digits) for value in values]
+            for name, (values, digits) in series.items()
+        },
         "shape_unit_m": SHAPE_UNIT_M,
         "shape": np.rint(footage.shape / SHAPE_UNIT_M).astype(int).ravel().tolist(),
     }

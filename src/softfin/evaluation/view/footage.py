@@ -1,7 +1,9 @@
-"""Record of what can be seen of a plant: rolled tick by tick, with the fin's shape wherever the plant computes it.
+"""Record of what can be seen of a plant: rolled tick by tick, with the fin's shape wherever the
+plant computes it.
 
-Commands go in, a Footage comes out, and the Scale by which film and page draw it. A plant may have a method
-``shape(state)``, as the virtual tank does: points ``(points, 2)`` from the shaft to the tip [m], in the tank's axes.
+Commands go in, a Footage comes out, and the Scale by which film and page draw it. A plant may have
+a method ``shape(state)``, as the virtual tank does: points ``(points, 2)`` from the shaft to the
+tip [m], in the tank's axes.
 """
 
 from collections.abc import Callable
@@ -19,9 +21,10 @@ from softfin.core.quantities import Command, Reading
 from softfin.core.window import moving_average
 from softfin.tank import Tank, TankConfig
 
-LONGEST, MEAN_LONGEST = 0.65, 0.4
-"""Length of the arrows of the greatest force, and of the greatest reference or mean force, over that of the fin; the
-second would be too short to see beside the peaks of a stroke."""
+LONGEST = 0.65
+MEAN_LONGEST = 0.4
+"""Length of the arrows of the greatest force, and of the greatest reference or mean force, over
+that of the fin; the second would be too short to see beside the peaks of a stroke."""
 
 Range = tuple[float, float]
 Series = Float[np.ndarray, "ticks 2"]
@@ -36,17 +39,21 @@ class Footage(NamedTuple):
     reading: Reading
     """Fields ``(ticks,)``, force ``(ticks, 2)``."""
     true_force: Series | None
-    """Force on the mount without the errors of the sensor [N]; None if the plant has only readings."""
+    """Force on the mount without the errors of the sensor [N]; None if the plant has only
+    readings."""
     average: Float[np.ndarray, "windows 2"]
-    """Mean of the drawn force over the last 200 samples, from the first instant at which all are there [N]."""
+    """Mean of the drawn force over the last 200 samples, from the first instant at which all are
+    there [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
     """Middle line of the fin from the shaft to the tip [m]."""
     length_m: float
     """Length of the fin from the shaft to the tip [m]."""
     shape_known: bool
-    """Whether the plant computes the shape; if not, it is a line at the shaft's angle, as long as the default fin."""
+    """Whether the plant computes the shape; if not, it is a line at the shaft's angle, as long as
+    the default fin."""
     thickness: Float[np.ndarray, " points"]
-    """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is not a tank."""
+    """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is
+    not a tank."""
     reference: Series | None
     """The force that a controller was asked for [N]."""
 
@@ -57,11 +64,15 @@ class Footage(NamedTuple):
 
 
 Shots = tuple[Reading, Any, Any]
-"""Readings, shapes ``(ticks, points, 2)`` [m] and true forces ``(ticks, 2)`` [N]; None for what the plant lacks."""
+"""Readings, shapes ``(ticks, points, 2)`` [m] and true forces ``(ticks, 2)`` [N]; None for what the
+plant lacks."""
 
 
-def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series | None = None) -> Footage:
-    """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where there is one."""
+def film(
+    plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series | None = None
+) -> Footage:
+    """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where
+    there is one."""
     issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
     command, seen = jax.tree.map(np.asarray, (issued, shots))
@@ -69,7 +80,8 @@ def film(plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series |
 
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
-    """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen; traceable."""
+    """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen;
+    traceable."""
     shape_of: Callable[[State], Array | None] = getattr(plant, "shape", lambda state: None)
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
@@ -82,18 +94,25 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 
 
 def develop(plant: Plant, command: Command, shots: Shots, reference: Series | None) -> Footage:
-    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for wrong shapes."""
+    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for
+    wrong shapes."""
     reading, shape, true_force = shots
-    name, fin = type(plant).__name__, TankConfig().fin
+    name = type(plant).__name__
+    fin = TankConfig().fin
     series = {f"reading.{field}": values for field, values in reading._asdict().items()}
     if true_force is not None:
         series["true_force"] = true_force
     for field, values in series.items():
         if not np.isfinite(values).all():
-            raise PlantError(f"{name}: {field} is not finite; softfin.testing.check_plant says where")
+            raise PlantError(
+                f"{name}: {field} is not finite; softfin.testing.check_plant says where"
+            )
     has_shape = shape is not None
     if has_shape and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
-        raise PlantError(f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points or more")
+        raise PlantError(
+            f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points "
+            "or more"
+        )
     force = np.asarray(reading.force if true_force is None else true_force, np.float64)
     angle = np.asarray(reading.angle)
     if not has_shape:
@@ -115,7 +134,8 @@ def develop(plant: Plant, command: Command, shots: Shots, reference: Series | No
 
 
 class Scale(NamedTuple):
-    """Scale of one drawing, the same for all its frames: what is seen of the tank, and how long a newton is drawn."""
+    """Scale of one drawing, the same for all its frames: what is seen of the tank, and how long a
+    newton is drawn."""
 
     length_m: float
     """Length of the fin [m]."""
@@ -137,19 +157,27 @@ class Scale(NamedTuple):
 
 
 def greatest_of(footage: Footage) -> Float[np.ndarray, "2"]:
-    """Return the sizes of the greatest force, and reference or mean force [N]; 0 where it has none."""
-    means = np.concatenate([footage.average, NONE if footage.reference is None else footage.reference])
+    """Return the sizes of the greatest force, and reference or mean force [N]; 0 where it has
+    none."""
+    means = np.concatenate(
+        [footage.average, NONE if footage.reference is None else footage.reference]
+    )
     return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.force, means)], float)
 
 
-def scale_of(footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: Range | None = None) -> Scale:
+def scale_of(
+    footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: Range | None = None
+) -> Scale:
     """Return the scale by which fin and arrows stay in the picture at every tick.
 
-    Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within the `angle` [rad].
+    Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within
+    the `angle` [rad].
     """
-    length, force = footage.length_m, np.asarray(footage.force, float)
+    length = footage.length_m
+    force = np.asarray(footage.force, float)
     asked = NONE if footage.reference is None else np.unique(footage.reference, axis=0)
-    shown, angles = np.concatenate([force, asked]), np.concatenate([footage.reading.angle, footage.command.angle])
+    shown = np.concatenate([force, asked])
+    angles = np.concatenate([footage.reading.angle, footage.command.angle])
     force_n, mean_n = (greatest_of(footage) if greatest is None else greatest).tolist()
     axis = (-force_n, force_n)
     if greatest is None:
@@ -162,9 +190,12 @@ def scale_of(footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, a
     seen = np.array([[-length, -length], [LONGEST * length, length]])
     if greatest is None:
         means = np.concatenate([footage.average, asked])
-        seen = np.concatenate([footage.shape.reshape(-1, 2), force * per_newton, means * per_mean_newton, NONE])
+        seen = np.concatenate(
+            [footage.shape.reshape(-1, 2), force * per_newton, means * per_mean_newton, NONE]
+        )
     margin = 0.12 * length
-    (left, bottom), (right, top) = (seen.min(axis=0) - margin).tolist(), (seen.max(axis=0) + margin).tolist()
+    (left, bottom) = (seen.min(axis=0) - margin).tolist()
+    (right, top) = (seen.max(axis=0) + margin).tolist()
     return Scale(
         length_m=length,
         metres_per_newton=per_newton,

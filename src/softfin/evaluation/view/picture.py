@@ -1,7 +1,7 @@
 """Frames of a footage, drawn by Matplotlib: what stays is drawn once, what moves over a copy of it.
 
-A footage goes in, images of ``(height, width, 3)`` bytes come out; `files` writes them. An EpisodeFilm is the picture
-of an episode of the Gymnasium environment while it goes on.
+A footage goes in, images of ``(height, width, 3)`` bytes come out; `files` writes them. An
+EpisodeFilm is the picture of an episode of the Gymnasium environment while it goes on.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,14 +21,23 @@ from scipy.interpolate import CubicHermiteSpline
 from softfin.core.action_clock import MOST_TICKS, WINDOW
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, Command, Limits
-from softfin.evaluation.view.footage import Footage, Range, Scale, develop, greatest_of, scale_of, shoot
+from softfin.evaluation.view.footage import (
+    Footage,
+    Range,
+    Scale,
+    develop,
+    greatest_of,
+    scale_of,
+    shoot,
+)
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
 from softfin.tank import Tank
 
 Image = UInt8[np.ndarray, "height width 3"]
 Points = Float[np.ndarray, "points 2"]
 
-FIN, WATER = "#3E4C59", "#F1F6FA"
+FIN = "#3E4C59"
+WATER = "#F1F6FA"
 
 TRAIL_TICKS = (5, 10, 15, 20, 25)
 """How long ago the faint shapes behind the fin were [10 ms]."""
@@ -46,11 +55,16 @@ PIECES = 6
 class Picture:
     """A figure whose moving parts are set to one tick after the other.
 
-    Of a footage that is still `growing`, its scale and the seconds of the time axis are given; nothing lies ahead then.
+    Of a footage that is still `growing`, its scale and the seconds of the time axis are given;
+    nothing lies ahead then.
     """
 
     def __init__(
-        self, footage: Footage, title: str, dots_per_inch: int = 100, growing: tuple[Scale, float] | None = None
+        self,
+        footage: Footage,
+        title: str,
+        dots_per_inch: int = 100,
+        growing: tuple[Scale, float] | None = None,
     ) -> None:
         # As Any: what a footage may lack is drawn only where it is there.
         self.footage: Any = footage
@@ -79,13 +93,19 @@ class Picture:
             artist.axes.draw_artist(artist)
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
-    def _add_polygon(self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0) -> Polygon:
-        polygon = Polygon(np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha)
+    def _add_polygon(
+        self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0
+    ) -> Polygon:
+        polygon = Polygon(
+            np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha
+        )
         self._moving.append((axes.add_patch(polygon), lambda tick: polygon.set_xy(outline(tick))))
         return polygon
 
     def _draw_tank(self, axes: Axes, title: str) -> None:
-        footage, scale, length = self.footage, self.scale, self.scale.length_m
+        footage = self.footage
+        scale = self.scale
+        length = self.scale.length_m
         # A band above for clock and keys, and one below where there is a note.
         above = 0.16 * length if footage.reference is None else 0.27 * length
         below = 0.0 if footage.shape_known else 0.16 * length
@@ -104,12 +124,23 @@ class Picture:
         def arrow(vector: Callable[[int], Any], metres: float, width: float, tick: int) -> Points:
             return arrow_outline(np.asarray(vector(tick) * metres, float), width * ARROW * length)
 
-        for ago, alpha in zip((*TRAIL_TICKS, 0), (*np.linspace(0.16, 0.04, len(TRAIL_TICKS)), 1.0), strict=True):
+        for ago, alpha in zip(
+            (*TRAIL_TICKS, 0), (*np.linspace(0.16, 0.04, len(TRAIL_TICKS)), 1.0), strict=True
+        ):
             self._add_polygon(axes, FIN, partial(fin, ago), float(alpha))
-        per_newton, per_mean = scale.metres_per_newton, scale.metres_per_mean_newton
+        per_newton = scale.metres_per_newton
+        per_mean = scale.metres_per_mean_newton
         arrows = {
-            "asked": (ORANGE, 1.0, partial(arrow, lambda tick: self.footage.reference[tick], per_mean, 1.0)),
-            "force": (BLUE, 0.9, partial(arrow, lambda tick: self.footage.force[tick], per_newton, 1.0)),
+            "asked": (
+                ORANGE,
+                1.0,
+                partial(arrow, lambda tick: self.footage.reference[tick], per_mean, 1.0),
+            ),
+            "force": (
+                BLUE,
+                0.9,
+                partial(arrow, lambda tick: self.footage.force[tick], per_newton, 1.0),
+            ),
             "mean": (BLACK, 1.0, partial(arrow, mean, per_mean, 0.5)),
         }
         self.arrows = {
@@ -136,13 +167,28 @@ class Picture:
             keys.append((text, scale.mean_key_n * scale.metres_per_mean_newton, BLACK))
         for row, (text, length, colour) in enumerate(keys):
             middle = top - (0.1 + 0.11 * row) * scale.length_m
-            axes.plot([right - length, right], [middle, middle], color=colour, linewidth=2.5, solid_capstyle="butt")
-            axes.text(right - length - 0.03 * scale.length_m, middle, text, ha="right", va="center", color=colour)
+            axes.plot(
+                [right - length, right],
+                [middle, middle],
+                color=colour,
+                linewidth=2.5,
+                solid_capstyle="butt",
+            )
+            axes.text(
+                right - length - 0.03 * scale.length_m,
+                middle,
+                text,
+                ha="right",
+                va="center",
+                color=colour,
+            )
 
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
         for axes in panels:
             cursor = axes.axvline(0, color=BLACK, linewidth=0.9)
-            self._moving.append((cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor)))
+            self._moving.append(
+                (cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor))
+            )
         angle, *forces = panels
         self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
         self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
@@ -155,23 +201,41 @@ class Picture:
                 asked = partial(lambda i, footage: footage.reference[:, i], i)
                 self._trace(axes, asked, ORANGE, 1.6, style="steps-pre")
             self._trace(axes, partial(lambda i, footage: footage.force[:, i], i), BLUE, 0.9)
-            self._trace(axes, partial(lambda i, footage: footage.average[:, i], i), BLACK, 1.8, WINDOW - 1)
+            self._trace(
+                axes, partial(lambda i, footage: footage.average[:, i], i), BLACK, 1.8, WINDOW - 1
+            )
             axes.set(ylabel=f"{force} {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
         keys = {"target": ORANGE, blue: BLUE, "mean over 2 s": BLACK}
-        lines = [Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()]
-        angle.legend(handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1,
-                     handlelength=1.4, columnspacing=1.2)  # fmt: skip
+        lines = [
+            Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()
+        ]
+        angle.legend(
+            handles=lines,
+            loc="lower right",
+            bbox_to_anchor=(1.0, 1.0),
+            ncols=3,
+            borderaxespad=0.1,
+            handlelength=1.4,
+            columnspacing=1.2,
+        )
         panels[-1].set_xlabel("time [s]")
         self.figure.align_ylabels(list(panels))
 
     def _trace(
-        self, axes: Axes, values: Callable[[Footage], Any], colour: str, width: float, start: int = 0, *,
+        self,
+        axes: Axes,
+        values: Callable[[Footage], Any],
+        colour: str,
+        width: float,
+        start: int = 0,
+        *,
         style: str = "default",
-    ) -> None:  # fmt: skip
-        """Draw what has passed in full, and the whole of it faint, where that is known; `start` is its first tick."""
+    ) -> None:
+        """Draw what has passed in full, and the whole of it faint, where that is known; `start` is
+        its first tick."""
 
         def times(series: Any) -> Any:
             return (np.arange(len(series)) + start + 1) * TICK_S
@@ -182,7 +246,9 @@ class Picture:
 
         if not self._growing:
             whole = values(self.footage)
-            axes.plot(times(whole), whole, color=colour, linewidth=width, alpha=0.25, drawstyle=style)
+            axes.plot(
+                times(whole), whole, color=colour, linewidth=width, alpha=0.25, drawstyle=style
+            )
         (line,) = axes.plot([], [], color=colour, linewidth=width, drawstyle=style)
         self._moving.append((line, update))
 
@@ -190,11 +256,14 @@ class Picture:
 class EpisodeFilm:
     """Picture of a plant that is recorded action by action.
 
-    For that the plant is rolled a second time, tick by tick: it is pure, so it moves as it did for the task.
+    For that the plant is rolled a second time, tick by tick: it is pure, so it moves as it did for
+    the task.
     """
 
     def __init__(self, plant: Plant, seconds: float, greatest_reference_n: float) -> None:
-        self._plant, self._limits, self._seconds = plant, Limits(*plant.limits), seconds
+        self._plant = plant
+        self._limits = Limits(*plant.limits)
+        self._seconds = seconds
         self._shoot = jax.jit(partial(shoot, plant))
         self._greatest = np.full(2, greatest_reference_n)
         self._rest: Any = None
@@ -202,17 +271,26 @@ class EpisodeFilm:
         self._picture: Picture | None = None
 
     def reset(self, state: State, reference: Float[np.ndarray, "2"]) -> None:
-        """Begin with a fin at rest, as it is one tick later; the first action takes the place of that tick."""
-        self._rest, self._actions = self._roll(state, rest_command(self._limits), 1, reference), []
+        """Begin with a fin at rest, as it is one tick later; the first action takes the place of
+        that tick."""
+        self._rest = self._roll(state, rest_command(self._limits), 1, reference)
+        self._actions = []
 
-    def add(self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]) -> None:
-        """Add an action: the plant before it, its command, how long it is held, the reference [N]."""
+    def add(
+        self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]
+    ) -> None:
+        """Add an action: the plant before it, its command, how long it is held, the reference
+        [N]."""
         self._actions.append(self._roll(state, command, ticks, reference))
 
-    def _roll(self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]) -> Any:
+    def _roll(
+        self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]
+    ) -> Any:
         # One compiled program, for the longest: a tick does not depend on those that follow.
         commands = Command(*(jnp.full(MOST_TICKS, field, jnp.float32) for field in command))
-        rolled = jax.tree.map(lambda x: np.asarray(x)[:ticks], (commands, self._shoot(state, commands)))
+        rolled = jax.tree.map(
+            lambda x: np.asarray(x)[:ticks], (commands, self._shoot(state, commands))
+        )
         return *rolled, np.tile(np.asarray(reference, np.float32), (ticks, 1))
 
     def frame(self) -> Image:
@@ -225,17 +303,26 @@ class EpisodeFilm:
         if self._picture is None or outgrown.any():
             # Twice as much as is needed, so that the scale seldom changes.
             self._greatest = np.where(outgrown, 2 * greatest, self._greatest)
-            scale = scale_of(footage, self._greatest, (self._limits.angle_min, self._limits.angle_max))
-            where = "the virtual tank" if isinstance(self._plant, Tank) else type(self._plant).__name__
-            self._picture = Picture(footage, f"A soft fin in {where}", growing=(scale, self._seconds))
+            scale = scale_of(
+                footage, self._greatest, (self._limits.angle_min, self._limits.angle_max)
+            )
+            where = (
+                "the virtual tank" if isinstance(self._plant, Tank) else type(self._plant).__name__
+            )
+            self._picture = Picture(
+                footage, f"A soft fin in {where}", growing=(scale, self._seconds)
+            )
         self._picture.footage = footage
         return self._picture.frame(-1)
 
 
 def _filling(x: Range, y: Range) -> tuple[Range, Range]:
-    """Both ranges, the one that is too short for the shape of the panel made longer at both ends."""
-    width, height = x[1] - x[0], y[1] - y[0]
-    more_x, more_y = max(PANEL * height - width, 0) / 2, max(width / PANEL - height, 0) / 2
+    """Both ranges, the one that is too short for the shape of the panel made longer at both
+    ends."""
+    width = x[1] - x[0]
+    height = y[1] - y[0]
+    more_x = max(PANEL * height - width, 0) / 2
+    more_y = max(width / PANEL - height, 0) / 2
     return (x[0] - more_x, x[1] + more_x), (y[0] - more_y, y[1] + more_y)
 
 
@@ -246,8 +333,11 @@ def smooth(points: Points) -> Float[np.ndarray, "pieces 2"]:
     return np.asarray(curve(np.linspace(0, places[-1], places[-1] * PIECES + 1)))
 
 
-def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Float[np.ndarray, "corners 2"]:
-    """Outline of a fin with `thickness` at the points of its middle line, smoothed, with a rounded tip."""
+def fin_outline(
+    middle: Points, thickness: Float[np.ndarray, " points"]
+) -> Float[np.ndarray, "corners 2"]:
+    """Outline of a fin with `thickness` at the points of its middle line, smoothed, with a rounded
+    tip."""
     line = smooth(middle)
     half = np.interp(np.linspace(0, 1, len(line)), np.linspace(0, 1, len(thickness)), thickness) / 2
     along = np.gradient(line, axis=0)
@@ -260,10 +350,13 @@ def fin_outline(middle: Points, thickness: Float[np.ndarray, " points"]) -> Floa
 
 
 def arrow_outline(vector: Float[np.ndarray, "2"], width_m: float) -> Float[np.ndarray, "7 2"]:
-    """Outline of an arrow from the shaft; a short one is narrower, so that it keeps its look and vanishes at zero."""
+    """Outline of an arrow from the shaft; a short one is narrower, so that it keeps its look and
+    vanishes at zero."""
     length = float(np.linalg.norm(vector))
     along = vector / length if length > 0 else np.zeros(2)
     head = min(3.2 * width_m, 0.6 * length)
-    far, wide = np.array([(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0)]).T[:, :, None]
+    far, wide = np.array([(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0)]).T[
+        :, :, None
+    ]
     across = head / 3.2 * wide * np.array([-along[1], along[0]])
     return np.concatenate([along * far + across, (along * far - across)[2::-1]])

@@ -1,4 +1,5 @@
-"""A plant made visible: what it is commanded is decided here, then filmed, then drawn as the kind of file asked for."""
+"""A plant made visible: what it is commanded is decided here, then filmed, then drawn as the kind
+of file asked for."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -30,20 +31,28 @@ class StrokeGaitConfig(Configuration):
     """The simplest gait: strokes to either side of a centre, one an action of the 3 Hz clock."""
 
     centre_rad: float = 0.0
-    """Angle about which the fin strokes [rad]; the mean force turns with it, a positive one towards -y."""
+    """Angle about which the fin strokes [rad]; the mean force turns with it, a positive one towards
+    -y."""
     amplitude_rad: float = Field(0.5, ge=0)
     """Greatest commanded angle on either side of the centre [rad]; half a radian swims forward."""
     velocity_rad_s: float | None = Field(None, gt=0)
-    """Velocity of each stroke [rad/s]; None: what fills two thirds of an action, within the plant's limits."""
+    """Velocity of each stroke [rad/s]; None: what fills two thirds of an action, within the plant's
+    limits."""
 
 
 def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command:
-    """One command a tick, fields ``(ticks,)``; raises CommandError for what the plant does not take."""
-    filling = min(max(2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3), limits.velocity_min), limits.velocity_max)
+    """One command a tick, fields ``(ticks,)``; raises CommandError for what the plant does not
+    take."""
+    filling = min(
+        max(2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3), limits.velocity_min),
+        limits.velocity_max,
+    )
     actions = -(-ticks // min(ACTION_TICKS))
     sides = np.repeat(np.resize((1.0, -1.0), actions), ticks_of(actions))[:ticks]
     angle = config.centre_rad + config.amplitude_rad * sides
-    command = Command(angle.astype(np.float32), np.full(ticks, config.velocity_rad_s or filling, np.float32))
+    command = Command(
+        angle.astype(np.float32), np.full(ticks, config.velocity_rad_s or filling, np.float32)
+    )
     check_commands(limits, command)
     return command
 
@@ -66,18 +75,24 @@ class ViewConfig(Configuration):
     excitation: ExcitationConfig = ExcitationConfig()
     """The random commands."""
     next_references: tuple[Reference, ...] = ()
-    """References (x, y) [N] that a controller is asked for after its first, each for an equal part of the time."""
+    """References (x, y) [N] that a controller is asked for after its first, each for an equal part
+    of the time."""
 
 
 def footage_of(
-    plant: Plant, config: ViewConfig, controller: Controller | None = None, reference: Reference | None = None
+    plant: Plant,
+    config: ViewConfig,
+    controller: Controller | None = None,
+    reference: Reference | None = None,
 ) -> Footage:
-    """The plant under the configuration's commands, or under those of a controller that tracks a reference [N].
+    """The plant under the configuration's commands, or under those of a controller that tracks a
+    reference [N].
 
     Raises CoverageError where the controller was not trained for one of those that follow.
     """
     ticks = round(config.seconds * RATE_HZ)
-    key, limits = key_of(config.seed, "view/plant"), Limits(*plant.limits)
+    key = key_of(config.seed, "view/plant")
+    limits = Limits(*plant.limits)
     if controller is not None and reference is not None:
         for following in config.next_references:
             controller.check(following)
@@ -86,18 +101,26 @@ def footage_of(
         seconds = -(-ticks // RATE_HZ)
         asked = Recorded(time_s=times, force_n=references).sample(seconds * RATE_HZ)
         recording = experiment.run(controller, plant, asked[None], seconds, key[None])
-        # The plant is pure: under the same commands and key it moves again as it did for the controller.
+        # The plant is pure: under the same commands and key it moves again as it did for the
+        # controller.
         held: Command = jax.tree.map(lambda x: x[0, 0, :ticks], recording.command)
         return film(plant, key, held, asked[:ticks])
     if config.next_references:
-        raise ConfigurationError("references one after the other, and no first one; give a controller and a reference")
+        raise ConfigurationError(
+            "references one after the other, and no first one; give a controller and a reference"
+        )
     if config.random:
-        return film(plant, key, config.excitation(key_of(config.seed, "view/commands"), ticks, limits))
+        return film(
+            plant, key, config.excitation(key_of(config.seed, "view/commands"), ticks, limits)
+        )
     return film(plant, key, stroke_gait(config.gait, limits, ticks))
 
 
-def draw(footage: Footage, out: Path, title: str, config: ViewConfig, report: Callable[[float], None]) -> None:
-    """Draw the footage as a .gif, a .html page or, its last frame, as .png, by the name of `out`."""
+def draw(
+    footage: Footage, out: Path, title: str, config: ViewConfig, report: Callable[[float], None]
+) -> None:
+    """Draw the footage as a .gif, a .html page or, its last frame, as .png, by the name of
+    `out`."""
     if out.suffix == ".html":
         write_page(out, footage, title)
         return
@@ -112,7 +135,9 @@ def title_of(plant: str, config: ViewConfig, reference: Reference | None) -> str
     """Describe which fin is shown and what moves it."""
     where = "in the virtual tank" if plant == "tank" else f"in {Path(plant).name}"
     if reference is not None:
-        asked = ", then ".join(f"({x:.3g}, {y:.3g})" for x, y in (reference, *config.next_references))
+        asked = ", then ".join(
+            f"({x:.3g}, {y:.3g})" for x, y in (reference, *config.next_references)
+        )
         return with_minus_signs(f"A soft fin {where}, asked for {asked} N")
     if config.random:
         return f"A soft fin {where}, random commands"

@@ -1,8 +1,9 @@
 """The web pages of an Axia80, read over HTTP before its stream: product, scale and units.
 
-``/netftapi2.xml`` must be there, with the five fields that every client needs; ``/netftcalapi.xml`` adds the serial
-number of the calibration where the sensor has that page. The names of the five are those that public drivers read, that
-of the serial number is from memory; none was seen on a real Axia80.
+``/netftapi2.xml`` must be there, with the five fields that every client needs; ``/netftcalapi.xml``
+adds the serial number of the calibration where the sensor has that page. The names of the five are
+those that public drivers read, that of the serial number is from memory; none was seen on a real
+Axia80.
 """
 
 import contextlib
@@ -26,16 +27,28 @@ MAX_PAGE_BYTES = 256 * 1024
 PAGE_TIMEOUT_S = 3.0
 """Longest wait for the connection, and for the next part of the answer."""
 
-POUND_FORCE_N, KILOGRAM_FORCE_N = 4.4482216152605, 9.80665
-INCH_M, FOOT_M = 0.0254, 0.3048
+POUND_FORCE_N = 4.4482216152605
+KILOGRAM_FORCE_N = 9.80665
+INCH_M = 0.0254
+FOOT_M = 0.3048
 
-FORCE_UNITS = {"N": 1.0, "kN": 1e3, "lbf": POUND_FORCE_N, "klbf": 1e3 * POUND_FORCE_N, "kgf": KILOGRAM_FORCE_N}
+FORCE_UNITS = {
+    "N": 1.0,
+    "kN": 1e3,
+    "lbf": POUND_FORCE_N,
+    "klbf": 1e3 * POUND_FORCE_N,
+    "kgf": KILOGRAM_FORCE_N,
+}
 """Units of force in newton."""
 
 TORQUE_UNITS = {
-    "N-m": 1.0, "N-mm": 1e-3, "kN-m": 1e3, "lbf-in": POUND_FORCE_N * INCH_M, "lbf-ft": POUND_FORCE_N * FOOT_M,
+    "N-m": 1.0,
+    "N-mm": 1e-3,
+    "kN-m": 1e3,
+    "lbf-in": POUND_FORCE_N * INCH_M,
+    "lbf-ft": POUND_FORCE_N * FOOT_M,
     "kgf-cm": KILOGRAM_FORCE_N / 100,
-}  # fmt: skip
+}
 """Units of torque in newton metre."""
 
 
@@ -72,7 +85,8 @@ class SensorSettings(Configuration):
 
 
 def fetch_page(host: str, port: int, path: str) -> bytes | None:
-    """A page of the sensor itself, never of where it may redirect to; None where it has no such page."""
+    """A page of the sensor itself, never of where it may redirect to; None where it has no such
+    page."""
     where = f"http://{host}:{port}{path}"
     try:
         connection = http.client.HTTPConnection(host, port, timeout=PAGE_TIMEOUT_S)
@@ -81,38 +95,52 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
             response = connection.getresponse()
             body = response.read(MAX_PAGE_BYTES + 1)
     except (OSError, http.client.HTTPException, ValueError) as error:
-        reason = f"no answer in {PAGE_TIMEOUT_S:g} s" if isinstance(error, TimeoutError) else f"{error}"
+        reason = (
+            f"no answer in {PAGE_TIMEOUT_S:g} s" if isinstance(error, TimeoutError) else f"{error}"
+        )
         raise DeviceError(
-            f"{where}: the force sensor's page cannot be read ({' '.join(reason.split()) or type(error).__name__}); "
+            f"{where}: the force sensor's page cannot be read "
+            f"({' '.join(reason.split()) or type(error).__name__}); "
             "check its power, cable and address, and http_port"
         ) from None
     if response.status == http.client.NOT_FOUND:
         return None
     if response.status != http.client.OK or len(body) > MAX_PAGE_BYTES:
         raise RigError(
-            f"{where}: answers {response.status} {response.reason[:80]} with {len(body)} bytes; expected 200 and at "
-            f"most {MAX_PAGE_BYTES}; is this the address of an Axia80?"
+            f"{where}: answers {response.status} {response.reason[:80]} with {len(body)} bytes; "
+            f"expected 200 and at most {MAX_PAGE_BYTES}; is this the address of an Axia80?"
         )
     return body
 
 
-def read_settings(host: str, port: int, fetch: Callable[[str, int, str], bytes | None] = fetch_page) -> SensorSettings:
-    """Settings of a sensor; raises DeviceError where it does not answer, RigError where its pages cannot be used."""
-    page, source = fetch(host, port, SETTINGS), f"http://{host}:{port}{SETTINGS}"
+def read_settings(
+    host: str, port: int, fetch: Callable[[str, int, str], bytes | None] = fetch_page
+) -> SensorSettings:
+    """Settings of a sensor; raises DeviceError where it does not answer, RigError where its pages
+    cannot be used."""
+    page = fetch(host, port, SETTINGS)
+    source = f"http://{host}:{port}{SETTINGS}"
     if page is None:
         raise RigError(f"{source}: page not found; is this the address of an Axia80?")
     return parse_settings(page, fetch(host, port, CALIBRATION), source)
 
 
 def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:
-    """Settings from the bytes of both pages; raises RigError that names the field, its value and what is allowed."""
-    found = {name: text for name, text in _fields(page, source).items() if name in SensorSettings.model_fields}
+    """Settings from the bytes of both pages; raises RigError that names the field, its value and
+    what is allowed."""
+    found = {
+        name: text
+        for name, text in _fields(page, source).items()
+        if name in SensorSettings.model_fields
+    }
     if calibration is not None and (serial := _fields(calibration, source).get("calsn")):
         found["calsn"] = serial
     try:
         return SensorSettings.build(found, source)
     except ConfigurationError as error:
-        raise RigError(f"{error}; correct it on the sensor's configuration page, or check the address") from None
+        raise RigError(
+            f"{error}; correct it on the sensor's configuration page, or check the address"
+        ) from None
 
 
 def _fields(page: bytes, source: str) -> dict[str, str]:

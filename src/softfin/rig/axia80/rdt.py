@@ -1,7 +1,8 @@
-"""RDT, the protocol of ATI's Ethernet force sensors: requests of 8 bytes out, records of 36 bytes in; pure.
+"""RDT, the protocol of ATI's Ethernet force sensors: requests of 8 bytes out, records of 36 bytes
+in; pure.
 
-Layout and status bits of the ATI manual 9610-05-Ethernet Axia (the bits differ from those of the older Net F/T; none
-was seen on a real sensor). Every field is big-endian.
+Layout and status bits of the ATI manual 9610-05-Ethernet Axia (the bits differ from those of the
+older Net F/T; none was seen on a real sensor). Every field is big-endian.
 """
 
 import enum
@@ -16,7 +17,8 @@ RECORD = struct.Struct("!IIIiiiiii")
 OVER_RANGE = 0xC0000000
 """Status of a record whose force or torque is out of range."""
 
-SUMMARY_BIT, BUSY_BIT = 31, 3
+SUMMARY_BIT = 31
+BUSY_BIT = 3
 
 BUSY = 0x80000008
 """Status of a sensor that is busy with its settings, as the manual prints it."""
@@ -81,7 +83,8 @@ class StatusBit(NamedTuple):
 
     name: str
     is_error: bool
-    """An error stops the fin; any other bit is a note: the readings are valid, or nothing can be done about it."""
+    """An error stops the fin; any other bit is a note: the readings are valid, or nothing can be
+    done about it."""
     remedy: str
 
     def __str__(self) -> str:
@@ -89,17 +92,35 @@ class StatusBit(NamedTuple):
 
 
 STATUS_BITS = {
-    0: StatusBit("its temperature is out of range", True, "let it reach that of the water, check the cooling"),
-    1: StatusBit("its supply voltage is out of range", True, "give it 12 to 32 V, look at the cable"),
+    0: StatusBit(
+        "its temperature is out of range", True, "let it reach that of the water, check the cooling"
+    ),
+    1: StatusBit(
+        "its supply voltage is out of range", True, "give it 12 to 32 V, look at the cable"
+    ),
     2: StatusBit("a gage is broken", True, "send the sensor to ATI"),
-    BUSY_BIT: StatusBit("it is busy with its settings", False, "wait, change nothing on its web pages"),
-    5: StatusBit("it reports an unspecified error", True, "switch it off and on, look at its web page"),
-    7: StatusBit("its calibration cannot be read", True, "switch it off and on; else send it to ATI"),
-    16: StatusBit("one of its own thresholds was passed", False, "clear the monitor conditions on its web page"),
-    27: StatusBit("a gage is out of range", True, "take the load off; if it stays, the sensor is damaged"),
+    BUSY_BIT: StatusBit(
+        "it is busy with its settings", False, "wait, change nothing on its web pages"
+    ),
+    5: StatusBit(
+        "it reports an unspecified error", True, "switch it off and on, look at its web page"
+    ),
+    7: StatusBit(
+        "its calibration cannot be read", True, "switch it off and on; else send it to ATI"
+    ),
+    16: StatusBit(
+        "one of its own thresholds was passed",
+        False,
+        "clear the monitor conditions on its web page",
+    ),
+    27: StatusBit(
+        "a gage is out of range", True, "take the load off; if it stays, the sensor is damaged"
+    ),
     28: StatusBit("its forces are simulated", False, "switch the simulation off on its web page"),
     29: StatusBit("its calibration is damaged (checksum)", True, "send the sensor to ATI"),
-    30: StatusBit("force or torque is out of its range", True, "take the load off, look at the fin's mount"),
+    30: StatusBit(
+        "force or torque is out of its range", True, "take the load off, look at the fin's mount"
+    ),
 }
 
 

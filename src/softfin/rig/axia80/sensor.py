@@ -1,7 +1,9 @@
-"""The ATI Axia80 force/torque sensor: its stream over UDP becomes one filtered wrench a tick, in softfin's axes.
+"""The ATI Axia80 force/torque sensor: its stream over UDP becomes one filtered wrench a tick, in
+softfin's axes.
 
-Scale and units come from the sensor's own pages, the stream is RDT (ATI manual 9610-05-Ethernet Axia). Tried against
-the emulator, which another program's client reads too; not against a real sensor.
+Scale and units come from the sensor's own pages, the stream is RDT (ATI manual 9610-05-Ethernet
+Axia). Tried against the emulator, which another program's client reads too; not against a real
+sensor.
 """
 
 from collections.abc import Callable
@@ -21,14 +23,16 @@ from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import fetch_simulated_page
 
 FIRST_RECORD_S = 2.0
-"""Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose it."""
+"""Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose
+it."""
 
 SILENT_S = 1.5
-"""Time without a new record after which its stream has ended; the loop judges the age of the force long before."""
+"""Time without a new record after which its stream has ended; the loop judges the age of the force
+long before."""
 
 RETRY_S = 0.1
-"""Time without a new record after which the stream is requested again [s]. A sensor that restarted does not send by
-itself; once it does, its count tells that its zero is lost."""
+"""Time without a new record after which the stream is requested again [s]. A sensor that restarted
+does not send by itself; once it does, its count tells that its zero is lost."""
 
 BUSY_S = 10.0
 """Longest wait for a sensor that is still busy when it is opened, as after its power-up [s]."""
@@ -48,7 +52,8 @@ class Axia80:
         self._name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
         self.device_lock = DeviceLock(self._name, config.address, config.rdt_port)
-        """Taken by `open`: the sensor streams to whoever asked last, so a second program would silence the first."""
+        """Taken by `open`: the sensor streams to whoever asked last, so a second program would
+        silence the first."""
 
     @property
     def serial(self) -> str | None:
@@ -65,8 +70,8 @@ class Axia80:
     def open(self) -> None:
         """Read its pages, start the stream, measure its rate: half a second where all is well.
 
-        Raises RigError where it is not as the rig's file describes it, DeviceError where it does not answer; it is
-        closed then.
+        Raises RigError where it is not as the rig's file describes it, DeviceError where it does
+        not answer; it is closed then.
         """
         self.close()
         self.device_lock.acquire(self.clock)
@@ -79,12 +84,22 @@ class Axia80:
     def _open(self) -> None:
         config = self.config
         clock = self.clock
-        fetch = partial(fetch_simulated_page, clock) if isinstance(clock, SimulatedClock) else fetch_page
+        fetch = (
+            partial(fetch_simulated_page, clock)
+            if isinstance(clock, SimulatedClock)
+            else fetch_page
+        )
         self.settings = settings = read_settings(config.address, config.http_port, fetch)
-        wanted = {"product": (config.product, settings.prodname), "serial": (config.serial, settings.calsn)}
+        wanted = {
+            "product": (config.product, settings.prodname),
+            "serial": (config.serial, settings.calsn),
+        }
         for name, (value, found) in wanted.items():
             if value not in (None, found):
-                raise RigError(f"{self._name}: {name} must be {value!r}, got {found!r}; check address or {name}")
+                raise RigError(
+                    f"{self._name}: {name} must be {value!r}, got {found!r}; check address or "
+                    f"{name}"
+                )
         self._stream = ForceStream(config, settings.scale, clock)
         self._await_stream(self._stream)
         self.read()
@@ -100,30 +115,42 @@ class Axia80:
             stream.request()
         reading = stream.reading()
         if reading is None:
-            raise DeviceError(f"{self._name}: sent {stream.records} records, too few for a force; check the network")
+            raise DeviceError(
+                f"{self._name}: sent {stream.records} records, too few for a force; check the "
+                "network"
+            )
         return reading
 
     def keep_up(self) -> None:
-        """Take what has arrived, so that none of it grows old in the socket while something else is waited for."""
+        """Take what has arrived, so that none of it grows old in the socket while something else is
+        waited for."""
         self.stream.take()
 
     def bias(self) -> None:
-        """Set the sensor's zero to the present load; it does not answer, so use `measured` to see whether it did.
+        """Set the sensor's zero to the present load; it does not answer, so use `measured` to see
+        whether it did.
 
         Takes about 0.2 s; only with the fin at rest.
         """
         stream = self.stream
         if not stream.client.send(RdtCommand.BIAS):
-            raise DeviceError(f"{self._name}: the network does not take the request to set its zero; check the cable")
+            raise DeviceError(
+                f"{self._name}: the network does not take the request to set its zero; check the "
+                "cable"
+            )
         # Records on their way still have the old zero.
         self._wait(lambda: False, 0.1)
         stream.filter.clear()
         if not self._wait(lambda: stream.filter.full, FIRST_RECORD_S):
-            raise DeviceError(f"{self._name}: its stream stopped while its zero was set; check its power and cable")
+            raise DeviceError(
+                f"{self._name}: its stream stopped while its zero was set; check its power and "
+                "cable"
+            )
         stream.watch.accept_restart()
 
     def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
-        """Mean and standard deviation of all records over a while, unfiltered, in softfin's axes; waits for it."""
+        """Mean and standard deviation of all records over a while, unfiltered, in softfin's axes;
+        waits for it."""
         stream = self.stream
         stream.take()
         collected = stream.collected = []
@@ -132,8 +159,11 @@ class Axia80:
         finally:
             stream.collected = None
         if not collected:
-            raise DeviceError(f"{self._name}: sent nothing in {seconds:g} s; check its power and cable")
-        values, turn = np.stack(collected), stream.rotation
+            raise DeviceError(
+                f"{self._name}: sent nothing in {seconds:g} s; check its power and cable"
+            )
+        values = np.stack(collected)
+        turn = stream.rotation
         return rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn))
 
     def complaints(self) -> tuple[str, ...]:
@@ -146,8 +176,8 @@ class Axia80:
         silent = self.clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
-                f"nothing new for {silent:.1f} s; check its power and cable, and that no other program reads it; if it "
-                "was off, its zero is lost: softfin rig zero --force"
+                f"nothing new for {silent:.1f} s; check its power and cable, and that no other "
+                "program reads it; if it was off, its zero is lost: softfin rig zero --force"
             )
         return tuple(f"{self._name}: {line}" for line in lines)
 
@@ -155,7 +185,9 @@ class Axia80:
         """Remarks of its status that do not stop the fin: busy, simulated."""
         if self._stream is None or self._stream.client.closed:
             return ()
-        return tuple(f"{self._name}: {bit}" for bit in decode_status(self._stream.status) if not bit.is_error)
+        return tuple(
+            f"{self._name}: {bit}" for bit in decode_status(self._stream.status) if not bit.is_error
+        )
 
     def counters(self) -> dict[str, int]:
         """Counts since it was opened; none before."""
@@ -186,9 +218,10 @@ class Axia80:
                 break
         else:
             raise DeviceError(
-                f"{self._name}: its page at port {config.http_port} answers, but no record came from UDP port "
-                f"{config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} malformed datagrams); check "
-                "rdt_port, RDT on the sensor's communication page, and the firewall"
+                f"{self._name}: its page at port {config.http_port} answers, but no record came "
+                f"from UDP port {config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} "
+                "malformed datagrams); check rdt_port, RDT on the sensor's communication page, "
+                "and the firewall"
             )
 
         def fits() -> bool:
@@ -199,18 +232,20 @@ class Axia80:
         # A busy computer delivers in bursts, whose mean rate fits in the end.
         if not self._wait(fits, 5.0):
             raise RigError(
-                f"{self._name}: sends {stream.times.rate_hz:.0f} records a second, rate_hz is {config.rate_hz:g}; "
-                "set the RDT rate on the sensor's communication page, or rate_hz to what it sends"
+                f"{self._name}: sends {stream.times.rate_hz:.0f} records a second, rate_hz is "
+                f"{config.rate_hz:g}; set the RDT rate on the sensor's communication page, or "
+                "rate_hz to what it sends"
             )
 
         if not self._wait(lambda: not stream.watch.is_busy, BUSY_S):
             raise DeviceError(
-                f"{self._name}: busy for more than {BUSY_S:g} s; change nothing on its web pages, or switch it off and "
-                "on, then run: softfin rig zero --force"
+                f"{self._name}: busy for more than {BUSY_S:g} s; change nothing on its web pages, "
+                "or switch it off and on, then run: softfin rig zero --force"
             )
 
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
-        stream, end = self.stream, self.clock() + seconds
+        stream = self.stream
+        end = self.clock() + seconds
         while not done():
             if self.clock() >= end:
                 return False

@@ -1,4 +1,5 @@
-"""The stream of an Axia80's records over UDP: counted, timed, scaled, filtered, rotated into softfin's axes."""
+"""The stream of an Axia80's records over UDP: counted, timed, scaled, filtered, rotated into
+softfin's axes."""
 
 import contextlib
 import socket
@@ -13,7 +14,13 @@ from jaxtyping import Float
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
 from softfin.rig.axia80.config import Axia80Config
-from softfin.rig.axia80.rdt import RdtCommand, RdtRecord, decode_record, encode_request, wrapped_step
+from softfin.rig.axia80.rdt import (
+    RdtCommand,
+    RdtRecord,
+    decode_record,
+    encode_request,
+    wrapped_step,
+)
 from softfin.rig.axia80.watch import StreamWatch
 from softfin.rig.filter import AntiAlias
 from softfin.rig.machine import Wrench, rotated, rotation
@@ -21,22 +28,24 @@ from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
 BUFFER_BYTES = 4 * 1024 * 1024
-"""Requested size of the kernel's buffer: seconds of the stream, if the process is held up. Linux gives twice
-`net.core.rmem_max` at most, which by default are 0.5 s of it."""
+"""Requested size of the kernel's buffer: seconds of the stream, if the process is held up. Linux
+gives twice `net.core.rmem_max` at most, which by default are 0.5 s of it."""
 
 MAX_DATAGRAMS = 1000
-"""Datagrams taken at one drain. After a pause, 5,000 and more may be waiting; taking them all would cost several ticks
-and trip the loop's own limit. At 8 kHz a tick brings 80, so a backlog still shrinks."""
+"""Datagrams taken at one drain. After a pause, 5,000 and more may be waiting; taking them all would
+cost several ticks and trip the loop's own limit. At 8 kHz a tick brings 80, so a backlog still
+shrinks."""
 
 BACKLOG_S = 0.2
-"""Age beyond the filter's length at which a record is discarded: no force that may be acted on needs it."""
+"""Age beyond the filter's length at which a record is discarded: no force that may be acted on
+needs it."""
 
 UNREAD_S = 0.03
 """Time without a look at the socket up to which a record without a usable stamp counts as new."""
 
 DATE_STEP_S = 0.005
-"""Change of the date against the monotonic clock, between two drains, from which on the date was set. NTP slews it by
-0.5 ms/s at most."""
+"""Change of the date against the monotonic clock, between two drains, from which on the date was
+set. NTP slews it by 0.5 ms/s at most."""
 
 # Linux's own number, which Python's socket module does not name; the same on x86 and ARM.
 SO_TIMESTAMPNS = 35
@@ -44,10 +53,12 @@ STAMP = struct.Struct("@ll")
 """The kernel's stamp: seconds and nanoseconds of the date."""
 
 LATE_RECORDS = 64
-"""Records by which one may be overtaken. One that comes later than that belongs to another stream."""
+"""Records by which one may be overtaken. One that comes later than that belongs to another
+stream."""
 
 MAX_GAP = 1 << 24
-"""Longest gap in records: half an hour at 8 kHz. A longer jump starts another stream and counts as no loss."""
+"""Longest gap in records: half an hour at 8 kHz. A longer jump starts another stream and counts as
+no loss."""
 
 
 class Arrival(NamedTuple):
@@ -58,7 +69,8 @@ class Arrival(NamedTuple):
 
 
 class RdtClient:
-    """Never blocks; the socket is connected, so that the kernel passes only what comes from the sensor's port."""
+    """Never blocks; the socket is connected, so that the kernel passes only what comes from the
+    sensor's port."""
 
     def __init__(self, host: str, port: int, clock: Clock) -> None:
         self.refused = 0
@@ -83,12 +95,14 @@ class RdtClient:
         except (OSError, UnicodeError) as error:
             self._socket.close()
             raise DeviceError(
-                f"the force sensor at {host}:{port} cannot be reached ({error}); check its address and the network"
+                f"the force sensor at {host}:{port} cannot be reached ({error}); check its address "
+                "and the network"
             ) from None
         if sys.platform.startswith("linux"):
-            # While a person types "move", or a log is written, nobody reads. Linux then keeps the oldest records and
-            # drops the new ones. Stamped when they are taken, they would pass for fresh: a force of a minute ago, on
-            # which the motor is powered. So each record carries the time at which the kernel received it.
+            # While a person types "move", or a log is written, nobody reads. Linux then keeps the
+            # oldest records and drops the new ones. Stamped when they are taken, they would pass
+            # for fresh: a force of a minute ago, on which the motor is powered. So each record
+            # carries the time at which the kernel received it.
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
                 self._has_stamps = True
@@ -129,19 +143,22 @@ class RdtClient:
             else:
                 received.append((record, stamp))
         now = self._clock()
-        # In this order: if the process is held up in between, records look older than they are, never newer.
+        # In this order: if the process is held up in between, records look older than they are,
+        # never newer.
         offset = self._date() - now
-        # A stamp is of the date, which a person or NTP may set, and which jumps after a suspend. Then the stamps of
-        # this drain are worth nothing.
+        # A stamp is of the date, which a person or NTP may set, and which jumps after a suspend.
+        # Then the stamps of this drain are worth nothing.
         is_date_set = abs(offset - self._date_offset) > DATE_STEP_S
         self._date_offset = offset
-        # Without a stamp a record counts as new only if the socket was empty a moment ago, else as old as it can be.
+        # Without a stamp a record counts as new only if the socket was empty a moment ago, else as
+        # old as it can be.
         unknown = now if now - empty_at <= UNREAD_S else empty_at
         arrivals = []
         for record, stamp in received:
             time = unknown
             if stamp is not None and not is_date_set:
-                # Whatever the date is, no record came before the socket was last empty, and none will come later.
+                # Whatever the date is, no record came before the socket was last empty, and none
+                # will come later.
                 time = min(max(stamp - offset, empty_at), now)
             arrivals.append(Arrival(record, time))
         return arrivals
@@ -151,7 +168,8 @@ class RdtClient:
         self._socket.close()
 
     def _receive(self) -> tuple[bytes, float | None]:
-        """A datagram and the date at which the kernel received it [s]; None on platforms without such stamps."""
+        """A datagram and the date at which the kernel received it [s]; None on platforms without
+        such stamps."""
         if isinstance(self._socket, SimulatedSocket):
             data, stamp, _ = self._socket.receive()
             return data, stamp
@@ -166,19 +184,22 @@ class RdtClient:
 
 
 class StreamClock:
-    """Monotonic times of places in an even stream, from noisy stamps: no record can be stamped too early."""
+    """Monotonic times of places in an even stream, from noisy stamps: no record can be stamped too
+    early."""
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz = rate_hz
         """Measured rate, once the stream has lasted 0.3 s; until then the configured one [Hz]."""
         self.measured_s = 0.0
         """Duration of the stream so far [s]."""
-        # Of a tenth of a second at 100 Hz the earliest counts: a packet that was held up moves no time.
+        # Of a tenth of a second at 100 Hz the earliest counts: a packet that was held up moves no
+        # time.
         self._stamps: deque[tuple[int, float]] = deque(maxlen=12)
         self._base: tuple[int, float] | None = None
 
     def restart(self) -> None:
-        """Forget the stamps and keep the rate: the numbers of the records jumped, perhaps without their time."""
+        """Forget the stamps and keep the rate: the numbers of the records jumped, perhaps without
+        their time."""
         self._stamps.clear()
         self._base = None
 
@@ -202,10 +223,12 @@ class ForceReading(NamedTuple):
     """The newest force."""
 
     force_time: float
-    """Monotonic time of the filtered wrench [s]: the delay of the filter before its newest record."""
+    """Monotonic time of the filtered wrench [s]: the delay of the filter before its newest
+    record."""
     wrench: Wrench
     peak: Wrench
-    """Largest magnitudes of all unfiltered records since the read before, for safety, as the filter is slow."""
+    """Largest magnitudes of all unfiltered records since the read before, for safety, as the filter
+    is slow."""
 
 
 class ForceStream:
@@ -226,11 +249,13 @@ class ForceStream:
         self.status = 0
         """Every status bit that a record of the newest arrivals had set."""
         self.taken = clock()
-        """When the newest record was taken from the socket [s]: later, if the process was held up."""
+        """When the newest record was taken from the socket [s]: later, if the process was held
+        up."""
         self.requested = clock()
         """When the stream was last requested [s]."""
         self.collected: list[Float[np.ndarray, " 6"]] | None = None
-        """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets one."""
+        """A list that every record is appended to, in the sensor's axes [N, N m], if a caller sets
+        one."""
         self.rotation = rotation(config.frame)
         self._scale = np.array(scale)
         self._sequence: int | None = None
@@ -285,7 +310,8 @@ class ForceStream:
         if self._force is None:
             return None
         # The rotation only swaps axes and signs, so that magnitudes stay magnitudes.
-        peak, self._peak = rotated(self._peak, np.abs(self.rotation)), np.zeros(6)
+        peak = rotated(self._peak, np.abs(self.rotation))
+        self._peak = np.zeros(6)
         return ForceReading(*self._force, peak)
 
     def _begin(self) -> None:
@@ -299,7 +325,8 @@ class ForceStream:
         """Count a record; False if it is not newer than those before."""
         step = 1 if self._sequence is None else wrapped_step(self._sequence, record.rdt_sequence)
         if not -LATE_RECORDS <= step <= MAX_GAP:
-            # The sensor started another stream. As a gap, such a jump would put the measured rate in the billions.
+            # The sensor started another stream. As a gap, such a jump would put the measured rate
+            # in the billions.
             self._begin()
             step = 1
         if step <= 0:

@@ -1,14 +1,16 @@
-"""Faults of an Axia80's stream that its status bits do not show: a restart, values that stand still, busy for long.
+"""Faults of an Axia80's stream that its status bits do not show: a restart, values that stand
+still, busy for long.
 
-Pure: records go in, lines for people come out. A record has the sensor's own count of its samples (`ft_sequence`),
-which only its power switch resets.
+Pure: records go in, lines for people come out. A record has the sensor's own count of its samples
+(`ft_sequence`), which only its power switch resets.
 """
 
 from softfin.rig.axia80.rdt import BUSY_BIT, RdtRecord, wrapped_step
 
 FROZEN_S = 0.1
-"""Time for which values may be the same in all six channels, or the sensor busy [s]. From memory, the noise of an
-Axia80 is thousands of counts, so that two equal records in a row are rare already."""
+"""Time for which values may be the same in all six channels, or the sensor busy [s]. From memory,
+the noise of an Axia80 is thousands of counts, so that two equal records in a row are rare
+already."""
 
 REORDERED_SAMPLES = 4096
 """Samples by which the sensor's count may go back without a restart: half a second."""
@@ -20,7 +22,8 @@ RATE_ERROR = 0.02
 """Relative error of that rate."""
 
 HELD_UP_S = 1.0
-"""Time by which records may be held up on their way [s]: their counts then do not fit the time between them."""
+"""Time by which records may be held up on their way [s]: their counts then do not fit the time
+between them."""
 
 
 LARGEST_STEP_S = 60.0
@@ -76,9 +79,10 @@ class StreamWatch:
     def _fits(self, samples: int, elapsed_s: float) -> bool:
         """Whether the count went on by as many samples as the time since the record before brings.
 
-        A restart in a pause may be long past, so that the count is higher than before it: samples are missing then.
-        And after three days a count is so high that one from 0 looks like a step ahead. Records that were held
-        up together look like more samples than the time brings, which is not a restart.
+        A restart in a pause may be long past, so that the count is higher than before it: samples
+        are missing then. And after three days a count is so high that one from 0 looks like a step
+        ahead. Records that were held up together look like more samples than the time brings, which
+        is not a restart.
         """
         rate_hz = self.ft_rate_hz
         if rate_hz <= 0:
@@ -95,10 +99,16 @@ class StreamWatch:
         lines = []
         if self.has_restarted:
             # Force limits and controller would work with the load of its mount as an offset.
-            lines.append("restarted, its zero is lost; let the fin rest and run: softfin rig zero --force")
+            lines.append(
+                "restarted, its zero is lost; let the fin rest and run: softfin rig zero --force"
+            )
         if max(self._equal_counts, self._equal_samples) >= self._stuck_records:
             # Force limits and controller would work on a dead number, while its records go on.
-            lines.append("its values stand still; switch it off and on, then run: softfin rig zero --force")
+            lines.append(
+                "its values stand still; switch it off and on, then run: softfin rig zero --force"
+            )
         if self.is_busy:
-            lines.append("it is busy for long, so its values may be old; change nothing on its web pages")
+            lines.append(
+                "it is busy for long, so its values may be old; change nothing on its web pages"
+            )
         return lines

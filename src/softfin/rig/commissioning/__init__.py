@@ -1,1 +1,2 @@
-"""Commissioning of a real rig: eight signed steps before anybody relies on it (docs/commissioning.md)."""
+"""Commissioning of a real rig: eight signed steps before anybody relies on it
+(docs/commissioning.md)."""

@@ -1,4 +1,5 @@
-"""The procedure: find the next step of a rig, run it, have it signed, keep it; it resumes where it was left."""
+"""The procedure: find the next step of a rig, run it, have it signed, keep it; it resumes where it
+was left."""
 
 from pathlib import Path
 
@@ -22,23 +23,35 @@ from softfin.rig.record import date_and_time
 
 
 def commission_step(
-    rig: Path, config: RigConfig, number: int, operator: Operator, clock: Clock, hour_s: float = 3600.0
+    rig: Path,
+    config: RigConfig,
+    number: int,
+    operator: Operator,
+    clock: Clock,
+    hour_s: float = 3600.0,
 ) -> SignedStep:
-    """Run one step of a rig's commissioning, have it signed, and add it to the form beside the rig's file.
+    """Run one step of a rig's commissioning, have it signed, and add it to the form beside the
+    rig's file.
 
     Raises ConfigurationError if an earlier step is not passed.
     """
     form = load_form(rig)
-    missing = [earlier for earlier in STEP_TITLES if earlier < number and not form.is_passed(earlier, config)]
+    missing = [
+        earlier
+        for earlier in STEP_TITLES
+        if earlier < number and not form.is_passed(earlier, config)
+    ]
     if missing:
         raise ConfigurationError(
-            f"step {number}: step {missing[0]} ({STEP_TITLES[missing[0]]}) is not passed with this drive and sensor; "
-            "run the steps in order"
+            f"step {number}: step {missing[0]} ({STEP_TITLES[missing[0]]}) is not passed with this "
+            "drive and sensor; run the steps in order"
         )
     date = date_and_time()
     folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
     operator.tell(f"Step {number} of {len(STEP_TITLES)}: {STEP_TITLES[number]}")
-    items = run_step(number, StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s))
+    items = run_step(
+        number, StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s)
+    )
     step = SignedStep(
         number=number,
         date=date,

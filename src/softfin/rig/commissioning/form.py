@@ -1,7 +1,7 @@
 """The form of a commissioning: what each step found, who signed it, and under which configuration.
 
-It lies beside the rig's file: rig.yaml has rig.commissioning.json, and the same for people in rig.commissioning.md.
-Every attempt is kept; the latest one of a step counts.
+It lies beside the rig's file: rig.yaml has rig.commissioning.json, and the same for people in
+rig.commissioning.md. Every attempt is kept; the latest one of a step counts.
 """
 
 import json
@@ -69,9 +69,14 @@ class Form(Configuration):
         return next((step for step in reversed(self.attempts) if step.number == number), None)
 
     def is_passed(self, number: int, config: RigConfig) -> bool:
-        """Whether the latest attempt at a step passed, with the drive and the sensor set up as they are now."""
+        """Whether the latest attempt at a step passed, with the drive and the sensor set up as they
+        are now."""
         step = self.latest(number)
-        return step is not None and step.passed and _voiding_parts(step.rig) == _voiding_parts(config_values(config))
+        return (
+            step is not None
+            and step.passed
+            and _voiding_parts(step.rig) == _voiding_parts(config_values(config))
+        )
 
     def next_step(self, config: RigConfig) -> int | None:
         """Return the number of the first step that is not passed; None if all are."""
@@ -82,7 +87,11 @@ class Form(Configuration):
         number = self.next_step(config)
         if number is None:
             return None
-        state = "not commissioned" if self.latest(number) is None else "no longer commissioned, or a step failed"
+        state = (
+            "not commissioned"
+            if self.latest(number) is None
+            else "no longer commissioned, or a step failed"
+        )
         return (
             f"rig of {config.fin}: {state}: step {number} of {len(STEP_TITLES)} is not passed; see "
             "docs/commissioning.md and run: softfin rig commission --arm"
@@ -100,14 +109,17 @@ def bag_folder(rig: Path) -> Path:
 
 
 def load_form(rig: Path) -> Form:
-    """Load the form of a rig's file; an empty one if there is none. Raises RigError if it cannot be used."""
+    """Load the form of a rig's file; an empty one if there is none. Raises RigError if it cannot be
+    used."""
     file = form_file(rig)
     if not file.exists():
         return Form()
     try:
         return Form.build(json.loads(file.read_bytes()), str(file))
     except (OSError, ValueError, RecursionError, ConfigurationError) as error:
-        raise RigError(f"{file}: not the form of a commissioning ({error}); move it away and start again") from None
+        raise RigError(
+            f"{file}: not the form of a commissioning ({error}); move it away and start again"
+        ) from None
 
 
 def save_form(rig: Path, form: Form) -> None:
@@ -143,4 +155,7 @@ def config_values(config: RigConfig) -> dict[str, Any]:
 
 
 def _voiding_parts(rig: dict[str, Any]) -> dict[str, Any]:
-    return {part: {name: value for name, value in rig[part].items() if name not in ADDRESS_FIELDS} for part in VOIDING}
+    return {
+        part: {name: value for name, value in rig[part].items() if name not in ADDRESS_FIELDS}
+        for part in VOIDING
+    }

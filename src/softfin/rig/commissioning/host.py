@@ -1,4 +1,5 @@
-"""A host that is made to die: it swings a fin until it is killed; ``python -m softfin.rig.commissioning.host BAG``.
+"""A host that is made to die: it swings a fin until it is killed; ``python -m
+softfin.rig.commissioning.host BAG``.
 
 Its rig comes as JSON on standard input; it writes "moves" once the fin moves.
 """
@@ -15,7 +16,8 @@ from softfin.rig.stop import StopRequest
 
 
 def main() -> None:
-    """Swing through the whole range of the rig's commands, until this process is killed or the fin is stopped."""
+    """Swing through the whole range of the rig's commands, until this process is killed or the fin
+    is stopped."""
     config = RigConfig.build(json.load(sys.stdin), "rig")
     drive = config.drive
     has_told = False

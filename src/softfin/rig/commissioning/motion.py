@@ -1,4 +1,5 @@
-"""Motions of a commissioning: swings, stops that are provoked, and a host that dies while the fin moves."""
+"""Motions of a commissioning: swings, stops that are provoked, and a host that dies while the fin
+moves."""
 
 import json
 import math
@@ -29,7 +30,8 @@ HALF_STROKE_TICKS = 60
 """Ticks between two commands of a swing; a shorter way is over by then, and the fin waits."""
 
 WATCHDOG_S = 2.0
-"""Silence after which softfin's own watchdog stops the fin while a dead host is played: late enough for the drive."""
+"""Silence after which softfin's own watchdog stops the fin while a dead host is played: late enough
+for the drive."""
 
 WATCHED_S = 3.0
 """Longest time for which a drive is watched after its host has died [s]."""
@@ -69,8 +71,11 @@ class Stopped:
     """Ticks of the loop that were skipped."""
 
 
-def changed(config: RigConfig, drive: dict[str, Any] | None = None, safety: dict[str, Any] | None = None) -> RigConfig:
-    """Return a rig's configuration with other values of its drive or safety; raises ConfigurationError."""
+def changed(
+    config: RigConfig, drive: dict[str, Any] | None = None, safety: dict[str, Any] | None = None
+) -> RigConfig:
+    """Return a rig's configuration with other values of its drive or safety; raises
+    ConfigurationError."""
     values = config.model_dump()
     values["drive"] |= drive or {}
     values["safety"] |= safety or {}
@@ -89,8 +94,11 @@ def narrowed(config: RigConfig, angle_rad: float, velocity_rad_s: float) -> RigC
     return changed(config, drive)
 
 
-def swings(amplitude_rad: float, velocity_rad_s: float, strokes: int | None = None) -> Iterator[Target]:
-    """Yield the target of each stroke, from side to side; for ever unless a number of strokes is given."""
+def swings(
+    amplitude_rad: float, velocity_rad_s: float, strokes: int | None = None
+) -> Iterator[Target]:
+    """Yield the target of each stroke, from side to side; for ever unless a number of strokes is
+    given."""
     number = 0
     while strokes is None or number < strokes:
         side = 1 if number % 2 == 0 else -1
@@ -132,8 +140,12 @@ def move(
     except SafetyStop as stop:
         seconds = math.inf if session.newest is None else rig.clock() - session.newest.time
         cause = session.trip.cause if session.trip else "none"
-        return Stopped(cause, str(stop), seconds, rig.stop_unconfirmed is None, peaks, session.pace.skipped)
-    return Stopped("none", "ended by itself", 0.0, rig.stop_unconfirmed is None, peaks, session.pace.skipped)
+        return Stopped(
+            cause, str(stop), seconds, rig.stop_unconfirmed is None, peaks, session.pace.skipped
+        )
+    return Stopped(
+        "none", "ended by itself", 0.0, rig.stop_unconfirmed is None, peaks, session.pace.skipped
+    )
 
 
 @dataclass(frozen=True)
@@ -149,7 +161,8 @@ class Death:
 
 
 class DriveWatch:
-    """Asks a drive by SDO alone, beside or after the program that drives it: it sends no heartbeat and no SYNC."""
+    """Asks a drive by SDO alone, beside or after the program that drives it: it sends no heartbeat
+    and no SYNC."""
 
     def __init__(self, config: RigConfig, clock: Clock) -> None:
         self._units = Units.of(config.drive)
@@ -183,7 +196,8 @@ class DriveWatch:
         return fault_of(self._connection)
 
     def watch(self, died: float, angle: float) -> Death:
-        """Watch until the fin stands without power, `died` [s] being when its host died and `angle` where it was."""
+        """Watch until the fin stands without power, `died` [s] being when its host died and `angle`
+        where it was."""
         stood_since = died
         before = math.nan
         now = died
@@ -202,7 +216,8 @@ class DriveWatch:
 
 
 def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> Death:
-    """Play a dead host in simulated time: swing through the rig's range, and at a tick send nothing any more."""
+    """Play a dead host in simulated time: swing through the rig's range, and at a tick send nothing
+    any more."""
     drive = config.drive
     # Softfin's own watchdog would stop the fin first.
     rig = Rig(changed(config, safety={"watchdog_s": WATCHDOG_S}), clock)
@@ -221,7 +236,8 @@ def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> D
 
 
 def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag: Path) -> Death:
-    """Have another process swing the fin, and kill or stop it by a signal some time after it began to move [s]."""
+    """Have another process swing the fin, and kill or stop it by a signal some time after it began
+    to move [s]."""
     process = subprocess.Popen(
         [sys.executable, "-m", "softfin.rig.commissioning.host", str(bag)],
         stdin=subprocess.PIPE,

@@ -1,4 +1,5 @@
-"""The person beside the rig, who does what a step asks for and answers; a test plays another one."""
+"""The person beside the rig, who does what a step asks for and answers; a test plays another
+one."""
 
 import contextlib
 import queue
@@ -33,17 +34,20 @@ class Operator(Protocol):
         """Ask for a line that is not empty."""
 
     def moving(self, instruction: str, request: StopRequest) -> AbstractContextManager[None]:
-        """Show what to do to the fin that moves within this context, where Enter alone asks for a stop."""
+        """Show what to do to the fin that moves within this context, where Enter alone asks for a
+        stop."""
 
 
 class TerminalOperator:
     """A person at the terminal.
 
-    One thread reads every line, so that Enter stops the fin at once while it moves, and a line that was typed for one
-    question cannot answer the next one.
+    One thread reads every line, so that Enter stops the fin at once while it moves, and a line that
+    was typed for one question cannot answer the next one.
     """
 
-    def __init__(self, lines: Iterable[str] | None = None, write: Callable[[str], object] | None = None) -> None:
+    def __init__(
+        self, lines: Iterable[str] | None = None, write: Callable[[str], object] | None = None
+    ) -> None:
         self._write = write or sys.stderr.write
         self._answers: queue.Queue[str | None] = queue.Queue()
         self._request: StopRequest | None = None
@@ -96,7 +100,10 @@ class TerminalOperator:
         if answer is None:
             # What was read stays ended: the next question must not wait for ever.
             self._answers.put(None)
-            raise RunError("commissioning: the terminal's input has ended; start it again, it resumes at this step")
+            raise RunError(
+                "commissioning: the terminal's input has ended; start it again, it resumes at "
+                "this step"
+            )
         return answer
 
     def _next_line(self) -> str | None:
@@ -116,5 +123,7 @@ class TerminalOperator:
             # Not text, or a terminal that is gone: treated as its end.
             pass
         if (request := self._request) is not None:
-            request.ask("emergency_stop", "the terminal's input ended, so no key could stop the fin")
+            request.ask(
+                "emergency_stop", "the terminal's input ended, so no key could stop the fin"
+            )
         self._answers.put(None)

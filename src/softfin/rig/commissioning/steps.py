@@ -1,4 +1,5 @@
-"""The eight steps of a commissioning: each yields what it found and what was required of it (docs/commissioning.md)."""
+"""The eight steps of a commissioning: each yields what it found and what was required of it
+(docs/commissioning.md)."""
 
 import math
 import signal
@@ -42,10 +43,12 @@ CHECKS = 10
 RECEIVE_BUFFER_SETTING = Path("/proc/sys/net/core/rmem_max")
 
 ANGLE_TOLERANCE_RAD = 0.02
-WEIGHT_KG, GRAVITY_M_S2 = 1.0, 9.81
+WEIGHT_KG = 1.0
+GRAVITY_M_S2 = 9.81
 WEIGHT_TOLERANCE = 0.02
 
-SMALL_RAD, SLOW_RAD_S = 0.3, 1.0
+SMALL_RAD = 0.3
+SLOW_RAD_S = 1.0
 """Range and velocity of the first motions."""
 
 TRIALS = 5
@@ -55,16 +58,20 @@ UNPOWERED_S = 0.5
 """Longest time from the last good reading to the confirmed end of a stop [s]."""
 
 DEADLY_SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
-"""Signals after which nothing of softfin runs any more. A simulated rig plays both by sending nothing."""
+"""Signals after which nothing of softfin runs any more. A simulated rig plays both by sending
+nothing."""
 
 REST_MARGIN_S = 0.05
-"""Time beyond heartbeat and braking within which a dead host's fin must stand [s], since the drive acts in steps."""
+"""Time beyond heartbeat and braking within which a dead host's fin must stand [s], since the drive
+acts in steps."""
 
 STROKES = 50
 SWINGS = 10
 FOLLOWING_RAD = 0.05
 
-LEAST_MARGIN, MOST_MARGIN, ADVISED_MARGIN = 1.2, 2.5, 1.5
+LEAST_MARGIN = 1.2
+MOST_MARGIN = 2.5
+ADVISED_MARGIN = 1.5
 """Limits of force, torque and current over the peaks that were measured in water."""
 
 SENSOR_NOISE = 1e-3
@@ -81,7 +88,8 @@ class Way(NamedTuple):
     causes: frozenset[str]
     """Reasons for the stop that it must have."""
     is_cut: bool = False
-    """Whether softfin cannot reach the drive then, so that what the fin did is judged by eye and hand."""
+    """Whether softfin cannot reach the drive then, so that what the fin did is judged by eye and
+    hand."""
 
 
 BY_A_PERSON = frozenset({"emergency_stop"})
@@ -141,33 +149,67 @@ def measured(what: str, value: float, required: str, passed: bool, unit: str) ->
 
 
 def compare_data_sheets(context: StepContext) -> Iterator[Item]:
-    """Step 1: the rig's file against data sheets; the settings of the drive; the switch of the motor's supply."""
+    """Step 1: the rig's file against data sheets; the settings of the drive; the switch of the
+    motor's supply."""
     operator = context.operator
-    drive, safety = context.config.drive, context.config.safety
+    drive = context.config.drive
+    safety = context.config.safety
     for what, question, value in (
-        ("encoder lines", "Lines of the encoder per turn of the motor, by its data sheet", drive.encoder_lines),
-        ("gear ratio", "Turns of the motor per turn of the fin, by the gear's data sheet", drive.gear_ratio),
+        (
+            "encoder lines",
+            "Lines of the encoder per turn of the motor, by its data sheet",
+            drive.encoder_lines,
+        ),
+        (
+            "gear ratio",
+            "Turns of the motor per turn of the fin, by the gear's data sheet",
+            drive.gear_ratio,
+        ),
     ):
         answer = operator.number(question)
         passed = math.isclose(answer, value, rel_tol=1e-3)
-        yield Item(what=what, value=f"{answer:g}", required=f"{value:g}, as in the rig's file", passed=passed)
+        yield Item(
+            what=what,
+            value=f"{answer:g}",
+            required=f"{value:g}, as in the rig's file",
+            passed=passed,
+        )
     nominal = operator.number("Nominal current of the motor [A], by its data sheet")
     sustained = safety.current_sustained_a or math.inf
     required = "at least safety.current_sustained_a"
-    yield measured("nominal current", nominal, f"{required}, {sustained:g} A", nominal >= sustained, "A")
+    yield measured(
+        "nominal current", nominal, f"{required}, {sustained:g} A", nominal >= sustained, "A"
+    )
     yield from _settings(context)
-    yield asked(operator, "switch", "Is a switch of the motor's supply within reach, and did you try it just now?")
+    yield asked(
+        operator,
+        "switch",
+        "Is a switch of the motor's supply within reach, and did you try it just now?",
+    )
 
 
 def check_and_prove(context: StepContext) -> Iterator[Item]:
-    """Step 2: `rig check` ten times, a wrong file that is refused, the receive buffer, the proof of the stop."""
+    """Step 2: `rig check` ten times, a wrong file that is refused, the receive buffer, the proof of
+    the stop."""
     context.operator.wait("Take the fin off the shaft")
     failures = []
     for _ in range(CHECKS):
-        results = check_rig(context.config, context.folder.parent, 1.0, context.clock if context.is_simulated else None)
-        failures += [f"{result.what}: {result.text}" for result in results if result.state == "wrong"]
+        results = check_rig(
+            context.config,
+            context.folder.parent,
+            1.0,
+            context.clock if context.is_simulated else None,
+        )
+        failures += [
+            f"{result.what}: {result.text}" for result in results if result.state == "wrong"
+        ]
     value = failures[0] if failures else f"{CHECKS} of {CHECKS}"
-    yield Item(what="rig check", value=value, required=f"{CHECKS} times without an error", passed=not failures)
+    yield Item(
+        what="rig check",
+        value=value,
+        required=f"{CHECKS} times without an error",
+        passed=not failures,
+    )
     yield _refusal_of_wrong_lines(context)
     if not context.is_simulated:
         granted = int(RECEIVE_BUFFER_SETTING.read_text()) if RECEIVE_BUFFER_SETTING.exists() else 0
@@ -187,7 +229,10 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
     zero_angle(context.config, context.clock if context.is_simulated else None)
     with DriveWatch(context.config, context.clock) as watch:
         for what, degrees in (("a quarter turn", 90), ("a whole turn", 360)):
-            operator.wait(f"Turn the shaft by hand to {degrees} degrees from zero, in the direction of positive angles")
+            operator.wait(
+                f"Turn the shaft by hand to {degrees} degrees from zero, in the direction of "
+                "positive angles"
+            )
             angle = watch.angle()
             wanted = math.radians(degrees)
             passed = abs(angle - wanted) <= ANGLE_TOLERANCE_RAD
@@ -199,13 +244,22 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
     try:
         weight_n = WEIGHT_KG * GRAVITY_M_S2
         for number, axis in enumerate("xy"):
-            operator.wait(f"Pull with {WEIGHT_KG:g} kg along +{axis} (docs/rig.md, Axes: which way that is)")
+            operator.wait(
+                f"Pull with {WEIGHT_KG:g} kg along +{axis} (docs/rig.md, Axes: which way that is)"
+            )
             force = rig.sensor.measured(1.0)[0][:3]
-            error = max(abs(value - (weight_n if place == number else 0.0)) for place, value in enumerate(force))
+            error = max(
+                abs(value - (weight_n if place == number else 0.0))
+                for place, value in enumerate(force)
+            )
             value = ", ".join(f"{value:+.2f}" for value in force)
-            required = f"+{weight_n:.2f} N along {axis}, 0 along the others, +-{WEIGHT_TOLERANCE:.0%}"
+            required = (
+                f"+{weight_n:.2f} N along {axis}, 0 along the others, +-{WEIGHT_TOLERANCE:.0%}"
+            )
             passed = error <= WEIGHT_TOLERANCE * weight_n
-            yield Item(what=f"weight along {axis}", value=f"({value}) N", required=required, passed=passed)
+            yield Item(
+                what=f"weight along {axis}", value=f"({value}) N", required=required, passed=passed
+            )
             operator.wait("Take the weight off")
     finally:
         rig.close()
@@ -220,18 +274,22 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
         left_on = 0
         for trial in range(TRIALS):
             stops.append(_provoke(context, narrow, f"{name}-{trial + 1}", way.instruction))
-            operator.wait(f"After {name}: put everything back, and wait until the devices are up again")
+            operator.wait(
+                f"After {name}: put everything back, and wait until the devices are up again"
+            )
             left_on += _reset(context)
         yield _compare_stops(name, way, stops)
         value = f"still on after {left_on} of {TRIALS}" if left_on else "off"
         yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
         if way.is_cut:
             question = (
-                f"After each of the {TRIALS} times: did the fin stand within a quarter of a second, and could you turn "
-                "it by hand half a second later?"
+                f"After each of the {TRIALS} times: did the fin stand within a quarter of a "
+                "second, and could you turn it by hand half a second later?"
             )
             yield asked(operator, f"{name}, by eye and hand", question)
-    allowed_s = narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
+    allowed_s = (
+        narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
+    )
     for number in DEADLY_SIGNALS:
         deaths = []
         for trial in range(TRIALS):
@@ -240,14 +298,28 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
         what = f"softfin ended by {number.name}"
         worst_s = max(death.seconds for death in deaths)
         passed = worst_s <= allowed_s
-        yield measured(f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s")
+        yield measured(
+            f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s"
+        )
         faults = {death.fault or "no fault" for death in deaths}
         is_expected = all("0x8130" in fault for fault in faults)
-        yield Item(what=f"{what}: fault", value="; ".join(sorted(faults)), required="0x8130", passed=is_expected)
+        yield Item(
+            what=f"{what}: fault",
+            value="; ".join(sorted(faults)),
+            required="0x8130",
+            passed=is_expected,
+        )
     yield _zero_after_reset(context)
     for what, question in (
-        ("stop topic", "If you use ROS 2: did `true` on the stop topic stop the fin, five times? (yes if you do not)"),
-        ("computer off", "Did the fin stand after the computer was switched off while it moved, five times?"),
+        (
+            "stop topic",
+            "If you use ROS 2: did `true` on the stop topic stop the fin, five times? (yes if you "
+            "do not)",
+        ),
+        (
+            "computer off",
+            "Did the fin stand after the computer was switched off while it moved, five times?",
+        ),
     ):
         yield asked(operator, what, question)
 
@@ -262,10 +334,14 @@ def move_fully(context: StepContext) -> Iterator[Item]:
     with context.operator.moving(f"The shaft makes {STROKES} full strokes now; keep away", request):
         stopped = move(context.rig(), targets, ticks, request, context.bag("strokes"))
     passed = stopped.cause == "none"
-    yield Item(what=f"{STROKES} strokes", value=stopped.reason, required="end by themselves", passed=passed)
+    yield Item(
+        what=f"{STROKES} strokes", value=stopped.reason, required="end by themselves", passed=passed
+    )
     peaks = stopped.peaks
     passed = peaks.following_rad <= FOLLOWING_RAD
-    yield measured("following error", peaks.following_rad, f"at most {FOLLOWING_RAD} rad", passed, "rad")
+    yield measured(
+        "following error", peaks.following_rad, f"at most {FOLLOWING_RAD} rad", passed, "rad"
+    )
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
     stopped = _provoke(context, narrow, "held", "hold the shaft with a glove until it stops")
     context.operator.wait("Let go of the shaft")
@@ -279,22 +355,30 @@ def move_fully(context: StepContext) -> Iterator[Item]:
     )
     limit_a = context.config.safety.current_peak_a or math.inf
     current_a = stopped.peaks.current_a
-    yield measured("current when held", current_a, f"at most {limit_a:g} A", current_a <= limit_a, "A")
+    yield measured(
+        "current when held", current_a, f"at most {limit_a:g} A", current_a <= limit_a, "A"
+    )
 
 
 def move_in_water(context: StepContext) -> Iterator[Item]:
-    """Step 6: the fin in air, then in water, from small to full strokes; the safety limits against its peaks."""
-    drive, safety = context.config.drive, context.config.safety
+    """Step 6: the fin in air, then in water, from small to full strokes; the safety limits against
+    its peaks."""
+    drive = context.config.drive
+    safety = context.config.safety
     full = min(drive.angle_max_rad, -drive.angle_min_rad)
     for medium in ("air", "water"):
         context.operator.wait(f"Put the fin on the shaft, in {medium}, at rest at zero")
         for amplitude in (SMALL_RAD, full / 2, full):
             velocity = SLOW_RAD_S if amplitude == SMALL_RAD else drive.fastest_rad_s
             request = StopRequest()
-            with context.operator.moving(f"The fin swings in {medium} by {amplitude:.2f} rad; keep away", request):
+            with context.operator.moving(
+                f"The fin swings in {medium} by {amplitude:.2f} rad; keep away", request
+            ):
                 ticks = stroke_ticks(amplitude, velocity)
                 bag = context.bag(f"{medium}-{amplitude:.1f}")
-                stopped = move(context.rig(), swings(amplitude, velocity, SWINGS), ticks, request, bag)
+                stopped = move(
+                    context.rig(), swings(amplitude, velocity, SWINGS), ticks, request, bag
+                )
             passed = stopped.cause == "none"
             what = f"{medium}, {amplitude:.2f} rad"
             yield Item(what=what, value=stopped.reason, required="ends by itself", passed=passed)
@@ -318,7 +402,8 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
 
 
 def move_for_an_hour(context: StepContext) -> Iterator[Item]:
-    """Step 7: random commands for an hour: nothing lost, nothing skipped, the force at rest where it was."""
+    """Step 7: random commands for an hour: nothing lost, nothing skipped, the force at rest where
+    it was."""
     rig = context.rig()
     request = StopRequest()
     context.operator.wait("The fin moves at random for an hour; see that nobody can reach it")
@@ -334,22 +419,41 @@ def move_for_an_hour(context: StepContext) -> Iterator[Item]:
         count = counters.get(name, 0)
         yield Item(what=name, value=str(count), required="0", passed=count == 0)
     change_n = float(np.max(np.abs(_force_at_rest(context) - before)))
-    yield measured("change of the force at rest", change_n, f"at most {MAX_DRIFT_N} N", change_n <= MAX_DRIFT_N, "N")
+    yield measured(
+        "change of the force at rest",
+        change_n,
+        f"at most {MAX_DRIFT_N} N",
+        change_n <= MAX_DRIFT_N,
+        "N",
+    )
     yield asked(context.operator, "motor", "Can you keep your hand on the motor?")
 
 
 def ask_about_robot(context: StepContext) -> Iterator[Item]:
     """Step 8: what only a robot with several fins shows."""
     operator = context.operator
-    if not operator.confirm("Is this fin one of several on a robot, or operated without a person beside it?"):
+    if not operator.confirm(
+        "Is this fin one of several on a robot, or operated without a person beside it?"
+    ):
         yield Item(what="robot", value="one fin, a person beside it", required="-", passed=True)
         return
     for what, question in (
-        ("buses", "Has each fin a CAN bus of its own, or a drive.host_node of its own that `rig check` accepted?"),
-        ("each fin killed", "Did each fin stop when its softfin was killed in the water, the others going on or not?"),
+        (
+            "buses",
+            "Has each fin a CAN bus of its own, or a drive.host_node of its own that `rig check` "
+            "accepted?",
+        ),
+        (
+            "each fin killed",
+            "Did each fin stop when its softfin was killed in the water, the others going on or "
+            "not?",
+        ),
         ("radio off", "Did all fins stop when the radio or the network to the operator was cut?"),
         ("no suspend", "Can the computer not suspend (systemd-inhibit, or sleep targets masked)?"),
-        ("no restart", "Does nothing restart softfin after exit code 3 (systemd: RestartPreventExitStatus=3)?"),
+        (
+            "no restart",
+            "Does nothing restart softfin after exit code 3 (systemd: RestartPreventExitStatus=3)?",
+        ),
     ):
         yield asked(operator, what, question)
 
@@ -373,7 +477,9 @@ def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
     try:
         for item in STEP_FUNCTIONS[number](context):
             mark = "passed" if item.passed else "FAILED"
-            context.operator.tell(f"{mark:>6}  {item.what}: {item.value} (required: {item.required})")
+            context.operator.tell(
+                f"{mark:>6}  {item.what}: {item.value} (required: {item.required})"
+            )
             items.append(item)
     except SoftfinError as error:
         context.operator.tell(f"FAILED  {error}")
@@ -382,7 +488,8 @@ def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
 
 
 def _settings(context: StepContext) -> Iterator[Item]:
-    """Read from the drive what it does by itself, and whether it leaves the limits of the current anything to do."""
+    """Read from the drive what it does by itself, and whether it leaves the limits of the current
+    anything to do."""
     rig = context.rig()
     try:
         rig.drive.open()
@@ -398,7 +505,9 @@ def _settings(context: StepContext) -> Iterator[Item]:
     finally:
         rig.close()
     found = "; ".join(useless_limits) or "can trip"
-    yield Item(what="limits of the current", value=found, required="can trip", passed=not useless_limits)
+    yield Item(
+        what="limits of the current", value=found, required="can trip", passed=not useless_limits
+    )
 
 
 def _proof(context: StepContext) -> Item:
@@ -425,16 +534,25 @@ def _refusal_of_wrong_lines(context: StepContext) -> Item:
         value = "refused"
     finally:
         rig.close()
-    return Item(what="wrong encoder_lines", value=value, required="refused", passed=value == "refused")
+    return Item(
+        what="wrong encoder_lines", value=value, required="refused", passed=value == "refused"
+    )
 
 
 def _provoke(context: StepContext, config: RigConfig, name: str, instruction: str) -> Stopped:
     """Swing slowly until the operator, or whatever was provoked, stops the fin."""
     request = StopRequest()
-    amplitude, velocity = config.drive.angle_max_rad, config.drive.fastest_rad_s
+    amplitude = config.drive.angle_max_rad
+    velocity = config.drive.fastest_rad_s
     with context.operator.moving(f"The fin swings now: {instruction}", request):
         rig = context.rig(config)
-        stopped = move(rig, swings(amplitude, velocity), stroke_ticks(amplitude, velocity), request, context.bag(name))
+        stopped = move(
+            rig,
+            swings(amplitude, velocity),
+            stroke_ticks(amplitude, velocity),
+            request,
+            context.bag(name),
+        )
     context.operator.tell(f"        {name}: {stopped.reason}")
     return stopped
 
@@ -445,14 +563,26 @@ def _compare_stops(name: str, way: Way, stops: list[Stopped]) -> Item:
     value = "; ".join(sorted(causes))
     passed = causes <= way.causes
     if way.is_cut:
-        required = f"{' or '.join(sorted(way.causes))}; softfin says if the drive did not confirm the stop"
+        required = (
+            f"{' or '.join(sorted(way.causes))}; softfin says if the drive did not confirm the stop"
+        )
         # What an unconfirmed stop says ends in what to do about it.
-        passed = passed and all(stopped.is_confirmed or "; BUT " in stopped.reason for stopped in stops)
+        passed = passed and all(
+            stopped.is_confirmed or "; BUT " in stopped.reason for stopped in stops
+        )
         return Item(what=name, value=value, required=required, passed=passed)
     worst_s = max(stopped.seconds for stopped in stops)
     passed = passed and worst_s <= UNPOWERED_S and all(stopped.is_confirmed for stopped in stops)
-    required = f"{' or '.join(sorted(way.causes))}, motor off within {UNPOWERED_S} s of the last good reading"
-    return Item(what=name, value=f"{value}, motor off within {worst_s:.2f} s", required=required, passed=passed)
+    required = (
+        f"{' or '.join(sorted(way.causes))}, motor off within {UNPOWERED_S} s of the last "
+        "good reading"
+    )
+    return Item(
+        what=name,
+        value=f"{value}, motor off within {worst_s:.2f} s",
+        required=required,
+        passed=passed,
+    )
 
 
 def _die(context: StepContext, config: RigConfig, number: signal.Signals, bag: Path) -> Death:
@@ -463,7 +593,8 @@ def _die(context: StepContext, config: RigConfig, number: signal.Signals, bag: P
 
 
 def _reset(context: StepContext) -> bool:
-    """Acknowledge the fault that a drive may be in; whether its motor was still on, which is then switched off."""
+    """Acknowledge the fault that a drive may be in; whether its motor was still on, which is then
+    switched off."""
     with DriveWatch(context.config, context.clock) as watch:
         is_powered = watch.is_powered()
     rig = context.rig()
@@ -478,10 +609,16 @@ def _reset(context: StepContext) -> bool:
 
 
 def _zero_after_reset(context: StepContext) -> Item:
-    """Whether the drive still knows its zero, after all faults were reset and without a power-cycle."""
+    """Whether the drive still knows its zero, after all faults were reset and without a
+    power-cycle."""
     with DriveWatch(context.config, context.clock) as watch:
         is_known = watch.is_referenced() or not context.config.drive.zero_needed
-    return Item(what="zero after the faults", value="known" if is_known else "lost", required="known", passed=is_known)
+    return Item(
+        what="zero after the faults",
+        value="known" if is_known else "lost",
+        required="known",
+        passed=is_known,
+    )
 
 
 def _force_at_rest(context: StepContext) -> np.ndarray:
@@ -494,7 +631,8 @@ def _force_at_rest(context: StepContext) -> np.ndarray:
 
 
 def _random_targets(context: StepContext) -> Iterator[Target]:
-    """Yield random commands within the rig's range, three per second, for the duration of the long motion."""
+    """Yield random commands within the rig's range, three per second, for the duration of the long
+    motion."""
     limits = context.config.drive.limits
     for _ in range(round(3 * context.hour_s)):
         angle = context.random.uniform(limits.angle_min, limits.angle_max)

@@ -1,7 +1,9 @@
-"""A CAN bus over TCP for programs on one machine: python-can's virtual bus served by the protocol of socketcand.
+"""A CAN bus over TCP for programs on one machine: python-can's virtual bus served by the protocol
+of socketcand.
 
-Protocol: the documentation of linux-can's socketcand, raw mode. python-can's own `socketcand` interface is the client;
-no kernel module is needed. Listens on the loopback address alone; python-can's `udp_multicast` would on every one.
+Protocol: the documentation of linux-can's socketcand, raw mode. python-can's own `socketcand`
+interface is the client; no kernel module is needed. Listens on the loopback address alone;
+python-can's `udp_multicast` would on every one.
 """
 
 import contextlib
@@ -28,7 +30,9 @@ class SocketcandServer(socketserver.ThreadingTCPServer):
         self.channel = channel
         self.port: int = self.server_address[1]
         self.ending = threading.Event()
-        threading.Thread(target=self.serve_forever, args=(STOP_CHECK_S,), name="socketcand", daemon=True).start()
+        threading.Thread(
+            target=self.serve_forever, args=(STOP_CHECK_S,), name="socketcand", daemon=True
+        ).start()
 
     def server_close(self) -> None:
         """End with all clients; any number of times."""
@@ -42,8 +46,10 @@ class _Client(socketserver.BaseRequestHandler):
 
     def handle(self) -> None:
         self.request.settimeout(STOP_CHECK_S)
-        channel, lines = self.server.channel, self._lines()
-        # A client that does not speak the protocol is let go: in raw mode there is no answer that would tell it.
+        channel = self.server.channel
+        lines = self._lines()
+        # A client that does not speak the protocol is let go: in raw mode there is no answer that
+        # would tell it.
         with contextlib.suppress(OSError):
             self.request.sendall(b"< hi >")
             for expected in (f"< open {channel} >", "< rawmode >"):
@@ -51,7 +57,8 @@ class _Client(socketserver.BaseRequestHandler):
                     return
                 self.request.sendall(b"< ok >")
             with can.Bus(interface="virtual", channel=channel) as bus:
-                # python-can's client takes the answer to rawmode for wrong when a frame comes in the same packet.
+                # python-can's client takes the answer to rawmode for wrong when a frame comes in
+                # the same packet.
                 time.sleep(0.05)
                 notifier = can.Notifier(bus, [self._forward], STOP_CHECK_S)
                 try:
@@ -68,7 +75,8 @@ class _Client(socketserver.BaseRequestHandler):
                 self.request.sendall(line_of(message).encode())
 
     def _lines(self) -> Iterator[str]:
-        """Yield what the client sends, cut at each '>'; ends with the client, or with a line that is too long."""
+        """Yield what the client sends, cut at each '>'; ends with the client, or with a line that
+        is too long."""
         rest = ""
         while not self.server.ending.is_set() and len(rest) <= 256:
             with contextlib.suppress(TimeoutError):
@@ -90,4 +98,7 @@ def parse(line: str) -> can.Message | None:
 
 def line_of(message: can.Message) -> str:
     """A frame as a line for a client."""
-    return f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} {bytes(message.data).hex().upper()} >"
+    return (
+        f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} "
+        f"{bytes(message.data).hex().upper()} >"
+    )

@@ -1,7 +1,9 @@
-"""An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of the real one.
+"""An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of
+the real one.
 
-It is made from the same documents as our driver of it, so that it shares what both misread; canopen's LocalNode
-serves its objects. What a test wants to go wrong is a method: `fault`, `go_silent`, `reboot` ..
+It is made from the same documents as our driver of it, so that it shares what both misread;
+canopen's LocalNode serves its objects. What a test wants to go wrong is a method: `fault`,
+`go_silent`, `reboot` ..
 """
 
 import contextlib
@@ -16,7 +18,13 @@ import canopen
 from softfin.core.clock import REAL, Clock
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import EmulatedMotor
-from softfin.rig.emulation.drive_objects import OUT_OF_RANGE, READ_ONLY_OBJECTS, ProcessData, dictionary, values
+from softfin.rig.emulation.drive_objects import (
+    OUT_OF_RANGE,
+    READ_ONLY_OBJECTS,
+    ProcessData,
+    dictionary,
+    values,
+)
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import BusConfig, Epos2Config, Units
@@ -34,15 +42,19 @@ class _Network(canopen.Network):
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
-        self._clock, self.silent = clock, False
+        self._clock = clock
+        self.silent = False
 
-    def send_message(self, can_id: int, data: bytes | bytearray | list[int], remote: bool = False) -> None:
+    def send_message(
+        self, can_id: int, data: bytes | bytearray | list[int], remote: bool = False
+    ) -> None:
         if not self.silent and self.bus is not None:
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
         """Send at once, and then every period [s]; what canopen keeps as the task."""
-        ended, newest = self._clock.event(), deque([data], maxlen=1)
+        ended = self._clock.event()
+        newest = deque([data], maxlen=1)
 
         def run() -> None:
             while not ended.is_set():
@@ -64,9 +76,11 @@ class DriveTraits(NamedTuple):
     ignores_heartbeat: bool = False
     """The motor goes on when the host's heartbeats end, whatever was written."""
     needs_reset_of_communication: bool = False
-    """A fault of the communication can only be reset after NMT reset communication, as in an EPOS4."""
+    """A fault of the communication can only be reset after NMT reset communication, as in an
+    EPOS4."""
     coarse_velocity: bool = False
-    """Velocities are measured in whole counts per millisecond: 30 rpm of the motor with 500 lines."""
+    """Velocities are measured in whole counts per millisecond: 30 rpm of the motor with 500
+    lines."""
     current_noise_a: float = 0.0
     """Standard deviation of the measured current [A]."""
 
@@ -75,7 +89,8 @@ USUAL = DriveTraits()
 
 
 class EmulatedDrive:
-    """A drive set up as `config` describes a real one; it has power from construction until `close`."""
+    """A drive set up as `config` describes a real one; it has power from construction until
+    `close`."""
 
     def __init__(
         self,
@@ -85,20 +100,30 @@ class EmulatedDrive:
         clock: Clock = REAL,
         traits: DriveTraits = USUAL,
     ) -> None:
-        self._config, self._clock, self._traits = config, clock, traits
+        self._config = config
+        self._clock = clock
+        self._traits = traits
         self._lock = clock.lock()
         self._network = _Network(clock)
         node: Any = canopen.LocalNode
-        objects = {entry: value for entry, value in values(config).items() if entry not in traits.missing}
+        objects = {
+            entry: value for entry, value in values(config).items() if entry not in traits.missing
+        }
         self._node = node(config.node, dictionary(objects, READ_ONLY_OBJECTS | traits.read_only))
         self._node.add_read_callback(self._live)
         self._node.add_write_callback(self._written)
         velocity_step_rpm = 60_000 // (4 * config.encoder_lines) if traits.coarse_velocity else 1
         self.motor = motor = EmulatedMotor(
-            fin, Units.of(config), self._value, self.fault, velocity_step_rpm, traits.current_noise_a
+            fin,
+            Units.of(config),
+            self._value,
+            self.fault,
+            velocity_step_rpm,
+            traits.current_noise_a,
         )
         self.at_limit = False
-        """Whether it holds back at a limit of its own, such as that of the current: bit 11 of the statusword."""
+        """Whether it holds back at a limit of its own, such as that of the current: bit 11 of the
+        statusword."""
         self._process_data = ProcessData(self._node, self._network.send_message)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
@@ -125,7 +150,8 @@ class EmulatedDrive:
             self._threads.pop().join(1.0)
         self.motor.release()
         self._node.nmt.stop_heartbeat()
-        bus, self._network.bus = self._network.bus, None
+        bus = self._network.bus
+        self._network.bus = None
         if bus is not None:
             bus.shutdown()
 
@@ -135,15 +161,19 @@ class EmulatedDrive:
 
     def recall(self, remembered: dict[str, Any]) -> None:
         """Go on as if its supply had never been off."""
-        self.motor.zero, self.motor.referenced = int(remembered["zero_counts"]), bool(remembered["referenced"])
+        self.motor.zero = int(remembered["zero_counts"])
+        self.motor.referenced = bool(remembered["referenced"])
 
     def fault(self, code: int) -> None:
         """Emergency frame, error history, fault reaction."""
         with self._lock:
             if self.state in protocol.FAULT_STATES:
                 return
-            # Reaction 0 takes the voltage at once; every other one is emulated as a brake at the steepest ramp.
-            brakes = self.state in protocol.POWERED and self._option(protocol.FAULT_REACTION, 2) != 0
+            # Reaction 0 takes the voltage at once; every other one is emulated as a brake at the
+            # steepest ramp.
+            brakes = (
+                self.state in protocol.POWERED and self._option(protocol.FAULT_REACTION, 2) != 0
+            )
             self._enter(State.FAULT_REACTION_ENABLED if brakes else State.FAULT_REACTION_DISABLED)
             self._newest_error = code
             self._is_cut_off = code in protocol.NEEDS_RESET_OF_COMMUNICATION
@@ -152,7 +182,9 @@ class EmulatedDrive:
     def send_error_frame(self, classes: int, controller: int = 0) -> None:
         """Have the host's adapter report an error by a frame of SocketCAN."""
         data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
-        frame = can.Message(arbitration_id=classes, data=data, is_extended_id=False, is_error_frame=True)
+        frame = can.Message(
+            arbitration_id=classes, data=data, is_extended_id=False, is_error_frame=True
+        )
         assert self._network.bus is not None
         self._network.bus.send(frame)
 
@@ -200,7 +232,8 @@ class EmulatedDrive:
     def statusword(self) -> int:
         """Statusword as it would be sent now."""
         with self._lock:
-            motor, reaches = self.motor, self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
+            motor = self.motor
+            reaches = self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
             bits = {
                 Bit.REMOTE: self._node.nmt.state == "OPERATIONAL",
                 Bit.TARGET_REACHED: reaches and motor.is_target_reached,
@@ -212,7 +245,8 @@ class EmulatedDrive:
             return int(self.state.value) | sum(bit for bit, is_set in bits.items() if is_set)
 
     def _enter(self, state: State) -> None:
-        before, self.state = self.state, state
+        before = self.state
+        self.state = state
         if before is state or before not in protocol.POWERED:
             return
         if state in protocol.ENABLING:
@@ -240,12 +274,19 @@ class EmulatedDrive:
         while not self._ending.wait(MOTION_STEP_S):
             with self._lock, contextlib.suppress(can.CanError):
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
-                if self.state is State.FAULT_REACTION_ENABLED and abs(self.motor.rpm) <= STANDSTILL_RPM:
+                if (
+                    self.state is State.FAULT_REACTION_ENABLED
+                    and abs(self.motor.rpm) <= STANDSTILL_RPM
+                ):
                     self._enter(State.FAULT)
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
                     self.fault(0x8611)
                 silence = self._value(protocol.HEARTBEAT_CONSUMER) & 0xFFFF
-                if silence and self._host_beat is not None and self._clock() - self._host_beat > silence / 1000:
+                if (
+                    silence
+                    and self._host_beat is not None
+                    and self._clock() - self._host_beat > silence / 1000
+                ):
                     self._host_beat = None
                     self._lose_host()
 
@@ -270,7 +311,8 @@ class EmulatedDrive:
     def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
         with self._lock:
             if index == protocol.CONTROLWORD.number:
-                was, before = self.state, self._word
+                was = self.state
+                before = self._word
                 self._word = protocol.CONTROLWORD.layout.unpack(data)[0]
                 if self._is_cut_off and self._traits.needs_reset_of_communication:
                     self._word &= ~protocol.FAULT_RESET
@@ -283,7 +325,8 @@ class EmulatedDrive:
                 mode = protocol.MODE.layout.unpack(data)[0]
                 if mode not in (protocol.PROFILE_POSITION, protocol.HOMING):
                     raise canopen.SdoAbortedError(OUT_OF_RANGE)
-                self.motor.mode, self.motor.acknowledged = mode, False
+                self.motor.mode = mode
+                self.motor.acknowledged = False
             elif index == protocol.HEARTBEAT_CONSUMER.number:
                 # Watching begins with the first heartbeat after this (CiA 301).
                 self._host_beat = None
@@ -309,7 +352,9 @@ class EmulatedDrive:
     def _take(self, cob_id: int, data: bytes) -> None:
         nmt = self._node.nmt
         # For a short SDO canopen's server would print a traceback.
-        if cob_id == protocol.SDO_REQUEST + self._config.node and (len(data) != 8 or nmt.state == "STOPPED"):
+        if cob_id == protocol.SDO_REQUEST + self._config.node and (
+            len(data) != 8 or nmt.state == "STOPPED"
+        ):
             return
         # canopen answers SDOs, and follows NMT commands.
         self._network.notify(cob_id, bytearray(data), self._clock())
@@ -322,7 +367,10 @@ class EmulatedDrive:
             elif cob_id & 0x780 == protocol.HEARTBEAT:
                 if cob_id & 0x7F == self._value(protocol.HEARTBEAT_CONSUMER) >> 16 & 0x7F:
                     self._host_beat = self._clock()
-            elif nmt.state == "OPERATIONAL" and cob_id == self._option(protocol.SYNC_ID, protocol.SYNC) & 0x7FF:
+            elif (
+                nmt.state == "OPERATIONAL"
+                and cob_id == self._option(protocol.SYNC_ID, protocol.SYNC) & 0x7FF
+            ):
                 self._process_data.synchronise()
             elif nmt.state == "OPERATIONAL":
                 self._process_data.take(cob_id, data)
@@ -330,5 +378,6 @@ class EmulatedDrive:
     def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":
             with contextlib.suppress(can.CanError, RuntimeError):
-                # Error register 1: generic error, which every error sets (CiA 301); those of its kind are not emulated.
+                # Error register 1: generic error, which every error sets (CiA 301); those of its
+                # kind are not emulated.
                 self._node.emcy.send(code, int(code != 0), bytes(5))

@@ -1,4 +1,5 @@
-"""Power stage and motor of an emulated EPOS2: states, profile position mode, homing; the fin in counts and rpm.
+"""Power stage and motor of an emulated EPOS2: states, profile position mode, homing; the fin in
+counts and rpm.
 
 Every target takes effect at once, as our driver asks for; a relative one is not taken.
 """
@@ -11,7 +12,8 @@ from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
 from softfin.rig.epos2.protocol import Object, State
 
-NEW_TARGET_BIT, RELATIVE_BIT = 1 << 4, 1 << 6
+NEW_TARGET_BIT = 1 << 4
+RELATIVE_BIT = 1 << 6
 """Bits of the controlword."""
 POSITION_LIMIT = 0xFF09
 """Emergency: the target lies outside the drive's own limits."""
@@ -27,10 +29,15 @@ BY_ITSELF = {
 
 
 def next_state(state: State, word: int, before: int) -> State:
-    """The state after a controlword, `before` being the last one: CiA 402 with maxon's two states on the way."""
+    """The state after a controlword, `before` being the last one: CiA 402 with maxon's two states
+    on the way."""
     if state is State.FAULT and word & ~before & protocol.FAULT_RESET:
         return State.SWITCH_ON_DISABLED
-    if state in protocol.FAULT_STATES or state in (State.START, State.NOT_READY) or word & protocol.FAULT_RESET:
+    if (
+        state in protocol.FAULT_STATES
+        or state in (State.START, State.NOT_READY)
+        or word & protocol.FAULT_RESET
+    ):
         return state
     if not word & 2:
         return State.SWITCH_ON_DISABLED
@@ -57,14 +64,19 @@ class EmulatedMotor:
         velocity_step_rpm: int = 1,
         current_noise_a: float = 0.0,
     ) -> None:
-        self._fin, self._units, self._value, self._fault = fin, units, value, fault
-        self._velocity_step_rpm, self._current_noise_a = velocity_step_rpm, current_noise_a
+        self._fin = fin
+        self._units = units
+        self._value = value
+        self._fault = fault
+        self._velocity_step_rpm = velocity_step_rpm
+        self._current_noise_a = current_noise_a
         self._noise = random.Random(0)
         self.power_up()
 
     def power_up(self) -> None:
         """Begin anew: the zero is lost."""
-        self.mode, self.referenced = protocol.PROFILE_POSITION, False
+        self.mode = protocol.PROFILE_POSITION
+        self.referenced = False
         # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
         self.zero = self._units.counts(self._fin.now().angle)
         self.release()
@@ -98,12 +110,16 @@ class EmulatedMotor:
     def rpm(self) -> int:
         """Velocity of the motor [rpm]."""
         rpm = self._fin.now().velocity * self._units.rpm_per_rad_s
-        return self._units.direction * self._velocity_step_rpm * round(rpm / self._velocity_step_rpm)
+        return (
+            self._units.direction * self._velocity_step_rpm * round(rpm / self._velocity_step_rpm)
+        )
 
     @property
     def current(self) -> int:
         """Current of the motor [mA]."""
-        return round(1000 * (self._fin.now().current + self._noise.gauss(0.0, self._current_noise_a)))
+        return round(
+            1000 * (self._fin.now().current + self._noise.gauss(0.0, self._current_noise_a))
+        )
 
     @property
     def is_target_reached(self) -> bool:

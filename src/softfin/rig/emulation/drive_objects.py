@@ -1,7 +1,7 @@
 """The object dictionary of an emulated EPOS2, and its process data (PDO).
 
-Process data are off and empty at first. They are sent at every SYNC and act as soon as they are taken (transmission
-types 1 and 255); other transmission types are refused.
+Process data are off and empty at first. They are sent at every SYNC and act as soon as they are
+taken (transmission types 1 and 255); other transmission types are refused.
 """
 
 from collections.abc import Callable
@@ -16,27 +16,48 @@ from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
 """Process data of each kind, as an EPOS2 has them."""
-FIRST_TAKEN, FIRST_SENT = 0x1400, 0x1800
+FIRST_TAKEN = 0x1400
+FIRST_SENT = 0x1800
 """First object of the process data of each kind; its mapping is 0x200 above it."""
 READ_ONLY_OBJECTS = frozenset(
-    {protocol.DEVICE_TYPE, protocol.ERROR_REGISTER, protocol.STATUSWORD, protocol.MODE_DISPLAY, protocol.DEMAND,
-     protocol.POSITION, protocol.VELOCITY, protocol.MOTOR_CURRENT, protocol.SUPPORTED_MODES, protocol.NEWEST_ERROR,
-     protocol.SERIAL_NUMBER}
-)  # fmt: skip
-_TYPES = {"b": od.INTEGER8, "h": od.INTEGER16, "i": od.INTEGER32,
-          "B": od.UNSIGNED8, "H": od.UNSIGNED16, "I": od.UNSIGNED32}  # fmt: skip
+    {
+        protocol.DEVICE_TYPE,
+        protocol.ERROR_REGISTER,
+        protocol.STATUSWORD,
+        protocol.MODE_DISPLAY,
+        protocol.DEMAND,
+        protocol.POSITION,
+        protocol.VELOCITY,
+        protocol.MOTOR_CURRENT,
+        protocol.SUPPORTED_MODES,
+        protocol.NEWEST_ERROR,
+        protocol.SERIAL_NUMBER,
+    }
+)
+_TYPES = {
+    "b": od.INTEGER8,
+    "h": od.INTEGER16,
+    "i": od.INTEGER32,
+    "B": od.UNSIGNED8,
+    "H": od.UNSIGNED16,
+    "I": od.UNSIGNED32,
+}
 
-CANNOT_BE_MAPPED, OUT_OF_RANGE, WRONG_STATE = 0x06040041, 0x06090030, 0x08000022
+CANNOT_BE_MAPPED = 0x06040041
+OUT_OF_RANGE = 0x06090030
+WRONG_STATE = 0x08000022
 """Reasons why a write is refused (SDO abort codes)."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
-    """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in it yet."""
+    """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in
+    it yet."""
     start = dict.fromkeys(protocol.OBJECTS, 0) | {
         protocol.DEVICE_TYPE: 0x00020192,
         protocol.SYNC_ID: protocol.SYNC,
         protocol.SERIAL_NUMBER: 0x36020000 + config.node,
-        # From memory: no action at a lost heartbeat, and a brushless motor. A drive as delivered may differ.
+        # From memory: no action at a lost heartbeat, and a brushless motor. A drive as delivered
+        # may differ.
         protocol.LOSS_REACTION: 0,
         protocol.FAULT_REACTION: 2,
         protocol.QUICK_STOP_OPTION: 6,
@@ -57,10 +78,14 @@ def values(config: Epos2Config) -> dict[Object, int]:
         # Homing and profile position: bits 5 and 0.
         protocol.SUPPORTED_MODES: 0x21,
     }
-    for first, cob_id, transmission in ((FIRST_TAKEN, 0x200, protocol.AT_ONCE), (FIRST_SENT, 0x180, protocol.ON_SYNC)):
+    for first, cob_id, transmission in (
+        (FIRST_TAKEN, 0x200, protocol.AT_ONCE),
+        (FIRST_SENT, 0x180, protocol.ON_SYNC),
+    ):
         for number in range(first, first + PDOS):
             start |= {
-                Object(number, 1, "I", "COB-ID"): protocol.INVALID | cob_id + 0x100 * (number - first) + config.node,
+                Object(number, 1, "I", "COB-ID"): protocol.INVALID
+                | cob_id + 0x100 * (number - first) + config.node,
                 Object(number, 2, "B", "transmission type"): transmission,
                 Object(number + 0x200, 0, "B", "mapped objects"): 0,
             }
@@ -77,7 +102,8 @@ def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONL
         found.add_object(library.ODRecord(f"0x{number:04X}", number))
     for entry, value in start.items():
         variable = library.ODVariable(str(entry), entry.number, entry.sub)
-        variable.data_type, variable.default = _TYPES[entry.form], value
+        variable.data_type = _TYPES[entry.form]
+        variable.default = value
         variable.access_type = "ro" if entry in read_only else "rw"
         if entry.number in records:
             found[entry.number].add_member(variable)
@@ -90,19 +116,24 @@ class ProcessData:
     """Process data of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
 
     def __init__(self, node: Any, send: Callable[[int, bytes], None]) -> None:
-        self._node, self._send = node, send
+        self._node = node
+        self._send = send
         self.enabled: dict[int, dict[int, list[tuple[int, int, int]]]] = {}
-        """Index, sub-index and bytes of what is mapped, by COB-ID, until one of their objects is written."""
+        """Index, sub-index and bytes of what is mapped, by COB-ID, until one of their objects is
+        written."""
 
     def synchronise(self) -> None:
         """Send what is due at a SYNC."""
         for cob_id, entries in self._enabled(FIRST_SENT).items():
-            self._send(cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in entries))
+            self._send(
+                cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in entries)
+            )
 
     def take(self, cob_id: int, data: bytes) -> None:
         """Follow a frame; frames other than process data change nothing."""
         entries = self._enabled(FIRST_TAKEN).get(cob_id, [])
-        parts, rest = [], data
+        parts = []
+        rest = data
         for index, sub, size in entries:
             parts.append((index, sub, rest[:size]))
             rest = rest[size:]
@@ -111,29 +142,42 @@ class ProcessData:
             self._node.set_data(*part)
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
-        """Raise SdoAbortedError where this may not be written into an object of process data now."""
+        """Raise SdoAbortedError where this may not be written into an object of process data
+        now."""
         self.enabled.clear()
-        value, number = int.from_bytes(data, "little"), index & ~0x200
+        value = int.from_bytes(data, "little")
+        number = index & ~0x200
         if index != number:
             is_on = not self._value(number, 1, "I") & protocol.INVALID
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)
-            found = self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF) if subindex else None
+            found = (
+                self._node.object_dictionary.get_variable(value >> 16, value >> 8 & 0xFF)
+                if subindex
+                else None
+            )
             if subindex and (found is None or len(found) != value & 0xFF):
                 raise canopen.SdoAbortedError(CANNOT_BE_MAPPED)
-        elif subindex == 2 and value != (protocol.ON_SYNC if number >= FIRST_SENT else protocol.AT_ONCE):
+        elif subindex == 2 and value != (
+            protocol.ON_SYNC if number >= FIRST_SENT else protocol.AT_ONCE
+        ):
             raise canopen.SdoAbortedError(OUT_OF_RANGE)
 
     def _enabled(self, first: int) -> dict[int, list[tuple[int, int, int]]]:
         if first not in self.enabled:
             found = self.enabled[first] = {}
             for number in range(first, first + PDOS):
-                cob_id, count = self._value(number, 1, "I"), self._value(number + 0x200, 0, "B")
+                cob_id = self._value(number, 1, "I")
+                count = self._value(number + 0x200, 0, "B")
                 if not cob_id & protocol.INVALID:
                     mapped = [self._value(number + 0x200, 1 + place, "I") for place in range(count)]
-                    found[cob_id & 0x7FF] = [(each >> 16, each >> 8 & 0xFF, (each & 0xFF) // 8) for each in mapped]
+                    found[cob_id & 0x7FF] = [
+                        (each >> 16, each >> 8 & 0xFF, (each & 0xFF) // 8) for each in mapped
+                    ]
         return self.enabled[first]
 
     def _value(self, number: int, sub: int, form: str) -> int:
-        value: int = Object(number, sub, form, "").layout.unpack(self._node.get_data(number, sub))[0]
+        value: int = Object(number, sub, form, "").layout.unpack(self._node.get_data(number, sub))[
+            0
+        ]
         return value

@@ -5,7 +5,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from softfin.rig.machine import Wrench
 
 COAST_RAD_S2 = 10.0
-"""Deceleration of a fin without voltage [rad/s2]; assumed: far less than a quick stop, so that the two differ."""
+"""Deceleration of a fin without voltage [rad/s2]; assumed: far less than a quick stop, so that the
+two differ."""
 
 
 class FinMotion(NamedTuple):
@@ -20,12 +21,14 @@ class FinMotion(NamedTuple):
     current: float
     """Current of the motor [A]."""
     wrench: Wrench
-    """Wrench of the fin on its mount, in softfin's axes, as the sensor's own electronics would hand it on."""
+    """Wrench of the fin on its mount, in softfin's axes, as the sensor's own electronics would hand
+    it on."""
 
 
 @runtime_checkable
 class EmulatedFin(Protocol):
-    """A fin on a shaft that follows a profile, and moves on with its clock; safe to call from several threads."""
+    """A fin on a shaft that follows a profile, and moves on with its clock; safe to call from
+    several threads."""
 
     def move(self, angle: float, velocity: float) -> None:
         """Go to an angle [rad] at a profile velocity [rad/s], from now on."""

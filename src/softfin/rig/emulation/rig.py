@@ -1,7 +1,9 @@
-"""A whole emulated rig on this computer: drive, sensor and the virtual tank behind both, and the rig's file for it.
+"""A whole emulated rig on this computer: drive, sensor and the virtual tank behind both, and the
+rig's file for it.
 
-In simulated time, the default, everything is within the process. In real time softfin reaches the drive over
-python-can's virtual bus within one process, over socketcand on loopback from another, and the sensor over UDP and HTTP.
+In simulated time, the default, everything is within the process. In real time softfin reaches the
+drive over python-can's virtual bus within one process, over socketcand on loopback from another,
+and the sensor over UDP and HTTP.
 """
 
 import contextlib
@@ -33,8 +35,8 @@ SENSOR_MOUNTING = "y,-x"
 """Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
 
 REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
-"""Limits for emulators in real time that share their computer with browsers and compilers; a real fin deserves the
-defaults, and in simulated time nothing is late."""
+"""Limits for emulators in real time that share their computer with browsers and compilers; a real
+fin deserves the defaults, and in simulated time nothing is late."""
 
 
 class EmulatedRig(contextlib.ExitStack):
@@ -48,7 +50,8 @@ class EmulatedRig(contextlib.ExitStack):
         channel: str | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig by default."""
+        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig
+        by default."""
         super().__init__()
         self.clock = clock or SimulatedClock()
         if fin is None:
@@ -82,7 +85,9 @@ class EmulatedRig(contextlib.ExitStack):
         if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
             bus |= {"interface": "socketcand", "options": options}
-        values = _rig_values(self._drive, bus, http_port=self.sensor.http_port, rdt_port=self.sensor.rdt_port)
+        values = _rig_values(
+            self._drive, bus, http_port=self.sensor.http_port, rdt_port=self.sensor.rdt_port
+        )
         if self.server is not None:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
@@ -93,9 +98,12 @@ rigs: dict[Path, EmulatedRig] = {}
 
 
 def kept_rig(config: RigConfig) -> EmulatedRig:
-    """The emulated rig that a file describes, as the command before has left it; raises RigError."""
+    """The emulated rig that a file describes, as the command before has left it; raises
+    RigError."""
     if config.file is None:
-        raise RigError("an emulated rig is described by a file that softfin rig emulate writes; load that")
+        raise RigError(
+            "an emulated rig is described by a file that softfin rig emulate writes; load that"
+        )
     if config.file not in rigs:
         rigs[config.file] = _KeptRig(config, config.file)
     return rigs[config.file]
@@ -109,8 +117,8 @@ def state_file(rig: Path) -> Path:
 class _KeptRig(EmulatedRig):
     """A rig in simulated time whose state is kept beside its file for the next command.
 
-    The state is where the fin stands and how the water moves, the zero of the drive and of the sensor, and how much of
-    the noise has been drawn.
+    The state is where the fin stands and how the water moves, the zero of the drive and of the
+    sensor, and how much of the noise has been drawn.
     """
 
     def __init__(self, config: RigConfig, file: Path) -> None:
@@ -119,12 +127,16 @@ class _KeptRig(EmulatedRig):
             tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
         except ConfigurationError as error:
             raise RigError(str(error)) from None
-        # Two commands at once would begin with the same state, and the last one to end would undo the other's.
-        lock = DeviceLock(f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16])
+        # Two commands at once would begin with the same state, and the last one to end would undo
+        # the other's.
+        lock = DeviceLock(
+            f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16]
+        )
         lock.acquire(REAL)
         super().__init__(tank, config.emulation.seed, channel=config.bus.channel)
         self.callback(lock.release)
-        self._state, self._emulation = state_file(file), config.emulation.model_dump(mode="json")
+        self._state = state_file(file)
+        self._emulation = config.emulation.model_dump(mode="json")
         self._parts = {"fin": self.fin, "drive": self.drive, "sensor": self.sensor}
         try:
             if self._state.exists():
@@ -136,18 +148,23 @@ class _KeptRig(EmulatedRig):
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
             self.close()
             raise RigError(
-                f"{self._state}: not the state of this emulated rig ({one_line(error)}); remove it, "
-                "and the rig begins anew, not zeroed"
+                f"{self._state}: not the state of this emulated rig ({one_line(error)}); remove "
+                "it, and the rig begins anew, not zeroed"
             ) from None
 
     def save(self) -> None:
-        state = {"emulation": self._emulation} | {name: part.remembered() for name, part in self._parts.items()}
+        state = {"emulation": self._emulation} | {
+            name: part.remembered() for name, part in self._parts.items()
+        }
         artifacts.write_file(self._state, json.dumps(state) + "\n")
 
 
 def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:
-    """Write the file of a rig that each command emulates itself, in simulated time; `values` are the tank's file's."""
-    rig = _rig_values(_drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"})
+    """Write the file of a rig that each command emulates itself, in simulated time; `values` are
+    the tank's file's."""
+    rig = _rig_values(
+        _drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"}
+    )
     rig["emulation"] = {"seed": seed, "tank": values}
     write_rig(path, rig, "An emulated rig in simulated time, within each command")
 
@@ -160,9 +177,11 @@ def write_rig(path: Path, values: dict[str, Any], comment: str) -> None:
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
-# The emulated fin draws 1.1 A at its peaks and 0.3 A on average over 0.5 s; the emulated drive gives 4 A and 2 A.
+# The emulated fin draws 1.1 A at its peaks and 0.3 A on average over 0.5 s; the emulated drive
+# gives 4 A and 2 A.
 EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
-"""Limits of the current that an emulated fin keeps, and that trip before the drive limits the current itself."""
+"""Limits of the current that an emulated fin keeps, and that trip before the drive limits the
+current itself."""
 
 
 def _rig_values(drive: Epos2Config, bus: dict[str, Any], **ports: int) -> dict[str, Any]:
@@ -179,16 +198,22 @@ def _rig_values(drive: Epos2Config, bus: dict[str, Any], **ports: int) -> dict[s
 def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
     """The drive of the tank: 500 lines and a reduction of 111:1 are its encoder's steps."""
     values: dict[str, float] = {
-        "node": 1, "encoder_lines": 500, "gear_ratio": 111.0, "acceleration_rad_s2": 80.0, "quick_stop_rad_s2": 80.0,
+        "node": 1,
+        "encoder_lines": 500,
+        "gear_ratio": 111.0,
+        "acceleration_rad_s2": 80.0,
+        "quick_stop_rad_s2": 80.0,
         "following_error_rad": 0.5,
-    }  # fmt: skip
+    }
     if real_time:
         values["heartbeat_s"] = 1.0
     if tank is not None:
         limits = tank.limits
         values |= {
-            "angle_min_rad": limits.angle_min, "angle_max_rad": limits.angle_max,
-            "slowest_rad_s": limits.velocity_min, "fastest_rad_s": limits.velocity_max,
+            "angle_min_rad": limits.angle_min,
+            "angle_max_rad": limits.angle_max,
+            "slowest_rad_s": limits.velocity_min,
+            "fastest_rad_s": limits.velocity_max,
             "acceleration_rad_s2": float(tank.drive.acceleration),
-        }  # fmt: skip
+        }
     return Epos2Config.build(values, "emulated drive")

@@ -1,6 +1,7 @@
 """An emulated Axia80: speaks RDT over UDP and serves its web pages; an emulated fin loads it.
 
-Its counts are those of the fin's force rotated back into the sensor's axes and units; what is out of range is flagged.
+Its counts are those of the fin's force rotated back into the sensor's axes and units; what is out
+of range is flagged.
 """
 
 import contextlib
@@ -18,7 +19,14 @@ import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.rig.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
-from softfin.rig.axia80.rdt import BUSY, OVER_RANGE, RdtCommand, RdtRecord, decode_request, encode_record
+from softfin.rig.axia80.rdt import (
+    BUSY,
+    OVER_RANGE,
+    RdtCommand,
+    RdtRecord,
+    decode_request,
+    encode_record,
+)
 from softfin.rig.emulation.bus import HOST
 from softfin.rig.emulation.fin import EmulatedFin
 from softfin.rig.machine import rotated, rotation
@@ -31,18 +39,20 @@ RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
 ADC_RATE_HZ = 7812.0
 
 BUSY_AT_START_S = 0.3
-"""Time after power-up for which the sensor is busy [s]; that it is busy then is from memory, its time is assumed."""
+"""Time after power-up for which the sensor is busy [s]; that it is busy then is from memory, its
+time is assumed."""
 
 NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
-"""Noise [counts], by the count of samples. A real sensor has noise, from memory thousands of counts; this one has as
-little as shows that it is alive, so that tests can compare forces."""
+"""Noise [counts], by the count of samples. A real sensor has noise, from memory thousands of
+counts; this one has as little as shows that it is alive, so that tests can compare forces."""
 
 WAKE_S = 0.002
 """Longest time that a record waits to be sent; the sensor sends what is due since then."""
 
 
 class EmulatedAxia80:
-    """Serves from construction until `close`, from daemon threads; faults may be set from any thread."""
+    """Serves from construction until `close`, from daemon threads; faults may be set from any
+    thread."""
 
     def __init__(
         self,
@@ -64,24 +74,29 @@ class EmulatedAxia80:
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
         """Datagrams that arrive for one that is sent; a test may have it lost, doubled or late."""
         self.busy_s = BUSY_AT_START_S
-        """Time after power-up for which it is busy [s]; like the following ones, a test may set it."""
+        """Time after power-up for which it is busy [s]; like the following ones, a test may set
+        it."""
         self.are_values_frozen = False
         """Whether all six channels stand still, while the records go on."""
         self.drift_n_s = 0.0
         """Drift of its zero since power-up, of each axis of the force [N/s]."""
         self.filter_delay_s = 0.0
         """Delay of its own low-pass filter [s], which its records do not show."""
-        self._fin, self._clock = fin, clock
+        self._fin = fin
+        self._clock = clock
         # The inverse of the client's: from softfin's axes into the sensor's.
         self._rotation = rotation(frame).T
-        self._scale = np.repeat([counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3)
+        self._scale = np.repeat(
+            [counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3
+        )
         self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 2)
         self._bias = np.zeros(6)
         self._powered_at = clock()
         self._counts = (0, 0, 0, 0, 0, 0)
         self._silent_until = 0.0
         self._history: deque[tuple[float, np.ndarray]] = deque()
-        """Loads and their times, of which the first is the newest that has passed its own filter."""
+        """Loads and their times, of which the first is the newest that has passed its own
+        filter."""
         self._lock = threading.Lock()
         self._closing = clock.event()
         self._stream: _Stream | None = None
@@ -107,7 +122,8 @@ class EmulatedAxia80:
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
     def remembered(self) -> dict[str, Any]:
-        """State that would be lost with its supply, for JSON: its zero in its own axes [N, N m], count of samples."""
+        """State that would be lost with its supply, for JSON: its zero in its own axes [N, N m],
+        count of samples."""
         with self._lock:
             return {"bias": self._bias.tolist(), "samples": self._samples(self._clock())}
 
@@ -122,7 +138,8 @@ class EmulatedAxia80:
         self._silent_until = self._clock() + seconds
 
     def reboot(self, seconds: float = 0.5) -> None:
-        """Switch off and on: silent for so long [s], then without client, bias and its count of samples."""
+        """Switch off and on: silent for so long [s], then without client, bias and its count of
+        samples."""
         with self._lock:
             self._stream = None
             self._bias = np.zeros(6)
@@ -152,7 +169,8 @@ class EmulatedAxia80:
                         else:
                             self._stream = _Stream(sender, self._clock(), wanted)
             with self._lock:
-                now, stream = self._clock(), self._stream
+                now = self._clock()
+                stream = self._stream
                 datagrams = [] if stream is None else self._measure(stream, now)
             for arriving in itertools.chain.from_iterable(map(self.transmit, datagrams)):
                 if stream is not None and now >= self._silent_until:
@@ -207,15 +225,27 @@ class _Stream:
     sent: int = 0
 
 
-def sensor_pages(units: tuple[str, str], counts: tuple[float, float], serial: str = "FT00000") -> dict[str, bytes]:
-    """The two pages that clients read, by path, in the form of the real ones; units and counts of force and torque."""
-    settings = {"prodname": "Emulated Axia80-M20", "scfgfu": units[0], "scfgtu": units[1],
-                "cfgcpf": f"{counts[0]:.10g}", "cfgcpt": f"{counts[1]:.10g}"}  # fmt: skip
-    return {SETTINGS: _xml("netft", settings), CALIBRATION: _xml("netftCalibration", {"calsn": serial})}
+def sensor_pages(
+    units: tuple[str, str], counts: tuple[float, float], serial: str = "FT00000"
+) -> dict[str, bytes]:
+    """The two pages that clients read, by path, in the form of the real ones; units and counts of
+    force and torque."""
+    settings = {
+        "prodname": "Emulated Axia80-M20",
+        "scfgfu": units[0],
+        "scfgtu": units[1],
+        "cfgcpf": f"{counts[0]:.10g}",
+        "cfgcpt": f"{counts[1]:.10g}",
+    }
+    return {
+        SETTINGS: _xml("netft", settings),
+        CALIBRATION: _xml("netftCalibration", {"calsn": serial}),
+    }
 
 
 def serve_pages(port: int, pages: Mapping[str, bytes]) -> ThreadingHTTPServer:
-    """Serve bytes by path from a daemon thread, until the server's `shutdown` and `server_close`."""
+    """Serve bytes by path from a daemon thread, until the server's `shutdown` and
+    `server_close`."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -229,7 +259,9 @@ def serve_pages(port: int, pages: Mapping[str, bytes]) -> ThreadingHTTPServer:
             """Log nothing."""
 
     server = ThreadingHTTPServer((HOST, port), Handler)
-    threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True, name="emulated sensor's pages").start()
+    threading.Thread(
+        target=server.serve_forever, args=(0.05,), daemon=True, name="emulated sensor's pages"
+    ).start()
     return server
 
 

@@ -1,6 +1,7 @@
 """The virtual tank as the fin behind emulated devices: it moves on with the clock, whoever looks.
 
-Between two samples of 10 ms motion and force are interpolated, so all that is measured is one sample old.
+Between two samples of 10 ms motion and force are interpolated, so all that is measured is one
+sample old.
 """
 
 import math
@@ -18,20 +19,23 @@ from softfin.rig.emulation.fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
 
 AMPERE_PER_NM = 1 / (111 * 0.0259)
-"""Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both assumed."""
+"""Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both
+assumed."""
 
 
 class TankFin:
     """Meets the EmulatedFin contract."""
 
     def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
-        self.tank, self._clock = tank, clock
+        self.tank = tank
+        self._clock = clock
         self._lock = threading.RLock()
         self._state: Any = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Twice, so that everything is compiled before anybody looks.
         self._before = self._after = self._step()
-        self._before, self._after = self._after, self._step()
+        self._before = self._after
+        self._after = self._step()
         self._time = clock()
         self._latest: tuple[float, FinMotion] | None = None
 
@@ -48,7 +52,8 @@ class TankFin:
             plain = self._plain()
             leaves = remembered["state"]
             if len(leaves) == len(jax.tree.leaves(plain)) - 2:
-                # Earlier versions had no zero of the sensor and did not keep the true force: it had never been zeroed.
+                # Earlier versions had no zero of the sensor and did not keep the true force: it had
+                # never been zeroed.
                 plain = (_without_zero(plain[0]), plain[1])
             now, tree = jax.tree.flatten((plain, self._before, self._after))
             held = (*leaves, remembered["before"], remembered["after"])
@@ -61,10 +66,12 @@ class TankFin:
                 nothing = jnp.zeros_like(state.sensor.drift)
                 state = state._replace(sensor=state.sensor._replace(zero=nothing), force=nothing)
             self._state = state._replace(key=jax.random.wrap_key_data(state.key))
-            self._time, self._latest = self._clock(), None
+            self._time = self._clock()
+            self._latest = None
 
     def move(self, angle: float, velocity: float) -> None:
-        """Go to an angle, brought within what the tank's drive takes, as the drive's own limits would."""
+        """Go to an angle, brought within what the tank's drive takes, as the drive's own limits
+        would."""
         limits = self.tank.limits
         with self._lock:
             self._catch_up()
@@ -77,14 +84,20 @@ class TankFin:
         """Go at the fastest ramp to where it can stop."""
         with self._lock:
             self._catch_up()
-            angle, velocity = self._after[0], self._after[1]
-            self.move(angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)), math.inf)
+            angle = self._after[0]
+            velocity = self._after[1]
+            self.move(
+                angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)),
+                math.inf,
+            )
 
     def coast(self) -> None:
-        """Go as far as it would coast; the tank's drive has one ramp, so it keeps its velocity until shortly before."""
+        """Go as far as it would coast; the tank's drive has one ramp, so it keeps its velocity
+        until shortly before."""
         with self._lock:
             self._catch_up()
-            angle, velocity = self._after[0], self._after[1]
+            angle = self._after[0]
+            velocity = self._after[1]
             self.move(angle + velocity * abs(velocity) / (2 * COAST_RAD_S2), abs(velocity))
 
     def now(self) -> FinMotion:
@@ -95,9 +108,14 @@ class TankFin:
             if self._latest is None or self._latest[0] != now:
                 self._catch_up()
                 part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
-                angle, velocity, demand, torque, x, y = ((1 - part) * self._before + part * self._after).tolist()
+                angle, velocity, demand, torque, x, y = (
+                    (1 - part) * self._before + part * self._after
+                ).tolist()
                 wrench = (x, y, 0.0, 0.0, 0.0, 0.0)
-                self._latest = now, FinMotion(angle, velocity, demand, torque * AMPERE_PER_NM, wrench)
+                self._latest = (
+                    now,
+                    FinMotion(angle, velocity, demand, torque * AMPERE_PER_NM, wrench),
+                )
             return self._latest[1]
 
     def _plain(self) -> tuple[Any, Command]:
@@ -107,7 +125,8 @@ class TankFin:
     def _catch_up(self) -> None:
         now = self._clock()
         while now - self._time > TICK_S:
-            self._before, self._after = self._after, self._step()
+            self._before = self._after
+            self._after = self._step()
             self._time += TICK_S
 
     def _step(self) -> np.ndarray:
@@ -121,9 +140,17 @@ def _without_zero(state: Any) -> Any:
 
 @jax.jit
 def _tick(tank: Tank, state: Any, command: Command) -> tuple[Any, Any]:
-    """Advance by one sample: the state, and angle, velocity, the profile's angle, torque and both forces."""
+    """Advance by one sample: the state, and angle, velocity, the profile's angle, torque and both
+    forces."""
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive
-    sample = [read.angle, read.velocity, drive.profile_angle, drive.torque, read.force[0], read.force[1]]
+    sample = [
+        read.angle,
+        read.velocity,
+        drive.profile_angle,
+        drive.torque,
+        read.force[0],
+        read.force[1],
+    ]
     return state, jnp.stack([jnp.asarray(value) for value in sample])

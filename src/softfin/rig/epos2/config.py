@@ -1,4 +1,5 @@
-"""Configuration of the drive and of the bus to it, and the units between them: counts, rpm and rpm/s of the motor."""
+"""Configuration of the drive and of the bus to it, and the units between them: counts, rpm and
+rpm/s of the motor."""
 
 import math
 from typing import Literal, NamedTuple
@@ -9,18 +10,21 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 
 LONGEST_BRAKE_S = 0.5
-"""Longest quick stop from the highest velocity; whoever waits for the end of a longer one would give it up."""
+"""Longest quick stop from the highest velocity; whoever waits for the end of a longer one would
+give it up."""
 
 
 class BusConfig(Configuration):
     """A CAN bus as python-can names it."""
 
     interface: str
-    """Interface of the adapter: socketcan, pcan, kvaser, slcan, socketcand, virtual ..; no default."""
+    """Interface of the adapter: socketcan, pcan, kvaser, slcan, socketcand, virtual ..; no
+    default."""
     channel: str
     """Channel of the interface, such as can0; no default."""
     bitrate: int = Field(1_000_000, gt=0, le=1_000_000)
-    """Bitrate [bit/s]; an EPOS2 is delivered with 1 Mbit/s. SocketCAN takes the one that ``ip link`` was given."""
+    """Bitrate [bit/s]; an EPOS2 is delivered with 1 Mbit/s. SocketCAN takes the one that ``ip
+    link`` was given."""
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
     """Further options of the interface, such as host and port of socketcand."""
 
@@ -31,7 +35,8 @@ class Epos2Config(Configuration):
     node: int = Field(ge=1, le=127)
     """Number of the drive on the bus, as its switches or EPOS Studio set it."""
     encoder_lines: int = Field(gt=0, le=2_500_000)
-    """Lines (pulses) of the encoder in one turn of the motor; compared with the drive's own setting."""
+    """Lines (pulses) of the encoder in one turn of the motor; compared with the drive's own
+    setting."""
     gear_ratio: float = Field(gt=0)
     """Turns of the motor in one turn of the fin; 1 without a gear."""
     direction: Literal[1, -1] = 1
@@ -47,48 +52,65 @@ class Epos2Config(Configuration):
     fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
     """Highest profile velocity, which the drive itself keeps [rad/s]; the paper's, Sec. III-A."""
     acceleration_rad_s2: float = Field(gt=0)
-    """Acceleration and deceleration of the profile [rad/s2]; no default: it follows from motor, gear and fin."""
+    """Acceleration and deceleration of the profile [rad/s2]; no default: it follows from motor,
+    gear and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
     """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount bears."""
     following_error_rad: float = Field(gt=0, le=1)
-    """Distance from the profile at which the drive faults [rad]; no default: too large and a blocked fin burns."""
+    """Distance from the profile at which the drive faults [rad]; no default: too large and a
+    blocked fin burns."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
-    """Largest motor current [A]; written to the drive where given, else the drive's own setting stands."""
+    """Largest motor current [A]; written to the drive where given, else the drive's own setting
+    stands."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
-    """Silence after which each side takes the other for dead [s]: a drive whose host hangs stops this much later."""
+    """Silence after which each side takes the other for dead [s]: a drive whose host hangs stops
+    this much later."""
     host_node: int | None = Field(None, ge=1, le=127)
-    """Node number of this program's heartbeat and SYNC, which nobody else on the bus has; None means 127 - node."""
+    """Node number of this program's heartbeat and SYNC, which nobody else on the bus has; None
+    means 127 - node."""
     sync_s: float = Field(TICK_S, ge=0.001, le=0.1)
     """Period of the loop that reads the drive [s]."""
     zero_needed: bool = True
-    """Refuse to move before the fin was zeroed since the drive's power-up; false only for an absolute encoder."""
+    """Refuse to move before the fin was zeroed since the drive's power-up; false only for an
+    absolute encoder."""
 
     @property
     def host(self) -> int:
-        """Node number of this program: its own, so that no other program's heartbeats keep this drive moving."""
+        """Node number of this program: its own, so that no other program's heartbeats keep this
+        drive moving."""
         return 127 - self.node if self.host_node is None else self.host_node
 
     @property
     def limits(self) -> Limits:
         """Range of the commands."""
-        return Limits(self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s)
+        return Limits(
+            self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s
+        )
 
     @model_validator(mode="after")
     def _fits(self) -> "Epos2Config":
         if problem := self.limits.problem(one_velocity=True):
             raise ValueError(problem)
         if self.host == 0:
-            raise ValueError("node 127 leaves no number for the host; give host_node a number that no device has")
+            raise ValueError(
+                "node 127 leaves no number for the host; give host_node a number that no device has"
+            )
         if self.node == self.host:
-            raise ValueError(f"node and host_node are both {self.node}; give host_node a number that no device has")
+            raise ValueError(
+                f"node and host_node are both {self.node}; give host_node a number that no device "
+                "has"
+            )
         braking = self.fastest_rad_s / self.quick_stop_rad_s2
         if braking > LONGEST_BRAKE_S:
             raise ValueError(
-                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from fastest_rad_s: "
-                f"at most {LONGEST_BRAKE_S:g} s; give {self.fastest_rad_s / LONGEST_BRAKE_S:.1f} or more"
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from "
+                f"fastest_rad_s: at most {LONGEST_BRAKE_S:g} s; give "
+                f"{self.fastest_rad_s / LONGEST_BRAKE_S:.1f} or more"
             )
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
-            raise ValueError(f"slowest_rad_s {self.slowest_rad_s:g} is less than 1 rpm of the motor; raise it")
+            raise ValueError(
+                f"slowest_rad_s {self.slowest_rad_s:g} is less than 1 rpm of the motor; raise it"
+            )
         return self
 
 
@@ -118,7 +140,8 @@ class Units(NamedTuple):
         return self.direction * counts / self.counts_per_rad + self.zero
 
     def rpm(self, velocity: float) -> int:
-        """Speed of the motor [rpm], or its change in a second, for a velocity of the fin [rad/s]; its size."""
+        """Speed of the motor [rpm], or its change in a second, for a velocity of the fin [rad/s];
+        its size."""
         return round(abs(velocity) * self.rpm_per_rad_s)
 
     def velocity(self, rpm: int) -> float:

@@ -1,7 +1,9 @@
-"""The connection to the drive: a python-can bus with its receiving thread, and SDO transfers on it; bounded in time.
+"""The connection to the drive: a python-can bus with its receiving thread, and SDO transfers on it;
+bounded in time.
 
-canopen's `Network` is not used: a malformed frame or one receiving error ends its thread, and every later frame, a
-quick stop too, then raises. Its SDO client waits on the real clock alone; every object used here fits into one frame.
+canopen's `Network` is not used: a malformed frame or one receiving error ends its thread, and every
+later frame, a quick stop too, then raises. Its SDO client waits on the real clock alone; every
+object used here fits into one frame.
 """
 
 import contextlib
@@ -25,7 +27,9 @@ SDO_TIMEOUT_S = 0.5
 SEND_TIMEOUT_S = 0.05
 RECEIVER_CYCLE_S = 0.05
 
-UPLOAD, DOWNLOADED, ABORTED = 0x40, 0x60, 0x80
+UPLOAD = 0x40
+DOWNLOADED = 0x60
+ABORTED = 0x80
 """Commands of an SDO: read an object; it was written; the transfer was refused."""
 
 # python-can would write to the terminal what our errors report.
@@ -41,7 +45,8 @@ class SdoRefusal(DeviceError):
 
 
 class CanConnection:
-    """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called in the receiver's thread."""
+    """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called in the
+    receiver's thread."""
 
     def __init__(
         self,
@@ -51,15 +56,20 @@ class CanConnection:
         on_problem: Callable[[str], None],
         clock: Clock = REAL,
     ) -> None:
-        self._config, self.node, self._clock = config, node, clock
-        self._on_frame, self._on_problem = on_frame, on_problem
+        self._config = config
+        self.node = node
+        self._clock = clock
+        self._on_frame = on_frame
+        self._on_problem = on_problem
         self.name = f"CAN bus {config.interface} {config.channel}"
         self._bus: can.BusABC | None = None
         self._receiver: threading.Thread | None = None
         # Re-entrant, for a stop in a signal handler that interrupts a send.
-        self._sending, self._requesting = clock.lock(), clock.lock()
+        self._sending = clock.lock()
+        self._requesting = clock.lock()
         self._answered = clock.event()
-        self._request, self._answer = b"", b""
+        self._request = b""
+        self._answer = b""
         self._foreign_ids: set[int] | None = None
         self.counters: Counter[str] = Counter()
 
@@ -82,13 +92,15 @@ class CanConnection:
             # Every interface of python-can has errors of its own.
             self.close()
             raise RigError(
-                f"{self.name} cannot be opened ({one_line(error)}); check bus.interface, bus.channel and bus.options "
+                f"{self.name} cannot be opened ({one_line(error)}); check bus.interface, "
+                "bus.channel and bus.options "
                 "of the rig's file, and that the adapter is plugged in and up"
             ) from None
 
     def close(self) -> None:
         """Close the bus; any number of times, never raises."""
-        bus, self._bus = self._bus, None
+        bus = self._bus
+        self._bus = None
         if self._receiver is not None and not self.in_receiver:
             self._receiver.join(10 * RECEIVER_CYCLE_S)
         if bus is not None:
@@ -96,7 +108,8 @@ class CanConnection:
                 bus.shutdown()
 
     def listen(self, seconds: float) -> frozenset[int]:
-        """Send nothing for a time [s]; return the COB-IDs of the frames that others sent meanwhile."""
+        """Send nothing for a time [s]; return the COB-IDs of the frames that others sent
+        meanwhile."""
         foreign_ids = self._foreign_ids = set[int]()
         self._clock.sleep(seconds)
         self._foreign_ids = None
@@ -110,10 +123,13 @@ class CanConnection:
         if not self._sending.acquire(timeout=2 * SEND_TIMEOUT_S):
             raise DeviceError(f"{self.name} takes no frames; look at the adapter and its cable")
         try:
-            bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S)
+            bus.send(
+                can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S
+            )
         except Exception as error:
             raise DeviceError(
-                f"{self.name} takes no frames ({one_line(error)}); look at the adapter, cable, termination and bitrate"
+                f"{self.name} takes no frames ({one_line(error)}); look at the adapter, cable, "
+                "termination and bitrate"
             ) from None
         finally:
             self._sending.release()
@@ -123,7 +139,9 @@ class CanConnection:
         size = entry.layout.size
         # The answer may leave out its size.
         allowed = (0x43 | 4 - size << 2, 0x42)
-        answer = self._transfer(entry, struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0), allowed)
+        answer = self._transfer(
+            entry, struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0), allowed
+        )
         value: int = entry.layout.unpack(answer[4 : 4 + size])[0]
         return value
 
@@ -134,10 +152,14 @@ class CanConnection:
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """The answer to a request, which must begin with one of the allowed commands."""
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
-            raise DeviceError(f"drive's {entry} cannot be asked for: another request is not answered yet; try again")
+            raise DeviceError(
+                f"drive's {entry} cannot be asked for: another request is not answered yet; try "
+                "again"
+            )
         try:
             self._answered.clear()
-            self._request, self._answer = request, b""
+            self._request = request
+            self._answer = b""
             self.send(protocol.SDO_REQUEST + self.node, request)
             self._answered.wait(SDO_TIMEOUT_S)
             answer = self._answer
@@ -153,7 +175,9 @@ class CanConnection:
             code = int.from_bytes(answer[4:], "little")
             raise SdoRefusal(f"drive refuses {entry}: {protocol.abort_line(code)}", code)
         if answer[0] not in allowed:
-            raise DeviceError(f"drive's answer for {entry} makes no sense ({answer.hex()}); try again")
+            raise DeviceError(
+                f"drive's answer for {entry} makes no sense ({answer.hex()}); try again"
+            )
         return answer
 
     def _receive(self, bus: can.BusABC) -> None:
@@ -167,7 +191,10 @@ class CanConnection:
             except Exception as error:
                 if self._bus is bus:
                     self.counters["receiving errors"] += 1
-                    self._on_problem(f"{self.name} cannot be read ({one_line(error)}); look at the adapter and cable")
+                    self._on_problem(
+                        f"{self.name} cannot be read ({one_line(error)}); look at the adapter and "
+                        "cable"
+                    )
                     # A bus that is gone must not take a whole core.
                     self._clock.sleep(RECEIVER_CYCLE_S)
 
@@ -175,7 +202,8 @@ class CanConnection:
         if not message.is_rx:
             # An adapter that echoes what we send.
             return
-        cob_id, data = message.arbitration_id, bytes(message.data)
+        cob_id = message.arbitration_id
+        data = bytes(message.data)
         if message.is_error_frame:
             self._count_errors(cob_id, data)
             return
@@ -194,13 +222,18 @@ class CanConnection:
             self._answered.set()
 
     def _count_errors(self, classes: int, data: bytes) -> None:
-        """Count the errors in an error frame; an adapter that has given up, or is about to, is a problem."""
+        """Count the errors in an error frame; an adapter that has given up, or is about to, is a
+        problem."""
         names = protocol.bus_errors(classes, data)
         self.counters.update(names)
-        # A single error is repeated by the controllers themselves: it costs a fraction of a millisecond, and no stop.
+        # A single error is repeated by the controllers themselves: it costs a fraction of a
+        # millisecond, and no stop.
         for name in names:
             if name in protocol.BUS_FAILURES:
-                self._on_problem(f"{self.name}: the adapter is {name}; look at its cable, termination and bitrate")
+                self._on_problem(
+                    f"{self.name}: the adapter is {name}; look at its cable, termination and "
+                    "bitrate"
+                )
 
 
 def download(entry: Object, value: int) -> bytes:
@@ -209,5 +242,7 @@ def download(entry: Object, value: int) -> bytes:
     try:
         data = entry.layout.pack(value) + bytes(unused)
     except struct.error:
-        raise DeviceError(f"drive's {entry} cannot hold {value}; change the value in the rig's file") from None
+        raise DeviceError(
+            f"drive's {entry} cannot hold {value}; change the value in the rig's file"
+        ) from None
     return struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub) + data

@@ -1,6 +1,8 @@
-"""The drive: a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to a safe stop.
+"""The drive: a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to
+a safe stop.
 
-One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a real drive.
+One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a
+real drive.
 """
 
 from collections.abc import Callable
@@ -14,7 +16,8 @@ from softfin.rig.safety import OVERSHOOT_RAD, check_target
 
 RESET_TIMEOUT_S = 1.0
 LIMITED_S = 0.1
-"""Time for which the drive may hold back at a limit of its own: a steep stroke touches one for milliseconds."""
+"""Time for which the drive may hold back at a limit of its own: a steep stroke touches one for
+milliseconds."""
 FIRST_ANSWER_S = 0.5
 STOP_TIMEOUT_S = 2.0
 """Longest that one stop waits for another that is under way."""
@@ -28,7 +31,8 @@ class Epos2(Exchange):
     """A drive that is opened, enabled, commanded and stopped; `on_fault` may call `stop`."""
 
     def connect(self) -> None:
-        """Connect to the node, whatever its state, changing nothing; raises RigError or DeviceError."""
+        """Connect to the node, whatever its state, changing nothing; raises RigError or
+        DeviceError."""
         self.device_lock.acquire(self.clock)
         self.reset()
         try:
@@ -42,12 +46,16 @@ class Epos2(Exchange):
             raise
 
     def open(self) -> None:
-        """Connect, check, write the limits and start the node, without power to the motor; closed again on failure."""
+        """Connect, check, write the limits and start the node, without power to the motor; closed
+        again on failure."""
         self.connect()
         try:
             self.notes = procedures.check(self.connection, self.config)
-            self.powered, self.owned = False, True
-            self.connection.send(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
+            self.powered = False
+            self.owned = True
+            self.connection.send(
+                protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node])
+            )
             self.connection.write(protocol.CONTROLWORD, protocol.DISABLE_VOLTAGE)
             procedures.configure(self.connection, self.config)
             self.notes += procedures.set_reactions(self.connection)
@@ -55,14 +63,17 @@ class Epos2(Exchange):
             self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
             status = self.status
             with self.lock:
-                status.rebooted, status.emergency = False, None
-                status.nmt, status.heartbeat_time = None, self.clock()
+                status.rebooted = False
+                status.emergency = None
+                status.nmt = None
+                status.heartbeat_time = self.clock()
             for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / ANSWER_STEP_S)):
                 if self.sync_and_read(ANSWER_STEP_S).new and status.nmt == protocol.OPERATIONAL:
                     return
                 self.clock.sleep(ANSWER_STEP_S)
             raise DeviceError(
-                "drive sends no process data or no heartbeat; look at the bus's load and other programs on it"
+                "drive sends no process data or no heartbeat; look at the bus's load and other "
+                "programs on it"
             )
         except BaseException:
             self.close()
@@ -76,7 +87,8 @@ class Epos2(Exchange):
         self.device_lock.release()
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the drive's fault and return its name; None when there was none. Raises DeviceError.
+        """Acknowledge the drive's fault and return its name; None when there was none. Raises
+        DeviceError.
 
         The motor stays without power. The drive must be opened anew before it is enabled.
         """
@@ -84,7 +96,9 @@ class Epos2(Exchange):
         if fault is None:
             return None
         with self.lock:
-            self.armed, self.stopped, self.owned = False, True, False
+            self.armed = False
+            self.stopped = True
+            self.owned = False
         if procedures.newest_error(self.connection) in protocol.NEEDS_RESET_OF_COMMUNICATION:
             self._reset_communication()
         # Else it would at once miss the heartbeat of a host that is gone.
@@ -100,11 +114,13 @@ class Epos2(Exchange):
         raise DeviceError(f"drive stays in fault: {fault}; the cause is still there")
 
     def command(self, target: Target) -> None:
-        """Go there from now on; raises CommandError outside the limits, DeviceError where the drive is not enabled."""
+        """Go there from now on; raises CommandError outside the limits, DeviceError where the drive
+        is not enabled."""
         low_angle, high_angle, slowest, fastest = limits = self.config.limits
         if trip := check_target(target, limits):
             raise CommandError(trip.reason)
-        # What passed by a rounding error is put on the limit, which the drive itself keeps to the count.
+        # What passed by a rounding error is put on the limit, which the drive itself keeps to the
+        # count.
         counts = self.units.counts(min(max(target.angle, low_angle), high_angle))
         rpm = self.units.rpm(min(max(target.velocity, slowest), fastest))
         with self.lock:
@@ -116,7 +132,9 @@ class Epos2(Exchange):
     def complaints(self) -> tuple[str, ...]:
         """Describe each problem in one line with the way out; empty when all is well."""
         with self.lock:
-            status, fault, unanswered = self.status, self.status.fault(), self.handshake.unanswered
+            status = self.status
+            fault = self.status.fault()
+            unanswered = self.handshake.unanswered
             silence = self.clock() - status.heartbeat_time
             enabled = self.armed and not fault
             limited_s = 0.0 if status.limited_since is None else self.clock() - status.limited_since
@@ -124,24 +142,42 @@ class Epos2(Exchange):
             lines = (
                 (fault, fault),
                 (self.trouble, self.trouble),
-                (silence > self.config.heartbeat_s,
-                 f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the bus's cable"),
-                (not status.rebooted and status.nmt != protocol.OPERATIONAL,
-                 f"drive left the operational state (NMT 0x{status.nmt or 0:02X}); close other programs, start again"),
-                (enabled and status.state is not State.OPERATION_ENABLED,
-                 f"drive is {status.words} though it was enabled; look at its enable input and other programs"),
-                (enabled and is_limited,
-                 "drive holds back at one of its own limits; ask for less velocity, acceleration or angle"),
-                (enabled and status.has(Bit.ERROR),
-                 "drive is behind its profile by more than its limit; look for a blocked fin"),
-                (enabled and unanswered >= UNANSWERED,
-                 f"drive did not take a target {unanswered} times; look at the bus and other programs"),
-            )  # fmt: skip
+                (
+                    silence > self.config.heartbeat_s,
+                    f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the "
+                    "bus's cable",
+                ),
+                (
+                    not status.rebooted and status.nmt != protocol.OPERATIONAL,
+                    f"drive left the operational state (NMT 0x{status.nmt or 0:02X}); close other "
+                    "programs, start again",
+                ),
+                (
+                    enabled and status.state is not State.OPERATION_ENABLED,
+                    f"drive is {status.words} though it was enabled; look at its enable input and "
+                    "other programs",
+                ),
+                (
+                    enabled and is_limited,
+                    "drive holds back at one of its own limits; ask for less velocity, "
+                    "acceleration or angle",
+                ),
+                (
+                    enabled and status.has(Bit.ERROR),
+                    "drive is behind its profile by more than its limit; look for a blocked fin",
+                ),
+                (
+                    enabled and unanswered >= UNANSWERED,
+                    f"drive did not take a target {unanswered} times; look at the bus and other "
+                    "programs",
+                ),
+            )
         return tuple(line for is_wrong, line in lines if is_wrong and line)
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Reason why the motor may still be on after a stop; None where the drive confirmed that it is off."""
+        """Reason why the motor may still be on after a stop; None where the drive confirmed that it
+        is off."""
         return UNCONFIRMED if self.powered else None
 
     @property
@@ -155,11 +191,15 @@ class Epos2(Exchange):
         return {"targets repeated": self.handshake.repeated} | dict(counted)
 
     def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Give power to the motor, which holds where it is; on RigError or DeviceError it is stopped again.
+        """Give power to the motor, which holds where it is; on RigError or DeviceError it is
+        stopped again.
 
-        It takes up to a second; `meanwhile` is called every few milliseconds, so that other devices can be read.
+        It takes up to a second; `meanwhile` is called every few milliseconds, so that other devices
+        can be read.
         """
-        angle, low, high = self._new_reading().angle, self.config.angle_min_rad, self.config.angle_max_rad
+        angle = self._new_reading().angle
+        low = self.config.angle_min_rad
+        high = self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
                 "fin's zero is not known since the drive's power-up; turn the fin to zero and run: "
@@ -167,15 +207,16 @@ class Epos2(Exchange):
             )
         if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
             raise RigError(
-                f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by hand, or "
-                "turn it to zero and run: softfin rig zero --arm"
+                f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by "
+                "hand, or turn it to zero and run: softfin rig zero --arm"
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def home_here(self) -> None:
-        """Make the present position the drive's zero (homing method 35); the motor is powered for it, nothing moves."""
+        """Make the present position the drive's zero (homing method 35); the motor is powered for
+        it, nothing moves."""
         self._new_reading()
         procedures.set_mode(self.connection, protocol.HOMING)
         try:
@@ -190,15 +231,20 @@ class Epos2(Exchange):
             raise DeviceError(self.stop_unconfirmed)
 
     def prove_stop(self) -> float:
-        """Power the motor at rest and withhold the heartbeats; return the time until the drive faults by itself [s].
+        """Power the motor at rest and withhold the heartbeats; return the time until the drive
+        faults by itself [s].
 
-        Nothing moves, so no zero is needed. Raises DeviceError if the drive does not fault; it must be opened anew.
+        Nothing moves, so no zero is needed. Raises DeviceError if the drive does not fault; it must
+        be opened anew.
         """
         self._new_reading()
-        # As for homing, so that a fin without a zero may stand beyond the drive's limits of the position.
+        # As for homing, so that a fin without a zero may stand beyond the drive's limits of the
+        # position.
         procedures.set_mode(self.connection, protocol.HOMING)
-        # The fault is what is waited for: a stop from here must not take the power off before the drive does.
-        on_fault, self.on_fault = self.on_fault, None
+        # The fault is what is waited for: a stop from here must not take the power off before the
+        # drive does.
+        on_fault = self.on_fault
+        self.on_fault = None
         try:
             self._power_up(then_arm=False)
             faulted_after_s = procedures.time_own_stop(self)
@@ -212,7 +258,8 @@ class Epos2(Exchange):
             self.on_fault = on_fault
 
     def switch_off(self) -> None:
-        """Stop a drive whoever has powered it, with no condition at all; raises DeviceError if its motor stays on."""
+        """Stop a drive whoever has powered it, with no condition at all; raises DeviceError if its
+        motor stays on."""
         self.reset()
         try:
             self.connection.open()
@@ -225,14 +272,16 @@ class Epos2(Exchange):
             raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
 
     def stop(self) -> None:
-        """Quick stop at once, then no voltage; from any thread, any number of times; never raises."""
+        """Quick stop at once, then no voltage; from any thread, any number of times; never
+        raises."""
         try:
             generation = self.generation
             free = self.brake()
             if not self.powered:
                 return
             if self.connection.in_receiver or not free:
-                # The receiver's thread brings the answers that the rest needs; and nobody waits for a bus that hangs.
+                # The receiver's thread brings the answers that the rest needs; and nobody waits for
+                # a bus that hangs.
                 self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
             else:
                 self._come_to_rest(generation)
@@ -245,7 +294,10 @@ class Epos2(Exchange):
             raise DeviceError("drive is not open; open it first")
         with self.lock:
             self.stopped = False
-        is_new = any(self.sync_and_read(ANSWER_STEP_S).new for _ in range(round(FIRST_ANSWER_S / ANSWER_STEP_S)))
+        is_new = any(
+            self.sync_and_read(ANSWER_STEP_S).new
+            for _ in range(round(FIRST_ANSWER_S / ANSWER_STEP_S))
+        )
         if lines := self.complaints():
             raise DeviceError(lines[0])
         if not is_new:
@@ -259,16 +311,19 @@ class Epos2(Exchange):
         self.notes += ("drive answers everybody's SYNC; give each fin a bus of its own",)
         if protocol.SYNC in self.foreign_ids:
             raise RigError(
-                f"{self.connection.name}: another program sends the SYNC that this drive answers; give each fin a bus "
-                "of its own, or end the other program"
+                f"{self.connection.name}: another program sends the SYNC that this drive answers; "
+                "give each fin a bus of its own, or end the other program"
             )
 
     def _reset_communication(self) -> None:
         """Reset the node's communication and wait for its boot-up; the drive keeps its zero."""
         self.status.rebooted = False
-        self.connection.send(protocol.NMT, bytes([protocol.NMT_RESET_COMMUNICATION, self.config.node]))
+        self.connection.send(
+            protocol.NMT, bytes([protocol.NMT_RESET_COMMUNICATION, self.config.node])
+        )
         with self.lock:
-            # A drive that does not start anew may do without: what counts is whether the fault goes away.
+            # A drive that does not start anew may do without: what counts is whether the fault goes
+            # away.
             self.lock.wait_for(lambda: self.status.rebooted, RESET_TIMEOUT_S)
             self.status.rebooted = False
 
@@ -278,7 +333,9 @@ class Epos2(Exchange):
         try:
             with self.lock:
                 if self.stopped:
-                    raise DeviceError("drive was stopped while it was being enabled; enable it again")
+                    raise DeviceError(
+                        "drive was stopped while it was being enabled; enable it again"
+                    )
                 self.handshake.clear()
                 self.powered = True
                 self.generation += 1
@@ -287,14 +344,17 @@ class Epos2(Exchange):
         try:
             self.send_heartbeat()
             silence = round(1000 * self.config.heartbeat_s)
-            procedures.write(self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host << 16 | silence)
+            procedures.write(
+                self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host << 16 | silence
+            )
             procedures.reach_enabled(self, then_arm, meanwhile)
         except BaseException:
             self.stop()
             raise
 
     def _come_to_rest(self, generation: int) -> None:
-        """Finish a stop, unless the drive was powered up again since: that motor is not the one to take for off."""
+        """Finish a stop, unless the drive was powered up again since: that motor is not the one to
+        take for off."""
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
             return
         try:
@@ -302,7 +362,8 @@ class Epos2(Exchange):
                 return
             if procedures.rest(self):
                 self.powered = False
-                # The host's heartbeat ends with the program, which is no fault of a drive that is at rest.
+                # The host's heartbeat ends with the program, which is no fault of a drive that is
+                # at rest.
                 self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
             else:
                 self.trouble = UNCONFIRMED

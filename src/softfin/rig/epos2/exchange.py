@@ -1,7 +1,7 @@
 """Exchange between host and drive: SYNC, process data, heartbeats, new targets, and the quick stop.
 
-Frames are taken in the receiver's thread, everything else is sent from the caller's. Nothing that could move the fin is
-sent but under the lock, with `armed` set: so nothing follows a stop.
+Frames are taken in the receiver's thread, everything else is sent from the caller's. Nothing that
+could move the fin is sent but under the lock, with `armed` set: so nothing follows a stop.
 """
 
 from collections import Counter
@@ -33,10 +33,12 @@ Setpoint: TypeAlias = tuple[int, int]
 
 
 class DriveStatus:
-    """The newest values of the drive; `take` returns a line where a frame reports that something has gone wrong."""
+    """The newest values of the drive; `take` returns a line where a frame reports that something
+    has gone wrong."""
 
     def __init__(self, node: int, units: Units) -> None:
-        self._node, self._units = node, units
+        self._node = node
+        self._units = units
         self.statusword: int | None = None
         self.position = 0
         """Position [counts]."""
@@ -57,12 +59,14 @@ class DriveStatus:
         self.emergency: int | None = None
         self.rebooted = False
         self.limited_since: float | None = None
-        """Time since which the drive reports that it holds back at a limit of its own [s]; None if it does not."""
+        """Time since which the drive reports that it holds back at a limit of its own [s]; None if
+        it does not."""
         self.counters: Counter[str] = Counter()
 
     @property
     def state(self) -> State | None:
-        """State by the newest statusword; None before the first, and for one that no EPOS2 sends."""
+        """State by the newest statusword; None before the first, and for one that no EPOS2
+        sends."""
         return None if self.statusword is None else protocol.decode(self.statusword)
 
     @property
@@ -73,7 +77,11 @@ class DriveStatus:
     @property
     def words(self) -> str:
         """The state for messages."""
-        return self.state.words if self.state else f"in no state of an EPOS2 (statusword 0x{self.statusword or 0:04X})"
+        return (
+            self.state.words
+            if self.state
+            else f"in no state of an EPOS2 (statusword 0x{self.statusword or 0:04X})"
+        )
 
     def has(self, bit: Bit) -> bool:
         """Whether a bit of the statusword is set."""
@@ -84,7 +92,10 @@ class DriveStatus:
         if self.emergency is not None:
             return protocol.fault_line(self.emergency)
         if self.rebooted:
-            return f"drive {self._node} started anew; look at its supply, then zero the fin and start again"
+            return (
+                f"drive {self._node} started anew; look at its supply, then zero the fin and "
+                "start again"
+            )
         if self.state in protocol.FAULT_STATES:
             return "drive is in fault and did not report which; run: softfin rig check"
         return None
@@ -92,18 +103,21 @@ class DriveStatus:
     def synchronise(self, now: float) -> None:
         """A SYNC is about to be sent."""
         self.counters["syncs without all answers"] += self.time > 0 and not self.new
-        self.answered, self.sync_time = 0, now
+        self.answered = 0
+        self.sync_time = now
 
     def take(self, cob_id: int, data: bytes, now: float) -> str | None:
         """Decode one frame of the bus; frames of other nodes change nothing."""
-        function, node = cob_id & 0x780, cob_id & 0x7F
+        function = cob_id & 0x780
+        node = cob_id & 0x7F
         if node != self._node or function not in _SIZES:
             return None
         if len(data) != _SIZES[function]:
             self.counters["malformed frames"] += 1
             return None
         if function == protocol.HEARTBEAT:
-            self.heartbeat_time, self.nmt = now, data[0] & 0x7F
+            self.heartbeat_time = now
+            self.nmt = data[0] & 0x7F
             self.rebooted |= self.nmt == protocol.BOOT_UP
             return self.fault() if self.nmt == protocol.BOOT_UP else None
         if function == protocol.EMERGENCY:
@@ -111,7 +125,8 @@ class DriveStatus:
             # The first names the cause; what follows from it must not hide it.
             self.emergency = None if code == 0 else self.emergency or code
             return protocol.fault_line(code) if code else None
-        was_well, which = self.fault() is None, protocol.TPDO.index(function)
+        was_well = self.fault() is None
+        which = protocol.TPDO.index(function)
         values = _SENT[which].unpack(data)
         if which == 0:
             self.statusword, self.position = values
@@ -121,7 +136,8 @@ class DriveStatus:
             elif self.limited_since is None:
                 self.limited_since = now
         elif which == 1:
-            self.velocity, self.current = self._units.velocity(values[0]), values[1] / 1000
+            self.velocity = self._units.velocity(values[0])
+            self.current = values[1] / 1000
         else:
             self.demand = self._units.angle(values[0])
         self.answered |= 1 << which
@@ -131,10 +147,12 @@ class DriveStatus:
 
 
 class Handshake:
-    """The hand-shake by which an EPOS2 takes a target; `patience` [s] is how long an answer may take.
+    """The hand-shake by which an EPOS2 takes a target; `patience` [s] is how long an answer may
+    take.
 
-    Bit 4 of the controlword rises with the target; the drive answers with bit 12 of the statusword; bit 4 falls, then
-    bit 12 (maxon "EPOS2 Firmware Specification", rel5466). The newest target wins while another is on its way.
+    Bit 4 of the controlword rises with the target; the drive answers with bit 12 of the statusword;
+    bit 4 falls, then bit 12 (maxon "EPOS2 Firmware Specification", rel5466). The newest target wins
+    while another is on its way.
     """
 
     def __init__(self, patience: float) -> None:
@@ -144,7 +162,8 @@ class Handshake:
 
     def clear(self) -> None:
         """Forget everything: the drive was stopped, or is enabled anew."""
-        self._is_raised, self._since = False, 0.0
+        self._is_raised = False
+        self._since = 0.0
         self.waiting: Setpoint | None = None
         """The target to give to the drive as soon as it can take it."""
         self.current: Setpoint | None = None
@@ -158,11 +177,13 @@ class Handshake:
         if self._is_raised:
             if not (acknowledged or late):
                 return None
-            self._is_raised, self._since = False, now
+            self._is_raised = False
+            self._since = now
             if acknowledged:
                 self.unanswered = 0
             else:
-                self.unanswered, self.repeated = self.unanswered + 1, self.repeated + 1
+                self.unanswered = self.unanswered + 1
+                self.repeated = self.repeated + 1
                 self.waiting = self.waiting or self.current
             return True
         if self.waiting is None or (acknowledged and not late):
@@ -172,12 +193,15 @@ class Handshake:
             # A drive whose bit 12 does not fall takes no target: the lowering may have been lost.
             self.unanswered += 1
             return True
-        self._is_raised, self.current, self.waiting = True, self.waiting, None
+        self._is_raised = True
+        self.current = self.waiting
+        self.waiting = None
         return self.current
 
 
 class Exchange:
-    """One drive on one bus; `on_fault(line)` is called in the receiver's thread within milliseconds of a fault."""
+    """One drive on one bus; `on_fault(line)` is called in the receiver's thread within milliseconds
+    of a fault."""
 
     def __init__(
         self,
@@ -186,7 +210,10 @@ class Exchange:
         clock: Clock = REAL,
         on_fault: Callable[[str], None] | None = None,
     ) -> None:
-        self.config, self.units, self.clock, self.on_fault = config, Units.of(config), clock, on_fault
+        self.config = config
+        self.units = Units.of(config)
+        self.clock = clock
+        self.on_fault = on_fault
         self.connection = CanConnection(bus, config.node, self._take, self._report, clock)
         # Where a bus is reached by a network, its channel alone does not tell two computers apart.
         server = [bus.options[name] for name in ("host", "port") if name in bus.options]
@@ -224,10 +251,12 @@ class Exchange:
         self.armed = False
         """Whether targets may be sent."""
         self.stopped = False
-        """Whether it was stopped since it was last to be enabled: what began before a stop must not go on after it."""
+        """Whether it was stopped since it was last to be enabled: what began before a stop must not
+        go on after it."""
 
     def sync_and_read(self, timeout: float = 0.003) -> DriveStatus:
-        """Have the drive sample, wait for the answers [s]; the newest known where they do not all come."""
+        """Have the drive sample, wait for the answers [s]; the newest known where they do not all
+        come."""
         with self.lock:
             self.status.synchronise(self.clock())
             self.attempt(self.sync_id, b"")
@@ -236,7 +265,8 @@ class Exchange:
             return self.status
 
     def send_heartbeat(self) -> None:
-        """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last one."""
+        """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last
+        one."""
         self.attempt(protocol.HEARTBEAT + self.config.host, bytes([protocol.OPERATIONAL]))
 
     def attempt(self, cob_id: int, data: bytes) -> bool:
@@ -254,17 +284,25 @@ class Exchange:
         return protocol.RPDO[0] + self.config.node, data
 
     def insist(self, word: int) -> bool:
-        """Send a controlword by process data, and where the node does not take them by SDO; whether the bus took it."""
+        """Send a controlword by process data, and where the node does not take them by SDO; whether
+        the bus took it."""
         is_sent = self.attempt(*self.order(word))
         if is_sent and self.status.nmt == protocol.OPERATIONAL:
             return True
-        return self.attempt(protocol.SDO_REQUEST + self.config.node, download(protocol.CONTROLWORD, word)) or is_sent
+        return (
+            self.attempt(
+                protocol.SDO_REQUEST + self.config.node, download(protocol.CONTROLWORD, word)
+            )
+            or is_sent
+        )
 
     def brake(self) -> bool:
-        """Quick stop at once, from any thread; nothing is enabled or moved after it. False where a send hangs."""
+        """Quick stop at once, from any thread; nothing is enabled or moved after it. False where a
+        send hangs."""
         locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
-            self.armed, self.stopped = False, True
+            self.armed = False
+            self.stopped = True
             self.handshake.clear()
             if self.owned:
                 self.insist(protocol.QUICK_STOP)
@@ -281,8 +319,12 @@ class Exchange:
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
         if isinstance(step, tuple):
             counts, rpm = step
-            # A stop does not wait for a send that hangs: where one has gone past this one, the target must not follow.
-            if self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm)) and self.armed:
+            # A stop does not wait for a send that hangs: where one has gone past this one, the
+            # target must not follow.
+            if (
+                self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm))
+                and self.armed
+            ):
                 self.attempt(*self.order(protocol.NEW_TARGET, counts))
         elif step:
             target = self.handshake.current
@@ -290,11 +332,11 @@ class Exchange:
 
     def _take(self, cob_id: int, data: bytes) -> None:
         if self.owned and cob_id in self.own_ids:
-            # Its heartbeats would pass for ours, and keep this fin moving when we are dead. It may have been silent, as
-            # a program that waits for a person is, while we listened.
+            # Its heartbeats would pass for ours, and keep this fin moving when we are dead. It may
+            # have been silent, as a program that waits for a person is, while we listened.
             self._report(
-                f"another program on {self.connection.name} has the number {self.config.host} of this one; end it, or "
-                "give each rig's file a drive.host_node of its own"
+                f"another program on {self.connection.name} has the number {self.config.host} of "
+                "this one; end it, or give each rig's file a drive.host_node of its own"
             )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
@@ -309,7 +351,8 @@ class Exchange:
         self._tell(line)
 
     def _tell(self, line: str) -> None:
-        """Call `on_fault`; its errors must not end the receiver's thread, which also brings the answers to a stop."""
+        """Call `on_fault`; its errors must not end the receiver's thread, which also brings the
+        answers to a stop."""
         try:
             if self.on_fault:
                 self.on_fault(line)

@@ -1,6 +1,8 @@
-"""Procedures with the drive: identify, check and set it up, power it up, home it, bring it to rest; bounded in time.
+"""Procedures with the drive: identify, check and set it up, power it up, home it, bring it to rest;
+bounded in time.
 
-Limits and settings are written and read back; nothing is stored for good: the drive forgets it at power-down.
+Limits and settings are written and read back; nothing is stored for good: the drive forgets it at
+power-down.
 """
 
 import contextlib
@@ -16,7 +18,8 @@ from softfin.rig.epos2.protocol import Bit, Object, State, fault_line
 from softfin.rig.safety import OVERSHOOT_RAD
 
 LISTEN_S = 0.3
-"""Time for which others are listened to before anything is sent; a program that drives sends every 10 to 40 ms."""
+"""Time for which others are listened to before anything is sent; a program that drives sends every
+10 to 40 ms."""
 ENABLE_TIMEOUT_S = 1.0
 DISABLE_TIMEOUT_S = 0.3
 STATE_STEP_S = 0.002
@@ -24,31 +27,43 @@ STATE_STEP_S = 0.002
 STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
 REFUSED = 3
-"""Orders in a row that the bus does not take, each after its time-out: then no later one is worth a wait."""
+"""Orders in a row that the bus does not take, each after its time-out: then no later one is worth a
+wait."""
 STOP_CONFIRMED_S = 0.3
-"""Time for which a motor must stay off; a program that still drives it would enable it within this."""
+"""Time for which a motor must stay off; a program that still drives it would enable it within
+this."""
 LOSS_MARGIN_S = 0.3
 """Time that a drive may take to fault after `heartbeat_s` of silence, with its braking at rest."""
 NO_REMOTE_REQUEST = 1 << 30
-HOME = {protocol.HOMING_METHOD: protocol.HOME_HERE, protocol.HOME_OFFSET: 0, protocol.HOME_POSITION: 0}
+HOME = {
+    protocol.HOMING_METHOD: protocol.HOME_HERE,
+    protocol.HOME_OFFSET: 0,
+    protocol.HOME_POSITION: 0,
+}
 """Homing method that makes the present position zero."""
 
 
 def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[int]:
-    """Listen before anything is sent; raise RigError if another program drives this drive or has our number.
+    """Listen before anything is sent; raise RigError if another program drives this drive or has
+    our number.
 
-    Its heartbeats would pass for ours: the drive would then go on although this program hangs. Return the COB-IDs of
-    the frames of others.
+    Its heartbeats would pass for ours: the drive would then go on although this program hangs.
+    Return the COB-IDs of the frames of others.
     """
     foreign_ids = connection.listen(LISTEN_S)
     if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
-            f"{connection.name}: number {config.host} of this program is in use by another program or device; give "
-            "each rig's file a drive.host_node of its own, or end the other program"
+            f"{connection.name}: number {config.host} of this program is in use by another program "
+            "or device; give each rig's file a drive.host_node of its own, or end the other "
+            "program"
         )
-    if foreign_ids & {protocol.SDO_REQUEST + config.node, *(pdo + config.node for pdo in protocol.RPDO)}:
+    if foreign_ids & {
+        protocol.SDO_REQUEST + config.node,
+        *(pdo + config.node for pdo in protocol.RPDO),
+    }:
         raise RigError(
-            f"{connection.name}: another program talks to drive {config.node}; end it, or correct drive.node"
+            f"{connection.name}: another program talks to drive {config.node}; end it, or correct "
+            "drive.node"
         )
     return foreign_ids
 
@@ -59,8 +74,8 @@ def identify(connection: CanConnection) -> None:
         connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
         raise RigError(
-            f"no drive answers as node {connection.node} on {connection.name}; compare drive.node with the drive's "
-            "switches, look at supply, cable, termination and bus.bitrate"
+            f"no drive answers as node {connection.node} on {connection.name}; compare drive.node "
+            "with the drive's switches, look at supply, cable, termination and bus.bitrate"
         ) from None
 
 
@@ -109,24 +124,34 @@ def settings(config: Epos2Config) -> tuple[Setting, ...]:
         ),
         Setting(
             protocol.MOTOR_TYPE,
-            # From memory: 1 is a DC motor, 10 and 11 are brushless ones. All of them take the same commands.
+            # From memory: 1 is a DC motor, 10 and 11 are brushless ones. All of them take the same
+            # commands.
             lambda value: value in (1, 10, 11),
             "no motor that softfin knows; set the motor's type in EPOS Studio",
         ),
         Setting(
             protocol.ENCODER_LINES,
             lambda value: value == config.encoder_lines,
-            f"lines in the drive, encoder_lines {config.encoder_lines} in the rig's file; correct whichever is wrong, "
-            "or every angle is",
+            f"lines in the drive, encoder_lines {config.encoder_lines} in the rig's file; correct "
+            "whichever is wrong, or every angle is",
         ),
-        Setting(protocol.POSITION_NOTATION, lambda value: value == 0, in_epos_studio.format("angle")),
-        Setting(protocol.VELOCITY_NOTATION, lambda value: value == 0, in_epos_studio.format("velocity")),
-        Setting(protocol.ACCELERATION_NOTATION, lambda value: value == 0, in_epos_studio.format("acceleration")),
+        Setting(
+            protocol.POSITION_NOTATION, lambda value: value == 0, in_epos_studio.format("angle")
+        ),
+        Setting(
+            protocol.VELOCITY_NOTATION, lambda value: value == 0, in_epos_studio.format("velocity")
+        ),
+        Setting(
+            protocol.ACCELERATION_NOTATION,
+            lambda value: value == 0,
+            in_epos_studio.format("acceleration"),
+        ),
     )
 
 
 def check(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
-    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the rig's file says.
+    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the
+    rig's file says.
 
     Return a note for each object that the drive does not have.
     """
@@ -136,7 +161,9 @@ def check(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
     state = protocol.decode(word)
     if state not in protocol.UNPOWERED:
         words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
-        raise RigError(f"drive is {words} already; close the program that drives it, or switch it off and on")
+        raise RigError(
+            f"drive is {words} already; close the program that drives it, or switch it off and on"
+        )
     notes = []
     for setting in settings(config):
         value = read_optional(connection, setting.entry)
@@ -148,7 +175,8 @@ def check(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
 
 
 def set_reactions(connection: CanConnection) -> tuple[str, ...]:
-    """Set what stops the fin when softfin dies; return a note for each object that the drive does not have."""
+    """Set what stops the fin when softfin dies; return a note for each object that the drive does
+    not have."""
     notes = []
     for entry, value in protocol.REACTIONS.items():
         try:
@@ -156,29 +184,36 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
         except SdoRefusal as refusal:
             if refusal.code not in protocol.MISSING:
                 raise
-            notes.append(f"drive has no {entry}; only rig check --prove shows that it stops by itself")
+            notes.append(
+                f"drive has no {entry}; only rig check --prove shows that it stops by itself"
+            )
     return tuple(notes)
 
 
 def set_sync(connection: CanConnection, config: Epos2Config) -> int:
-    """Have the drive answer to this program's own SYNC alone; return the COB-ID that it answers to."""
+    """Have the drive answer to this program's own SYNC alone; return the COB-ID that it answers
+    to."""
     wanted = protocol.SYNC + config.host
     try:
         connection.write(protocol.SYNC_ID, wanted)
         held = connection.read(protocol.SYNC_ID) & 0x7FF
     except SdoRefusal:
-        # Whether an EPOS2 lets it be changed is not known; it then keeps the one that CiA 301 gives to all.
+        # Whether an EPOS2 lets it be changed is not known; it then keeps the one that CiA 301 gives
+        # to all.
         held = (read_optional(connection, protocol.SYNC_ID) or protocol.SYNC) & 0x7FF
     if held not in (wanted, protocol.SYNC):
-        raise RigError(f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, switch it off and on")
+        raise RigError(
+            f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, switch it off "
+            "and on"
+        )
     return held
 
 
 def configure(connection: CanConnection, config: Epos2Config) -> None:
     """Write limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
     units = Units.of(config)
-    # softfin keeps its commands within the range itself. A stroke to its end may overshoot by some counts, at which a
-    # drive that judges its actual position would fault.
+    # softfin keeps its commands within the range itself. A stroke to its end may overshoot by some
+    # counts, at which a drive that judges its actual position would fault.
     lowest = units.counts(config.angle_min_rad - OVERSHOOT_RAD)
     highest = units.counts(config.angle_max_rad + OVERSHOOT_RAD)
     ends = sorted((lowest, highest))
@@ -208,17 +243,30 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
         # All four of each kind: what else the drive was once told to send and take is turned off.
         for place in range(4):
             entries = pdos[place] if place < len(pdos) else ()
-            _map(connection, first + place, cob_id + 0x100 * place + config.node, entries, transmission)
+            _map(
+                connection,
+                first + place,
+                cob_id + 0x100 * place + config.node,
+                entries,
+                transmission,
+            )
 
 
-def write(connection: CanConnection, entry: Object, value: int, shown: Object | None = None, mask: int = -1) -> None:
-    """Write an object, read it or the one that shows it back; raises RigError where the drive holds another value."""
+def write(
+    connection: CanConnection,
+    entry: Object,
+    value: int,
+    shown: Object | None = None,
+    mask: int = -1,
+) -> None:
+    """Write an object, read it or the one that shows it back; raises RigError where the drive holds
+    another value."""
     connection.write(entry, value)
     held = connection.read(shown or entry)
     if (held ^ value) & mask:
         raise RigError(
-            f"drive's {shown or entry} stayed {held} where {value} was written; "
-            "close EPOS Studio and other programs, or change the value in the rig's file to one that the drive takes"
+            f"drive's {shown or entry} stayed {held} where {value} was written; close EPOS Studio "
+            "and other programs, or change the value in the rig's file to one that the drive takes"
         )
 
 
@@ -227,8 +275,15 @@ def set_mode(connection: CanConnection, mode: int) -> None:
     write(connection, protocol.MODE, mode, shown=protocol.MODE_DISPLAY)
 
 
-def _map(connection: CanConnection, number: int, cob_id: int, entries: tuple[Object, ...], transmission: int) -> None:
-    """Mapping objects are 0x200 above those of the communication; a PDO must be off while its mapping changes."""
+def _map(
+    connection: CanConnection,
+    number: int,
+    cob_id: int,
+    entries: tuple[Object, ...],
+    transmission: int,
+) -> None:
+    """Mapping objects are 0x200 above those of the communication; a PDO must be off while its
+    mapping changes."""
 
     def set_cob_id(value: int) -> None:
         entry = Object(number, 1, "I", "COB-ID")
@@ -269,13 +324,17 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
             word = protocol.TO_ENABLED.get(status.state)
             if word is not None:
                 exchange.connection.send(*exchange.order(word))
-            # Every frame on the bus wakes it: those of other fins must not use up the time that this drive may take.
+            # Every frame on the bus wakes it: those of other fins must not use up the time that
+            # this drive may take.
             exchange.lock.wait_for(lambda: exchange.stopped, STATE_STEP_S)
-    raise DeviceError(f"drive stays {status.words} and does not enable; look at its supply and its enable input")
+    raise DeviceError(
+        f"drive stays {status.words} and does not enable; look at its supply and its enable input"
+    )
 
 
 def home(exchange: Exchange) -> None:
-    """Have a drive that is enabled in homing mode take the present position as home; raises DeviceError."""
+    """Have a drive that is enabled in homing mode take the present position as home; raises
+    DeviceError."""
     status = exchange.status
     with exchange.lock:
         if not exchange.stopped:
@@ -296,21 +355,28 @@ def home(exchange: Exchange) -> None:
 
 
 def rest(exchange: Exchange) -> bool:
-    """Wait for standstill after a quick stop, take the voltage off; returns whether the drive confirms that."""
-    status, config = exchange.status, exchange.config
+    """Wait for standstill after a quick stop, take the voltage off; returns whether the drive
+    confirms that."""
+    status = exchange.status
+    config = exchange.config
 
     def is_off() -> bool:
         return bool(status.answered & 1) and status.state in protocol.UNPOWERED
 
     def stands() -> bool:
-        braked = status.state is State.QUICK_STOP_ACTIVE and exchange.units.rpm(status.velocity) <= STANDSTILL_RPM
+        braked = (
+            status.state is State.QUICK_STOP_ACTIVE
+            and exchange.units.rpm(status.velocity) <= STANDSTILL_RPM
+        )
         return is_off() or (braked and status.new)
 
     def repeat(word: int, done: Callable[[], bool], seconds: float) -> None:
-        """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it too."""
+        """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it
+        too."""
         refused = 0
         for attempt in range(max(REFUSED, round(seconds / config.sync_s))):
-            # A drive that does not obey must stop by itself: our heartbeats would only keep it going.
+            # A drive that does not obey must stop by itself: our heartbeats would only keep it
+            # going.
             obeys = status.state is State.QUICK_STOP_ACTIVE or is_off()
             if obeys or attempt < REFUSED:
                 exchange.send_heartbeat()
@@ -327,20 +393,26 @@ def rest(exchange: Exchange) -> bool:
     repeat(protocol.QUICK_STOP, stands, braking)
     repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S)
     # Without process data, as of a node that is not operational, the drive can still be asked.
-    return is_off() or protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
+    return (
+        is_off()
+        or protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
+    )
 
 
 def time_own_stop(exchange: Exchange) -> float:
-    """Withhold the heartbeats of a powered drive until it faults by itself; return how long that takes [s].
+    """Withhold the heartbeats of a powered drive until it faults by itself; return how long that
+    takes [s].
 
-    Raises DeviceError if it does not fault for the loss of the heartbeats, or does not take its power off.
+    Raises DeviceError if it does not fault for the loss of the heartbeats, or does not take its
+    power off.
     """
     exchange.send_heartbeat()
     last_heartbeat = exchange.clock()
     longest = exchange.config.heartbeat_s + LOSS_MARGIN_S
     while (silence := exchange.clock() - last_heartbeat) <= longest:
-        # All goes on as in a run but the heartbeats: nothing else may be what stops it. After the fault the node may
-        # have left the operational state, in which it answers no SYNC, so its state is read.
+        # All goes on as in a run but the heartbeats: nothing else may be what stops it. After the
+        # fault the node may have left the operational state, in which it answers no SYNC, so its
+        # state is read.
         exchange.sync_and_read(STATE_STEP_S)
         state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
         if state is State.FAULT:
@@ -350,18 +422,21 @@ def time_own_stop(exchange: Exchange) -> float:
             return silence
         exchange.clock.sleep(STATE_STEP_S)
     raise DeviceError(
-        f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so a fin would go on when "
-        f"softfin dies; set {protocol.LOSS_REACTION} to 1 and {protocol.FAULT_REACTION} to 2 in EPOS Studio, and move "
-        "nothing until this passes"
+        f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so a "
+        f"fin would go on when softfin dies; set {protocol.LOSS_REACTION} to 1 and "
+        f"{protocol.FAULT_REACTION} to 2 in EPOS Studio, and move nothing until this passes"
     )
 
 
 def switch_off(exchange: Exchange) -> bool:
-    """Quick stop, then no voltage, whatever state drive and node are in; return whether the motor is then off.
+    """Quick stop, then no voltage, whatever state drive and node are in; return whether the motor
+    is then off.
 
-    By process data first, which take effect at once where they are mapped as softfin maps them, and by SDO.
+    By process data first, which take effect at once where they are mapped as softfin maps them, and
+    by SDO.
     """
-    connection, config = exchange.connection, exchange.config
+    connection = exchange.connection
+    config = exchange.config
 
     def order(word: int) -> State | None:
         exchange.attempt(*exchange.order(word))
@@ -381,7 +456,8 @@ def switch_off(exchange: Exchange) -> bool:
         return velocity is not None and abs(velocity) <= STANDSTILL_RPM
 
     def until(done: Callable[[], bool], seconds: float) -> bool:
-        """Until it is done or the time is over, but three times at least: one unanswered request may take it all."""
+        """Until it is done or the time is over, but three times at least: one unanswered request
+        may take it all."""
         end = exchange.clock() + seconds
         attempts = 0
         while attempts < REFUSED or exchange.clock() <= end:
@@ -392,8 +468,11 @@ def switch_off(exchange: Exchange) -> bool:
             exchange.clock.sleep(config.sync_s)
         return False
 
-    # As long as braking from the highest velocity may take; then the voltage is taken whether it stands or not.
-    until(lambda: not brakes(), config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s)
+    # As long as braking from the highest velocity may take; then the voltage is taken whether it
+    # stands or not.
+    until(
+        lambda: not brakes(), config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
+    )
     if not until(lambda: order(protocol.DISABLE_VOLTAGE) in protocol.UNPOWERED, DISABLE_TIMEOUT_S):
         return False
     for _ in range(round(STOP_CONFIRMED_S / config.sync_s)):

@@ -1,21 +1,31 @@
-"""The protocol of an EPOS2: objects, process data, states, controlwords, and its faults and aborts in words.
+"""The protocol of an EPOS2: objects, process data, states, controlwords, and its faults and aborts
+in words.
 
-Indices, states and codes are those of the maxon "EPOS2 Firmware Specification" (rel5466), by way of drivers written
-from it, and of CiA 301 and 402; the ways out are ours. Not met by a real drive yet; the sub-indices of 0x2210 and
-0x6410 and the home position 0x2081 are the ones to look at first.
+Indices, states and codes are those of the maxon "EPOS2 Firmware Specification" (rel5466), by way of
+drivers written from it, and of CiA 301 and 402; the ways out are ours. Not met by a real drive yet;
+the sub-indices of 0x2210 and 0x6410 and the home position 0x2081 are the ones to look at first.
 """
 
 import struct
 from enum import Enum, IntFlag
 from typing import NamedTuple
 
-BOOT_UP, OPERATIONAL = 0x00, 0x05
+BOOT_UP = 0x00
+OPERATIONAL = 0x05
 """States of a node in its heartbeat."""
 
-NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
-NMT_RESET, NMT_RESET_COMMUNICATION = 0x81, 0x82
+NMT_START = 0x01
+NMT_STOP = 0x02
+NMT_PRE_OPERATIONAL = 0x80
+NMT_RESET = 0x81
+NMT_RESET_COMMUNICATION = 0x82
 
-NMT, SYNC, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x080, 0x580, 0x600, 0x700
+NMT = 0x000
+SYNC = 0x080
+EMERGENCY = 0x080
+SDO_ANSWER = 0x580
+SDO_REQUEST = 0x600
+HEARTBEAT = 0x700
 """COB-IDs; the node's number is added, except to NMT and to the SYNC that all share.
 
 A host's own SYNC is 0x080 plus its number: the emergency of a node that never sends one.
@@ -23,7 +33,8 @@ A host's own SYNC is 0x080 plus its number: the emergency of a node that never s
 TPDO = (0x180, 0x280, 0x380)
 RPDO = (0x200, 0x300)
 
-PROFILE_POSITION, HOMING = 1, 6
+PROFILE_POSITION = 1
+HOMING = 6
 HOME_HERE = 35
 """Homing method: the present position is home; nothing moves."""
 
@@ -95,10 +106,11 @@ CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 
 REACTIONS = {LOSS_REACTION: 1, FAULT_REACTION: 2, QUICK_STOP_OPTION: 6}
-"""Reactions that stop the fin when softfin dies: a lost heartbeat is a fault, a fault brakes at the quick-stop ramp,
-and a quick stop brakes at that ramp and then holds (CiA 402).
+"""Reactions that stop the fin when softfin dies: a lost heartbeat is a fault, a fault brakes at the
+quick-stop ramp, and a quick stop brakes at that ramp and then holds (CiA 402).
 
-Any of them may be stored in the drive as "no action". Whether an EPOS2 has all three is known from memory alone.
+Any of them may be stored in the drive as "no action". Whether an EPOS2 has all three is known from
+memory alone.
 """
 
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
@@ -107,7 +119,8 @@ SENT = ((STATUSWORD, POSITION), (VELOCITY, MOTOR_CURRENT), (DEMAND,))
 """Objects that the drive sends on every SYNC: TPDO 1, 2, 3."""
 TAKEN = ((CONTROLWORD, TARGET), (PROFILE_VELOCITY,))
 """Objects that the drive takes at once: RPDO 1, 2."""
-ON_SYNC, AT_ONCE = 1, 255
+ON_SYNC = 1
+AT_ONCE = 255
 """Transmission types of process data."""
 INVALID = 1 << 31
 """Bit of a PDO's COB-ID: it is off."""
@@ -139,7 +152,8 @@ RESET_EDGE = (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)
 class State(Enum):
     """The twelve states of an EPOS2; the value is the statusword, masked.
 
-    The generic masks of CiA 402, as in canopen's `State402`, would read refresh and measure-init as "switched on".
+    The generic masks of CiA 402, as in canopen's `State402`, would read refresh and measure-init as
+    "switched on".
     """
 
     START = 0x0000
@@ -187,7 +201,8 @@ TO_ENABLED: dict[State | None, int] = {
     State.SWITCHED_ON: ENABLE_OPERATION,
     State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
 }
-"""The controlwords that bring a drive one step nearer to operation enabled; from other states it moves on by itself.
+"""The controlwords that bring a drive one step nearer to operation enabled; from other states it
+moves on by itself.
 
 A quick stop is first left through disabled voltage: a drive that was stopped is never let go on.
 """
@@ -207,26 +222,50 @@ FAULTS = {
     0x4210: ("over-temperature", "let the drive cool down; move less or slower"),
     0x5113: ("+5 V supply too low", "look for a short circuit in the encoder's cable"),
     0x5114: ("supply of the output stage too low", "look at the supply and at its fuse"),
-    0x6100: ("internal software error", "switch the drive off and on; update its firmware if it comes again"),
-    0x6320: ("software parameter error", "restore the drive's defaults in EPOS Studio and tune it again"),
-    0x7320: ("position sensor error", "look at the encoder and its cable; its lines must be those of the drive"),
+    0x6100: (
+        "internal software error",
+        "switch the drive off and on; update its firmware if it comes again",
+    ),
+    0x6320: (
+        "software parameter error",
+        "restore the drive's defaults in EPOS Studio and tune it again",
+    ),
+    0x7320: (
+        "position sensor error",
+        "look at the encoder and its cable; its lines must be those of the drive",
+    ),
     0x8110: ("CAN overrun, objects lost", "put fewer nodes or a higher bitrate on the bus"),
     0x8111: ("CAN overrun", "put fewer nodes or a higher bitrate on the bus"),
     0x8120: ("CAN error passive", "look at the bus: termination, bitrate, cable"),
-    0x8130: ("heartbeat of the host lost", "find out why the program hung or was killed; look at the bus's cable"),
+    0x8130: (
+        "heartbeat of the host lost",
+        "find out why the program hung or was killed; look at the bus's cable",
+    ),
     0x8150: ("CAN message collision", "look for a second drive with the same node number"),
     0x81FD: ("CAN bus off", "look at the bus: termination, bitrate, cable"),
     0x81FE: ("CAN receive queue overrun", "put fewer nodes or a higher bitrate on the bus"),
     0x81FF: ("CAN transmit queue overrun", "put fewer nodes or a higher bitrate on the bus"),
-    0x8210: ("process data of a wrong length", "look for another program that writes to the same drive"),
-    0x8611: ("following error", "look for a blocked fin; ask for less velocity or acceleration, or tune the drive"),
+    0x8210: (
+        "process data of a wrong length",
+        "look for another program that writes to the same drive",
+    ),
+    0x8611: (
+        "following error",
+        "look for a blocked fin; ask for less velocity or acceleration, or tune the drive",
+    ),
     0xFF01: ("hall sensor error", "look at the hall sensors' cable"),
     0xFF02: ("index processing error", "look at the encoder's index channel"),
-    0xFF03: ("encoder resolution error", "set the encoder's lines in the drive to those of the encoder"),
+    0xFF03: (
+        "encoder resolution error",
+        "set the encoder's lines in the drive to those of the encoder",
+    ),
     0xFF04: ("hall sensor not found", "look at the hall sensors' cable"),
     0xFF06: ("negative limit switch", "turn the fin away from its end"),
     0xFF07: ("positive limit switch", "turn the fin away from its end"),
-    0xFF08: ("hall angle detection error", "look at the hall sensors' cable and at the motor's pole pairs"),
+    0xFF08: (
+        "hall angle detection error",
+        "look at the hall sensors' cable and at the motor's pole pairs",
+    ),
     0xFF09: ("software position limit", "turn the fin inside its limits, or zero it anew"),
     0xFF0A: ("position sensor breach", "look at the encoder and its cable"),
     0xFF0B: ("system overloaded", "look for too many messages on the bus"),
@@ -235,16 +274,22 @@ FAULTS = {
 
 HOST_LOST = 0x8130
 NEEDS_RESET_OF_COMMUNICATION = frozenset({HOST_LOST, 0x8120, 0x81FD})
-"""Faults of the communication, of which an EPOS4 is only rid after NMT reset communication; an EPOS2 bears it."""
+"""Faults of the communication, of which an EPOS4 is only rid after NMT reset communication; an
+EPOS2 bears it."""
 
 
 def fault_line(code: int) -> str:
-    """Name and way out of a fault, such as ``drive fault 0x8611, following error: look for a blocked fin; ..``."""
-    name, way_out = FAULTS.get(code, ("not in softfin's list", "look it up in the EPOS2 Firmware Specification"))
+    """Name and way out of a fault, such as ``drive fault 0x8611, following error: look for a
+    blocked fin; ..``."""
+    name, way_out = FAULTS.get(
+        code, ("not in softfin's list", "look it up in the EPOS2 Firmware Specification")
+    )
     return f"drive fault 0x{code:04X}, {name}: {way_out}"
 
 
-NO_OBJECT, NO_SUB_INDEX, READ_ONLY = 0x06020000, 0x06090011, 0x06010002
+NO_OBJECT = 0x06020000
+NO_SUB_INDEX = 0x06090011
+READ_ONLY = 0x06010002
 MISSING = frozenset({NO_OBJECT, NO_SUB_INDEX})
 """Reasons of an SDO abort by which a drive says that it does not have an object."""
 
@@ -278,9 +323,13 @@ ABORTS = {
 
 
 def abort_line(code: int) -> str:
-    """Name and way out of an SDO abort, such as ``0x06020000, object does not exist: check that ..``."""
+    """Name and way out of an SDO abort, such as ``0x06020000, object does not exist: check that
+    ..``."""
     name = ABORTS.get(code, "see the EPOS2 Communication Guide")
-    way_out = "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the drive off and on"
+    way_out = (
+        "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the "
+        "drive off and on"
+    )
     if 0x06090030 <= code <= 0x06090036:
         way_out = "change the value in the rig's file to one that the drive takes"
     return f"0x{code:08X}, {name}: {way_out}"
@@ -308,7 +357,8 @@ _CONTROLLER_STATES = {
 }
 """States of the controller in byte 1 of an error frame of its class."""
 BUS_FAILURES = frozenset({"error passive", "bus-off"})
-"""Errors after which the adapter is not to be relied on: its frames, a stop among them, may not reach the drive."""
+"""Errors after which the adapter is not to be relied on: its frames, a stop among them, may not
+reach the drive."""
 
 
 def bus_errors(classes: int, data: bytes) -> list[str]:

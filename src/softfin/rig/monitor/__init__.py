@@ -1,1 +1,2 @@
-"""A recording watched while it is made: its file is followed, on this computer or another, and never written to."""
+"""A recording watched while it is made: its file is followed, on this computer or another, and
+never written to."""

@@ -1,6 +1,8 @@
-"""Follow a bag that grows: each byte is read once, memory holds a window, damage is reported in one line.
+"""Follow a bag that grows: each byte is read once, memory holds a window, damage is reported in one
+line.
 
-It opens the file to read and for no longer than one look, so it disturbs no recorder and holds up no unmounting.
+It opens the file to read and for no longer than one look, so it disturbs no recorder and holds up
+no unmounting.
 """
 
 import contextlib
@@ -24,10 +26,12 @@ READ_BYTES = 4 * 2**20
 """Bytes that one look takes in, so that an old recording is seen to come in."""
 
 SILENT_RECORDING_S = 3.0
-"""Time without a new row after which a recording is silent [s]; a recorder writes twice a second."""
+"""Time without a new row after which a recording is silent [s]; a recorder writes twice a
+second."""
 
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
-"""A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not read whole disks."""
+"""A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not
+read whole disks."""
 
 
 class Follower:
@@ -49,7 +53,9 @@ class Follower:
         self.path = path
         self.follows_folder = path.is_dir()
         """A newer bag may come when this one has ended."""
-        self._window, self._clock, self._wall = window_s, clock, wall
+        self._window = window_s
+        self._clock = clock
+        self._wall = wall
         self._serials = itertools.count(1)
         self._number = 0
         self._chosen_at = -float("inf")
@@ -81,9 +87,12 @@ class Follower:
             with self._bag.open("rb") as file:
                 self._read(file)
         except OSError as error:
-            self._problem = f"{self._shown()}: cannot be read ({error.strerror or error}); looking again"
+            self._problem = (
+                f"{self._shown()}: cannot be read ({error.strerror or error}); looking again"
+            )
         except (LogError, ArtifactError) as error:
-            self._broken, self._problem = True, f"{self._shown()}: {error}"
+            self._problem = f"{self._shown()}: {error}"
+            self._broken = True
 
     def summary(self) -> Summary:
         """Summarize the recording as of the last look."""
@@ -92,12 +101,20 @@ class Follower:
         # What is recorded in simulated time runs ahead of the day.
         age = None if time_s is None else max(0.0, self._wall() - (self._start_ns * 1e-9 + time_s))
         return summarize(
-            self.traces, path=self._shown(), number=self._number, state=self._state(age), problem=self._problem,
-            size_bytes=self._size, damaged=self._damaged, age_s=age, time_s=time_s,
-        )  # fmt: skip
+            self.traces,
+            path=self._shown(),
+            number=self._number,
+            state=self._state(age),
+            problem=self._problem,
+            size_bytes=self._size,
+            damaged=self._damaged,
+            age_s=age,
+            time_s=time_s,
+        )
 
     def _choose(self) -> None:
-        """Follow the bag of the folder that was written to last, if it is clearly newer than the one followed."""
+        """Follow the bag of the folder that was written to last, if it is clearly newer than the
+        one followed."""
         times: dict[Path, float] = {}
         for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
             # A file may be renamed or removed meanwhile.
@@ -108,26 +125,35 @@ class Follower:
             return
         newest = max(times, key=lambda path: (times[path], path.name))
         # Two recordings at once do not take turns: another one must have been written to 1 s later.
-        if newest != self._bag and (self._bag is None or times[newest] > times.get(self._bag, -float("inf")) + 1.0):
+        if newest != self._bag and (
+            self._bag is None or times[newest] > times.get(self._bag, -float("inf")) + 1.0
+        ):
             self._bag = newest
             self._restart()
 
     def _read(self, file: io.BufferedIOBase) -> None:
         status = os.fstat(file.fileno())
         identity = (status.st_dev, status.st_ino)
-        if self._identity is not None and (identity != self._identity or status.st_size < self._offset):
+        if self._identity is not None and (
+            identity != self._identity or status.st_size < self._offset
+        ):
             # Another file by the same name, as a copy or a repair leaves it.
             self._restart()
-        self._identity, self._size = identity, status.st_size
+        self._identity = identity
+        self._size = status.st_size
         if self._offset == 0:
             magic = file.read(len(MAGIC))
             if not MAGIC.startswith(magic):
-                raise LogError("not an MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP")
+                raise LogError(
+                    "not an MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP"
+                )
             if magic != MAGIC:
                 self._caught_up = True
                 return
             self._offset = len(MAGIC)
-        was_caught_up, before, end = self._caught_up, self._count(), self._offset + READ_BYTES
+        was_caught_up = self._caught_up
+        before = self._count()
+        end = self._offset + READ_BYTES
         try:
             for record in read_records(file, self._offset, self._size):
                 self._offset = record.end
@@ -139,11 +165,14 @@ class Follower:
         except LogError as error:
             raise LogError(f"damaged ({error}); softfin bag recover saves what is whole") from None
         finally:
-            # The joint's time counts where there is one: no other topic's wrong stamps empty all traces.
+            # The joint's time counts where there is one: no other topic's wrong stamps empty all
+            # traces.
             lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
             newest = next((last for last in lasts if last is not None), 0.0)
             for role, trace in self.traces.items():
-                trace.settle(-float("inf") if role == "event" else newest - self._window, self._serials)
+                trace.settle(
+                    -float("inf") if role == "event" else newest - self._window, self._serials
+                )
             self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
             if was_caught_up and self._count() > before:
                 self._grown_at = self._clock()
@@ -170,7 +199,11 @@ class Follower:
             elif isinstance(record, Channel):
                 check_file_format("recording", record.metadata, "recording", ArtifactError)
                 if record.topic in roles:
-                    type_name = self._types.get(record.schema_id, "") if record.message_encoding == "cdr" else ""
+                    type_name = (
+                        self._types.get(record.schema_id, "")
+                        if record.message_encoding == "cdr"
+                        else ""
+                    )
                     self._channels[record.id] = (self.traces[roles[record.topic]], type_name)
             elif isinstance(record, Footer):
                 self._ended = True

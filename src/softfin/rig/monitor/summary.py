@@ -1,4 +1,5 @@
-"""Summary of a recording: the last seconds of each topic, and what a person wants to know at a glance."""
+"""Summary of a recording: the last seconds of each topic, and what a person wants to know at a
+glance."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,7 +16,8 @@ from softfin.storage.bag.messages import JOINT_STATE, TYPES, WRENCH_STAMPED, typ
 from softfin.storage.bag.zero import Force, parse_zero, zeros_at
 
 MOST_ROWS = 30_000
-"""Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1 kHz."""
+"""Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1
+kHz."""
 
 MOST_CHARACTERS = 300
 """Characters of an event's text that are shown."""
@@ -49,11 +51,13 @@ Summary: TypeAlias = dict[str, Any]
 """A recording at one moment, ready for JSON; None is what is not known, or not yet."""
 
 Values: TypeAlias = tuple[float | str, ...]
-"""Angle [rad] and velocity [rad/s] of a joint or command; force x and y [N]; a current [A]; a text."""
+"""Angle [rad] and velocity [rad/s] of a joint or command; force x and y [N]; a current [A]; a
+text."""
 
 
 def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
-    """Return the values of a message; None where it is of another type than softfin records, or damaged."""
+    """Return the values of a message; None where it is of another type than softfin records, or
+    damaged."""
     if type_name != TYPES[ROLES[role]]:
         return None
     try:
@@ -63,7 +67,11 @@ def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
             return float(message.position[0]), velocity
         if type_name == WRENCH_STAMPED:
             return float(message.wrench.force.x), float(message.wrench.force.y)
-        return (printable(message.data, most=MOST_CHARACTERS) if role == "event" else float(message.data),)
+        return (
+            printable(message.data, most=MOST_CHARACTERS)
+            if role == "event"
+            else float(message.data),
+        )
     except Exception:
         # Generated code reads damaged bytes, and fails in ways of its own; the caller counts it.
         return None
@@ -80,7 +88,8 @@ class TraceRow(NamedTuple):
 
 
 class Trace:
-    """Rows of one topic in the order in which they were written; messages are decoded when they are needed."""
+    """Rows of one topic in the order in which they were written; messages are decoded when they are
+    needed."""
 
     def __init__(self, role: str) -> None:
         self.role = role
@@ -93,7 +102,8 @@ class Trace:
         self.last: float | None = None
         """Time of the message that came last, decoded or not [s]."""
         self.zeros: Sequence[tuple[float, Force]] = ()
-        """Zeros of the force, each with the time at which it was measured [s]; `less_zero` subtracts them."""
+        """Zeros of the force, each with the time at which it was measured [s]; `less_zero`
+        subtracts them."""
         self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_ROWS)
 
     def offer(self, time: float, type_name: str, data: bytes) -> None:
@@ -106,7 +116,8 @@ class Trace:
         self._waiting.append((time, type_name, data))
 
     def settle(self, since: float, serials: Iterator[int]) -> None:
-        """Decode what was offered, from the last row before `since` on: it holds until the next one comes."""
+        """Decode what was offered, from the last row before `since` on: it holds until the next one
+        comes."""
         while self._waiting:
             time, type_name, data = self._waiting.popleft()
             if self._waiting and self._waiting[0][0] < since:
@@ -120,16 +131,20 @@ class Trace:
             self.rows.popleft()
 
     def recorded_zeros(self) -> list[tuple[float, Force]]:
-        """Return the zeros of the force that events record, each with the time at which it was measured [s]."""
+        """Return the zeros of the force that events record, each with the time at which it was
+        measured [s]."""
         parsed = ((row.time, parse_zero(str(row.values[0]))) for row in self.rows)
         return [(time, zero) for time, zero in parsed if zero is not None]
 
     def less_zero(self, row: TraceRow) -> TraceRow:
-        """Return a row less the zero of its time: rows stay raw, because a zero may be read after them."""
+        """Return a row less the zero of its time: rows stay raw, because a zero may be read after
+        them."""
         if not self.zeros:
             return row
         zero = zeros_at(self.zeros, np.array([row.time]))[0].tolist()
-        return row._replace(values=tuple(value - offset for value, offset in zip(row.values, zero, strict=True)))
+        return row._replace(
+            values=tuple(value - offset for value, offset in zip(row.values, zero, strict=True))
+        )
 
     def newest(self) -> list[float | None]:
         """Return the two numbers that came last; None for what is not there."""
@@ -138,7 +153,9 @@ class Trace:
 
     def array(self) -> Float64[np.ndarray, "rows columns"]:
         """Return time [s] and numbers of the rows that are held."""
-        rows = np.array([(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64)
+        rows = np.array(
+            [(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64
+        )
         if self.zeros:
             rows[:, 1:] -= zeros_at(self.zeros, rows[:, 0])
         return rows
@@ -146,17 +163,21 @@ class Trace:
 
 def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
     """Summarize a recording from its traces and from what is known of its file."""
-    joint, wrench = traces["joint"], traces["wrench"]
+    joint = traces["joint"]
+    wrench = traces["wrench"]
     angle, velocity, *_ = joint.newest()
     command_angle, command_velocity, *_ = traces["command"].newest()
-    recent, forces = (rows[rows[:, 0] >= rows[:, 0].max(initial=0.0) - WINDOW_S + TICK_S / 2]
-                      for rows in (joint.array(), wrench.array()))  # fmt: skip
+    recent, forces = (
+        rows[rows[:, 0] >= rows[:, 0].max(initial=0.0) - WINDOW_S + TICK_S / 2]
+        for rows in (joint.array(), wrench.array())
+    )
     span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
     is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
     has_mean = is_whole and bool((np.abs(forces[:, 1:]) < MAX_NUMBER).all())
     return {
         **about_the_file,
-        # Of the joint; the rate is that of the last 2 s, gaps are places where rows are missing at 100 Hz.
+        # Of the joint; the rate is that of the last 2 s, gaps are places where rows are missing at
+        # 100 Hz.
         "rows": joint.count,
         "rate_hz": float((len(recent) - 1) / span) if span > 0 else None,
         "gaps": joint.gaps,
@@ -181,7 +202,10 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
 
 def counts(summary: Summary) -> str:
     """Describe rows, rate, gaps, size and damage in a line."""
-    gaps = (("joint", summary["gaps"], summary["missing"]), ("force", summary["force_gaps"], summary["force_missing"]))
+    gaps = (
+        ("joint", summary["gaps"], summary["missing"]),
+        ("force", summary["force_gaps"], summary["force_missing"]),
+    )
     found = ", ".join(f"{name} {count:,} ({rows:,} rows)" for name, count, rows in gaps if count)
     parts = [
         f"{summary['rows']:,} rows",

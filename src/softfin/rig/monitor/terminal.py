@@ -1,4 +1,5 @@
-"""A recording on the terminal: a screen of 80 columns and 24 lines; its last state where the output is piped."""
+"""A recording on the terminal: a screen of 80 columns and 24 lines; its last state where the output
+is piped."""
 
 from collections.abc import Callable, Mapping
 
@@ -42,7 +43,9 @@ def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None
 
 def render(summary: Summary, traces: Mapping[str, Trace]) -> Group:
     """Return the whole screen."""
-    state, path, age = summary["state"], summary["path"], summary["age_s"]
+    state = summary["state"]
+    path = summary["path"]
+    age = summary["age_s"]
     at = "" if summary["time_s"] is None else f", {summary['time_s']:.1f} s"
     at += f", newest {age:.0f} s ago" if state == "silent" and age is not None else ""
     events = [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary["events"][-6:]]
@@ -75,28 +78,43 @@ def _table(summary: Summary, traces: Mapping[str, Trace]) -> Table:
     ]
     for name, role, column, numbers in rows:
         values = traces[role].array()
-        table.add_row(Text(name), *map(_number, numbers), *sparkline(values[:, 0], values[:, column]))
+        table.add_row(
+            Text(name), *map(_number, numbers), *sparkline(values[:, 0], values[:, column])
+        )
     return table
 
 
-def sparkline(times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"]) -> tuple[str, str, str]:
-    """Return least value, means over equal times as one letter each, most; a space where rows are missing."""
+def sparkline(
+    times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"]
+) -> tuple[str, str, str]:
+    """Return least value, means over equal times as one letter each, most; a space where rows are
+    missing."""
     shown = (np.abs(values) < MAX_NUMBER) & (times > (times.max(initial=0.0) - SHOWN_S))
-    times, values = times[shown], values[shown]
+    times = times[shown]
+    values = values[shown]
     if not len(times):
         return "-", " " * TRACE_COLUMNS, "-"
-    low, high = float(values.min()), float(values.max())
-    bins = np.clip(((times - times.max() + SHOWN_S) * TRACE_COLUMNS / SHOWN_S).astype(int), 0, TRACE_COLUMNS - 1)
+    low = float(values.min())
+    high = float(values.max())
+    bins = np.clip(
+        ((times - times.max() + SHOWN_S) * TRACE_COLUMNS / SHOWN_S).astype(int),
+        0,
+        TRACE_COLUMNS - 1,
+    )
     filled = np.bincount(bins, minlength=TRACE_COLUMNS)
     means = np.bincount(bins, values, TRACE_COLUMNS) / np.maximum(filled, 1)
     heights = np.zeros(TRACE_COLUMNS) if high == low else (means - low) / (high - low)
     indices = np.clip((heights * len(BLOCKS)).astype(int), 0, len(BLOCKS) - 1)
-    letters = (BLOCKS[index] if count else " " for index, count in zip(indices, filled, strict=True))
+    letters = (
+        BLOCKS[index] if count else " " for index, count in zip(indices, filled, strict=True)
+    )
     return _number(low), "".join(letters), _number(high)
 
 
 def _line(text: str, style: str = "", wrap: bool = False) -> Text:
-    return Text(printable(text), style=style, no_wrap=not wrap, overflow="fold" if wrap else "ellipsis")
+    return Text(
+        printable(text), style=style, no_wrap=not wrap, overflow="fold" if wrap else "ellipsis"
+    )
 
 
 def _number(value: float | None) -> str:

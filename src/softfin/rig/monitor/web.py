@@ -1,6 +1,8 @@
-"""A recording as a page on localhost that draws its traces; read-only: no request changes or opens anything.
+"""A recording as a page on localhost that draws its traces; read-only: no request changes or opens
+anything.
 
-Two addresses, `/` and `/data?since=N`, both made in memory. No path of a request is ever looked up on a disk.
+Two addresses, `/` and `/data?since=N`, both made in memory. No path of a request is ever looked up
+on a disk.
 """
 
 import contextlib
@@ -23,8 +25,10 @@ from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
 
 HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src "
+        "'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
@@ -32,17 +36,23 @@ HEADERS = {
 
 
 class Server(socketserver.ThreadingTCPServer):
-    """Serves a recording, which it follows while a page asks; raises ConfigurationError where it cannot listen."""
+    """Serves a recording, which it follows while a page asks; raises ConfigurationError where it
+    cannot listen."""
 
     allow_reuse_address = daemon_threads = True
     request_queue_size = 128
     """Connections that wait to be accepted; too few cost a burst of clients a second."""
 
     def __init__(self, follower: Follower, host: str, port: int) -> None:
-        self.host, self._follower = host, follower
+        self.host = host
+        self._follower = follower
         self._reading = threading.Lock()
         """Lock of the thread whose request reads."""
-        page = importlib.resources.files("softfin.rig.monitor").joinpath("page.html").read_text("utf-8")
+        page = (
+            importlib.resources.files("softfin.rig.monitor")
+            .joinpath("page.html")
+            .read_text("utf-8")
+        )
         self.page = with_canvas(page).encode()
         try:
             self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
@@ -50,7 +60,8 @@ class Server(socketserver.ThreadingTCPServer):
         except (OSError, OverflowError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ConfigurationError(
-                f"cannot listen on {host} port {port} ({reason}); --port 0 takes a free port, --host {LOOPBACK} is here"
+                f"cannot listen on {host} port {port} ({reason}); --port 0 takes a free port, "
+                f"--host {LOOPBACK} is here"
             ) from None
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -63,10 +74,12 @@ class Server(socketserver.ThreadingTCPServer):
         return f"http://{host}:{self.server_address[1]}/"
 
     def data(self, since: int) -> bytes:
-        """Return rows whose serial number is above `since`, the summary, and the number to ask with next, as JSON."""
+        """Return rows whose serial number is above `since`, the summary, and the number to ask with
+        next, as JSON."""
         with self._reading:
             self._follower.poll()
-            summary, traces = self._follower.summary(), self._follower.traces
+            summary = self._follower.summary()
+            traces = self._follower.traces
             rows = {
                 role: [trace.less_zero(row) for row in trace.rows if row.serial > since]
                 for role, trace in traces.items()
@@ -75,10 +88,12 @@ class Server(socketserver.ThreadingTCPServer):
         told = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
         answer = {
             "next": max((row.serial for found in rows.values() for row in found), default=since),
-            "rows": {role: [[finite(value) for value in (row.time, *row.values)] for row in found]
-                     for role, found in rows.items()},
+            "rows": {
+                role: [[finite(value) for value in (row.time, *row.values)] for row in found]
+                for role, found in rows.items()
+            },
             "summary": summary | told,
-        }  # fmt: skip
+        }
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -86,7 +101,8 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers one request for the page or its data, and refuses everything else."""
 
     server: Server
-    server_version, sys_version = "softfin", ""
+    server_version = "softfin"
+    sys_version = ""
     timeout = 3.0
     """Longest silence of a client within its request or its answer [s]."""
 
@@ -94,7 +110,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer with the page, or the data."""
         path, _, query = self.path.partition("?")
         if not _is_known(self.headers.get("Host", ""), self.server.host):
-            # Else any web page could read ours through a name of its own that it points at this computer.
+            # Else any web page could read ours through a name of its own that it points at this
+            # computer.
             self.send_error(HTTPStatus.FORBIDDEN, "not a name of this page")
         elif self.path == "/":
             self._answer(self.server.page, "text/html; charset=utf-8")
@@ -112,7 +129,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, body: bytes, kind: str) -> None:
         self.send_response(HTTPStatus.OK)
-        for name, value in {**HEADERS, "Content-Type": kind, "Content-Length": str(len(body))}.items():
+        for name, value in {
+            **HEADERS,
+            "Content-Type": kind,
+            "Content-Length": str(len(body)),
+        }.items():
             self.send_header(name, value)
         self.end_headers()
         if self.command == "GET":
@@ -120,7 +141,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _is_known(host: str, own: str) -> bool:
-    """Whether the address was typed as a number, or as a name that is ours; the port may be that of a tunnel."""
+    """Whether the address was typed as a number, or as a name that is ours; the port may be that of
+    a tunnel."""
     with contextlib.suppress(ValueError):
         name = urlsplit(f"//{host.strip()}").hostname or ""
         return name in ("localhost", own.lower()) or bool(ipaddress.ip_address(name))

@@ -1,7 +1,8 @@
-"""A stop of a fin made of topics: messages that brake it, sent again and again until the fin is seen at rest.
+"""A stop of a fin made of topics: messages that brake it, sent again and again until the fin is
+seen at rest.
 
-Whatever hangs in the transport, a send or a look at the fin, hangs in a thread of its own: the stop returns in time,
-and the other messages go out.
+Whatever hangs in the transport, a send or a look at the fin, hangs in a thread of its own: the stop
+returns in time, and the other messages go out.
 """
 
 import contextlib
@@ -14,16 +15,19 @@ STOP_S = 0.5
 """Longest wait for the fin to come to rest [s]; one that goes on is reported."""
 
 REPEAT_S = 0.02
-"""Time between two messages of one kind [s]: a driver that misses one hears the next within two ticks."""
+"""Time between two messages of one kind [s]: a driver that misses one hears the next within two
+ticks."""
 
 LOOK_S = 0.005
 """Time between two looks at the fin [s]."""
 
 REST_S = 0.1
-"""Time for which a fin must not turn to count as at rest [s]: ten readings of a driver at 100 Hz."""
+"""Time for which a fin must not turn to count as at rest [s]: ten readings of a driver at 100
+Hz."""
 
 REST_RAD = 0.01
-"""Angle within which a fin at rest stays meanwhile [rad]: 0.1 rad/s, and more than the noise of an encoder."""
+"""Angle within which a fin at rest stays meanwhile [rad]: 0.1 rad/s, and more than the noise of an
+encoder."""
 
 
 class RestWatch:
@@ -39,11 +43,13 @@ class RestWatch:
         return time - self._since[0] >= REST_S
 
 
-def brake(clock: Clock, sends: Sequence[Callable[[], None]], look: Callable[[], tuple[float, float]]) -> bool:
+def brake(
+    clock: Clock, sends: Sequence[Callable[[], None]], look: Callable[[], tuple[float, float]]
+) -> bool:
     """Send messages until the fin is at rest, for `STOP_S` at most; return whether it is.
 
-    Each of `sends` sends one message. `look` returns time [s] and angle [rad] of the newest reading. Both may raise and
-    hang.
+    Each of `sends` sends one message. `look` returns time [s] and angle [rad] of the newest
+    reading. Both may raise and hang.
     """
     is_over = clock.event()
     at_rest = clock.event()

@@ -1,8 +1,9 @@
-"""The contract of a way to other nodes, which rclpy and DDS meet alike, and topics read through it: values with times.
+"""The contract of a way to other nodes, which rclpy and DDS meet alike, and topics read through it:
+values with times.
 
-Messages go out and come in as CDR. Unusable ones are counted and reported once. The stamps of other computers become
-times of our monotonic clock by the smallest delay so far, as in NTP's clock filter, released slowly so that a clock
-that drifts is followed.
+Messages go out and come in as CDR. Unusable ones are counted and reported once. The stamps of other
+computers become times of our monotonic clock by the smallest delay so far, as in NTP's clock
+filter, released slowly so that a clock that drifts is followed.
 """
 
 import math
@@ -16,17 +17,20 @@ from softfin.storage.bag.messages import SECOND_NS, type_store
 
 Value = TypeVar("Value")
 
-VECTOR, BOOL = "geometry_msgs/msg/Vector3Stamped", "std_msgs/msg/Bool"
+VECTOR = "geometry_msgs/msg/Vector3Stamped"
+BOOL = "std_msgs/msg/Bool"
 
 DEPTH = 10
 """Messages that are kept for a reader that is slower: ROS 2's default."""
 
 CREEP = 2e-4
-"""Rate at which the smallest delay is released [s/s]: four times the drift of a common quartz, 50 ppm."""
+"""Rate at which the smallest delay is released [s/s]: four times the drift of a common quartz, 50
+ppm."""
 
 
 Take: TypeAlias = Callable[[], list[tuple[bytes, float]]]
-"""Returns what has come since the last call, oldest first: CDR, and when it was taken, of `time.monotonic` [s].
+"""Returns what has come since the last call, oldest first: CDR, and when it was taken, of
+`time.monotonic` [s].
 
 It never waits, and raises DeviceError where nothing can come.
 """
@@ -35,8 +39,9 @@ It never waits, and raises DeviceError where nothing can come.
 Quality: TypeAlias = Literal["reliable", "best_effort", "latched"]
 """Quality of service that a reader asks for; each hears other publishers.
 
-reliable: those that are reliable; what is lost is sent again. best_effort: all, but nothing is sent again. latched:
-those that keep messages for late readers (transient local), with the ones from before.
+reliable: those that are reliable; what is lost is sent again. best_effort: all, but nothing is sent
+again. latched: those that keep messages for late readers (transient local), with the ones from
+before.
 """
 
 
@@ -47,7 +52,8 @@ class Subscriber:
     take: Take
     """Takes what has come."""
     mismatched: Callable[[], int]
-    """Number of publishers met so far that it does not hear, because they offer less than it asks for."""
+    """Number of publishers met so far that it does not hear, because they offer less than it asks
+    for."""
 
 
 @dataclass
@@ -70,8 +76,9 @@ class Transport(Protocol):
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
         """A topic to write to: reliable, keep last 10, volatile.
 
-        With `deadline_s`, it offers that deadline, and liveliness by topic with that lease: then a reader may ask its
-        middleware to report when no message came for so long [s]. Readers that ask for neither match all the same.
+        With `deadline_s`, it offers that deadline, and liveliness by topic with that lease: then a
+        reader may ask its middleware to report when no message came for so long [s]. Readers that
+        ask for neither match all the same.
         """
 
     def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
@@ -96,26 +103,38 @@ class StampClock:
         if not stamp_ns:
             return received
         if not self._first:
-            self._first, self._offset, self._received = stamp_ns, received, received
+            self._first = stamp_ns
+            self._offset = received
+            self._received = received
         elif stamp_ns <= self._newest:
             return None
         self._newest = stamp_ns
         since = (stamp_ns - self._first) / SECOND_NS
         released = self._offset + CREEP * (received - self._received)
-        self._offset, self._received = min(released, received - since), received
+        self._offset = min(released, received - since)
+        self._received = received
         return since + self._offset
 
 
 class Subscription(Generic[Value]):
-    """One topic that is read; `read` takes the value from a message, and raises ValueError with the reason."""
+    """One topic that is read; `read` takes the value from a message, and raises ValueError with the
+    reason."""
 
     def __init__(
-        self, transport: Transport, topic: str, kind: str, read: Callable[[Any], Value],
-        stamped: bool = True, quality: Quality = "reliable",
-    ) -> None:  # fmt: skip
-        """Messages that are not `stamped` count from when they come, whatever is in their header."""
-        self.topic, self.kind = topic, kind
-        self._read, self._stamped = read, stamped
+        self,
+        transport: Transport,
+        topic: str,
+        kind: str,
+        read: Callable[[Any], Value],
+        stamped: bool = True,
+        quality: Quality = "reliable",
+    ) -> None:
+        """Messages that are not `stamped` count from when they come, whatever is in their
+        header."""
+        self.topic = topic
+        self.kind = kind
+        self._read = read
+        self._stamped = stamped
         self._subscriber = transport.subscribe(topic, kind, quality)
         self._clock = StampClock()
         self.received = self.refused = self.not_newer = 0
@@ -123,7 +142,8 @@ class Subscription(Generic[Value]):
         """Reason why the last message was refused; None where it was not."""
 
     def take(self) -> list[tuple[float, Value]]:
-        """The usable messages that have come since the last call, oldest first, each with its time of our clock [s]."""
+        """The usable messages that have come since the last call, oldest first, each with its time
+        of our clock [s]."""
         taken = []
         for data, received in self._subscriber.take():
             self.received += 1
@@ -143,12 +163,14 @@ class Subscription(Generic[Value]):
         return taken
 
     def mismatched(self) -> int:
-        """Number of publishers met so far that cannot be heard, because they offer less than is asked for."""
+        """Number of publishers met so far that cannot be heard, because they offer less than is
+        asked for."""
         return self._subscriber.mismatched()
 
 
 def decode(data: bytes, kind: str) -> Any:
-    """A message of ROS 2's own types from CDR; raises ValueError where the bytes are not such a message."""
+    """A message of ROS 2's own types from CDR; raises ValueError where the bytes are not such a
+    message."""
     try:
         return type_store().deserialize_cdr(data, kind)
     except Exception as error:
@@ -163,14 +185,19 @@ def stamp_of(message: Any) -> int:
 
 
 def joint_of(message: Any, name: str) -> tuple[float, float | None]:
-    """Angle and velocity of the joint of that name; the velocity None where the message has none."""
+    """Angle and velocity of the joint of that name; the velocity None where the message has
+    none."""
     names = list(message.name)
     if name not in names:
-        raise ValueError(f"no joint {name!r} in it; it has {', '.join(map(repr, names[:10])) or 'none'}")
+        raise ValueError(
+            f"no joint {name!r} in it; it has {', '.join(map(repr, names[:10])) or 'none'}"
+        )
     index = names.index(name)
     if len(message.position) != len(names) or len(message.velocity) not in (0, len(names)):
-        raise ValueError(f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} velocities; "
-                         "as many of each are needed, or no velocities")  # fmt: skip
+        raise ValueError(
+            f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} "
+            "velocities; as many of each are needed, or no velocities"
+        )
     angle = _finite("position", message.position[index])
     return angle, _finite("velocity", message.velocity[index]) if len(message.velocity) else None
 
@@ -178,7 +205,9 @@ def joint_of(message: Any, name: str) -> tuple[float, float | None]:
 def wrench_of(message: Any) -> Wrench:
     """Force and torque in the message's own axes."""
     parts = (("force", message.wrench.force), ("torque", message.wrench.torque))
-    fx, fy, fz, tx, ty, tz = (_finite(f"{name} {axis}", getattr(part, axis)) for name, part in parts for axis in "xyz")
+    fx, fy, fz, tx, ty, tz = (
+        _finite(f"{name} {axis}", getattr(part, axis)) for name, part in parts for axis in "xyz"
+    )
     return fx, fy, fz, tx, ty, tz
 
 

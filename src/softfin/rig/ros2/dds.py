@@ -1,8 +1,10 @@
-"""ROS 2's topics without ROS 2: over DDS, with its names, types and quality of service; on this computer alone.
+"""ROS 2's topics without ROS 2: over DDS, with its names, types and quality of service; on this
+computer alone.
 
-Names after ROS 2's design article "Topic and Service name mapping to DDS": ``/fin/wrench`` is the topic
-``rt/fin/wrench``, ``geometry_msgs/msg/Wrench`` the type ``geometry_msgs::msg::dds_::Wrench_``. Tried between processes
-of this library on loopback only: it has not met a node of ROS 2.
+Names after ROS 2's design article "Topic and Service name mapping to DDS": ``/fin/wrench`` is the
+topic ``rt/fin/wrench``, ``geometry_msgs/msg/Wrench`` the type
+``geometry_msgs::msg::dds_::Wrench_``. Tried between processes of this library on loopback only: it
+has not met a node of ROS 2.
 """
 
 import functools
@@ -43,11 +45,14 @@ BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
 RELIABLE = Policy.Reliability.Reliable(5_000_000)
 
 # ROS 2 speaks the first version of CDR; cyclonedds would offer the second one too.
-REPRESENTATION = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
+REPRESENTATION = Policy.DataRepresentation(
+    use_cdrv0_representation=True, use_xcdrv2_representation=False
+)
 
 
 class Carrier(IdlStruct):
-    """Bytes as they go over the wire: softfin's messages are CDR already, and what comes is decoded elsewhere."""
+    """Bytes as they go over the wire: softfin's messages are CDR already, and what comes is decoded
+    elsewhere."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -66,10 +71,14 @@ class Carrier(IdlStruct):
 
 def idl_type(kind: str, typestore: Typestore, carries: bool = False) -> Any:
     """The DDS type of a message; with `carries` its samples hold CDR in place of fields."""
-    fields = {name: _idl_field(descriptor, typestore) for name, descriptor in typestore.fielddefs[kind][1]}
+    fields = {
+        name: _idl_field(descriptor, typestore) for name, descriptor in typestore.fielddefs[kind][1]
+    }
     package, _, name = kind.split("/")
     bases = (Carrier,) if carries else ()
-    return make_idl_struct(f"{name}_", f"{package}::msg::dds_::{name}_", fields, dataclassify=not carries, bases=bases)
+    return make_idl_struct(
+        f"{name}_", f"{package}::msg::dds_::{name}_", fields, dataclassify=not carries, bases=bases
+    )
 
 
 def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
@@ -78,7 +87,11 @@ def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
         return idl_type(detail, typestore)
     if node is Nodetype.BASE:
         name, bound = detail
-        return IDL.bounded_str[bound] if name == "string" and bound else BASES.get(name) or getattr(types, name)
+        return (
+            IDL.bounded_str[bound]
+            if name == "string" and bound
+            else BASES.get(name) or getattr(types, name)
+        )
     element, count = detail
     inner = _idl_field(element, typestore)
     if node is Nodetype.ARRAY:
@@ -87,13 +100,16 @@ def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
 
 
 def configuration(network: str | None) -> str:
-    """Cyclone DDS's configuration for a network interface; None is this computer alone: loopback, no multicast."""
+    """Cyclone DDS's configuration for a network interface; None is this computer alone: loopback,
+    no multicast."""
     if network is not None:
         inner = f'<General><Interfaces><NetworkInterface name="{network}"/></Interfaces></General>'
     else:
         inner = (
-            '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>'
-            "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
+            '<General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/>'
+            "</Interfaces>"
+            "<AllowMulticast>false</AllowMulticast></General>"
+            "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
             '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
         )
     return f'<CycloneDDS><Domain Id="any">{inner}</Domain></CycloneDDS>'
@@ -104,7 +120,9 @@ class DdsTransport:
 
     def __init__(self, config: TransportConfig, typestore: Typestore) -> None:
         """`typestore` has the types of all messages."""
-        self._types, number, network = typestore, config.domain_id(), config.network
+        self._types = typestore
+        number = config.domain_id()
+        network = config.network
         self.notes: tuple[str, ...] = ()
         try:
             if os.environ.get(URI):
@@ -113,12 +131,16 @@ class DdsTransport:
             else:
                 _open_domain(number, network)
                 if network is not None:
-                    self.notes = (f"everybody on the network of {network} can read these topics and write to them",)
+                    self.notes = (
+                        f"everybody on the network of {network} can read these topics and write to "
+                        "them",
+                    )
             self._participant: Any = DomainParticipant(number)
         except DDSException as error:
             raise DeviceError(
-                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, that the network interface "
-                f"({network or 'loopback'}) is there and up, and that no other one was given for this domain"
+                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, that the "
+                f"network interface ({network or 'loopback'}) is there and up, and that no other "
+                "one was given for this domain"
             ) from None
         self._own: set[str] = set()
 
@@ -132,7 +154,9 @@ class DdsTransport:
             try:
                 writer.write(there.data_type(data))
             except DDSException as error:
-                raise DeviceError(f"{topic}: not sent ({one_line(error)}); is its reader too slow?") from None
+                raise DeviceError(
+                    f"{topic}: not sent ({one_line(error)}); is its reader too slow?"
+                ) from None
 
         return Publisher(send, lambda: int(writer.get_publication_matched_status().current_count))
 
@@ -144,19 +168,28 @@ class DdsTransport:
             try:
                 found = reader.take(DEPTH)
             except DDSException as error:
-                raise DeviceError(f"{topic}: cannot be read ({one_line(error)}); start again") from None
+                raise DeviceError(
+                    f"{topic}: cannot be read ({one_line(error)}); start again"
+                ) from None
             now = time.monotonic()
             return [(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
 
-        return Subscriber(take, lambda: int(reader.get_requested_incompatible_qos_status().total_count))
+        return Subscriber(
+            take, lambda: int(reader.get_requested_incompatible_qos_status().total_count)
+        )
 
     def topics(self) -> dict[str, str]:
         """Topics that other nodes publish, from DDS's own discovery."""
         if self._participant is None:
             return {}
         found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(1000)
-        there = [one for one in found if str(one.key) not in self._own and one.sample_info.valid_data]
-        kinds = [one.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/") for one in there]
+        there = [
+            one for one in found if str(one.key) not in self._own and one.sample_info.valid_data
+        ]
+        kinds = [
+            one.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
+            for one in there
+        ]
         pairs = zip((one.topic_name for one in there), kinds, strict=True)
         return dict(sorted((name[2:], kind) for name, kind in pairs if name.startswith("rt/")))
 
@@ -167,7 +200,12 @@ class DdsTransport:
     def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:
             raise DeviceError("the way to ROS 2 is closed; open it again")
-        return Topic(self._participant, f"rt{topic}", idl_type(kind, self._types, carries=True), qos=_asked("reliable"))
+        return Topic(
+            self._participant,
+            f"rt{topic}",
+            idl_type(kind, self._types, carries=True),
+            qos=_asked("reliable"),
+        )
 
 
 def _asked(quality: Quality) -> Any:
@@ -182,10 +220,16 @@ def _asked(quality: Quality) -> Any:
 
 def _offered(deadline_s: float | None) -> Any:
     """Quality of service of a writer."""
-    policies = [RELIABLE, Policy.History.KeepLast(DEPTH), Policy.Durability.Volatile, REPRESENTATION]
+    policies = [
+        RELIABLE,
+        Policy.History.KeepLast(DEPTH),
+        Policy.Durability.Volatile,
+        REPRESENTATION,
+    ]
     if deadline_s is not None:
         deadline_ns = round(deadline_s * 1e9)
-        # By topic: only messages keep it alive. A softfin that hangs must not look alive because its middleware is.
+        # By topic: only messages keep it alive. A softfin that hangs must not look alive because
+        # its middleware is.
         policies += [Policy.Deadline(deadline_ns), Policy.Liveliness.ManualByTopic(deadline_ns)]
     return Qos(*policies)
 

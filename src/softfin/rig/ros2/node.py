@@ -1,4 +1,5 @@
-"""softfin as a ROS 2 node: every sample and command goes out as messages; references and the emergency stop come in.
+"""softfin as a ROS 2 node: every sample and command goes out as messages; references and the
+emergency stop come in.
 
 Called by the thread of the loop; nothing here waits, and nothing here moves the fin.
 """
@@ -22,19 +23,29 @@ class RosNode:
     """Between the loop and other nodes. An unusable message is counted, never obeyed."""
 
     def __init__(
-        self, transport: Transport, topics: NodeConfig, report: Callable[[str], None],
-        resolve: ResolveReference = lambda force: (force, None), clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
-        """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that is tracked."""
-        self.config, self._report_once = topics, OnceReporter(report)
+        self,
+        transport: Transport,
+        topics: NodeConfig,
+        report: Callable[[str], None],
+        resolve: ResolveReference = lambda force: (force, None),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that
+        is tracked."""
+        self.config = topics
+        self._report_once = OnceReporter(report)
         # References are published again and again: the newest one is kept.
         self._resolve = functools.lru_cache(maxsize=1)(resolve)
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
         self._command = transport.publish(topics.command_topic, JOINT_STATE)
         kind = WRENCH_STAMPED if topics.reference_type == "wrench" else VECTOR
-        subscription = Subscription(transport, topics.reference_topic, kind, self._tracked, stamped=False)
-        self._references = NewestReference(subscription, topics.reference_timeout_s, clock, self._report_once)
+        subscription = Subscription(
+            transport, topics.reference_topic, kind, self._tracked, stamped=False
+        )
+        self._references = NewestReference(
+            subscription, topics.reference_timeout_s, clock, self._report_once
+        )
         # A controller that cannot make it is refused before anything moves.
         self._no_force = resolve((0.0, 0.0))[0] if topics.reference_lost == "zero" else None
         self._stop = EmergencyStop(transport, topics.stop_topic, self._report_once)
@@ -42,8 +53,10 @@ class RosNode:
         self._unsent = 0
 
     def publish(self, sample: Sample, target: Target | None) -> None:
-        """Publish one sample, and the command where it is a new one; what cannot go out is counted."""
-        frame, name = self.config.frame, self.config.joint_name
+        """Publish one sample, and the command where it is a new one; what cannot go out is
+        counted."""
+        frame = self.config.frame
+        name = self.config.joint_name
         # Both clocks at the same moment: this computer's date may be set at any time.
         ahead = time.time_ns() - round(time.monotonic() * 1e9)
         stamp, force_stamp = (round(at * 1e9) + ahead for at in (sample.time, sample.force_time))
@@ -58,12 +71,14 @@ class RosNode:
             self._report_once(str(error))
 
     def reference(self) -> Force | None:
-        """The newest reference that counts; where it is too old, no force or None, as configured."""
+        """The newest reference that counts; where it is too old, no force or None, as
+        configured."""
         newest = self._references.newest()
         return self._no_force if newest is None and self._references.is_lost else newest
 
     def stop_reason(self) -> str | None:
-        """Reason to stop for good; None where nobody has asked for it. An unreadable message stops, too."""
+        """Reason to stop for good; None where nobody has asked for it. An unreadable message stops,
+        too."""
         return self._stop.reason()
 
     def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:
@@ -75,13 +90,18 @@ class RosNode:
         self.reference()
         if self._references.is_lost and self.config.reference_lost == "stop":
             # A fin whose robot, radio or operator is gone must not go on swimming.
-            topic, timeout_s = self.config.reference_topic, self.config.reference_timeout_s
-            reason = f"{topic}: no reference for {timeout_s:g} s; start its publisher, then this node again"
+            topic = self.config.reference_topic
+            timeout_s = self.config.reference_timeout_s
+            reason = (
+                f"{topic}: no reference for {timeout_s:g} s; start its publisher, then this node "
+                "again"
+            )
             request.ask("reference_lost", reason)
         self.publish(sample, target)
 
     def counters(self) -> dict[str, int]:
-        """Counts of references and stops that came and were refused, and of samples that did not go out."""
+        """Counts of references and stops that came and were refused, and of samples that did not go
+        out."""
         references = self._references.subscription
         return {
             "references": references.received - references.refused,
@@ -92,9 +112,12 @@ class RosNode:
 
     def _tracked(self, message: object) -> Force:
         """The reference that is tracked for a message; raises ValueError where it is refused."""
-        force, limit = reference_of(message, self.config.frame), self.config.reference_limit_n
+        force = reference_of(message, self.config.frame)
+        limit = self.config.reference_limit_n
         if max(map(abs, force)) > limit:
-            raise ValueError(f"it is ({force[0]:g}, {force[1]:g}) N; reference_limit_n is {limit:g} N")
+            raise ValueError(
+                f"it is ({force[0]:g}, {force[1]:g}) N; reference_limit_n is {limit:g} N"
+            )
         try:
             tracked, warning = self._resolve(force)
         except SoftfinError as error:

@@ -1,6 +1,8 @@
-"""A fin made of topics: any driver that publishes a joint and a wrench, and takes commands, in place of our devices.
+"""A fin made of topics: any driver that publishes a joint and a wrench, and takes commands, in
+place of our devices.
 
-Tried with drivers of our own making on loopback; it has met neither a real driver nor a node of ROS 2.
+Tried with drivers of our own making on loopback; it has met neither a real driver nor a node of ROS
+2.
 """
 
 import contextlib
@@ -20,26 +22,45 @@ from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target, Wrench, rotated, rotation
 from softfin.rig.ros2.braking import brake
 from softfin.rig.ros2.config import FlipperConfig, Ros2PlantConfig, TransportConfig
-from softfin.rig.ros2.connection import BOOL, Publisher, Quality, Subscription, Transport, joint_of, wrench_of
+from softfin.rig.ros2.connection import (
+    BOOL,
+    Publisher,
+    Quality,
+    Subscription,
+    Transport,
+    joint_of,
+    wrench_of,
+)
 from softfin.rig.safety import check_target
-from softfin.storage.bag.messages import JOINT_STATE, SECOND_NS, WRENCH_STAMPED, cdr, serialized, type_store
+from softfin.storage.bag.messages import (
+    JOINT_STATE,
+    SECOND_NS,
+    WRENCH_STAMPED,
+    cdr,
+    serialized,
+    type_store,
+)
 
 COMMAND_RATE_HZ = 20.0
 """Rate at which a JointState command is repeated [Hz]."""
 
 COMMAND_DEADLINE_S = 0.2
-"""Silence on the command topic after which a driver should stop its fin [s]: four commands are missing by then, and it
-is longer than the lateness of a tick that safety tolerates by default."""
+"""Silence on the command topic after which a driver should stop its fin [s]: four commands are
+missing by then, and it is longer than the lateness of a tick that safety tolerates by default."""
 
 LOCK_S = 0.02
 """Longest wait of a stop for a command in progress [s]; it takes 5 ms at most, unless it hangs."""
 
 
 def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
-    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not installed."""
+    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not
+    installed."""
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
-        raise RigError("rclpy is not installed in this Python; source ROS 2's setup file, or use transport: dds")
+        raise RigError(
+            "rclpy is not installed in this Python; source ROS 2's setup file, or use transport: "
+            "dds"
+        )
     if config.transport == "rclpy" or (config.transport == "auto" and installed):
         from softfin.rig.ros2.rclpy import RclpyTransport
 
@@ -58,33 +79,44 @@ def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> byt
         values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
         return serialized(config.type, (stamp if has_header else {}) | values, types)
     except Exception as error:
-        # Unknown types, fields that are not there and values that do not fit fail in ways of their own.
+        # Unknown types, fields that are not there and values that do not fit fail in ways of their
+        # own.
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise RigError(
-            f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type that ROS 2 lacks in "
-            "flipper.definitions, and fields as paths of names and indices, as flippers.2.amplitude"
+            f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type "
+            "that ROS 2 lacks in flipper.definitions, and fields as paths of names and indices, "
+            "as flippers.2.amplitude"
         ) from None
 
 
 def define_types(definitions: Mapping[str, str]) -> Typestore:
-    """ROS 2's own types, and others by the text of their .msg files; raises RigError where that is not such a text."""
-    types, kind = get_typestore(Stores.ROS2_HUMBLE), ""
+    """ROS 2's own types, and others by the text of their .msg files; raises RigError where that is
+    not such a text."""
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    kind = ""
     try:
         for kind, text in definitions.items():
             types.register(get_types_from_msg(text, kind))
     except Exception as error:
         # The parser and the registration fail in ways of their own.
-        raise RigError(f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its .msg "
-                       "file") from None  # fmt: skip
+        raise RigError(
+            f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its "
+            ".msg file"
+        ) from None
     return types
 
 
 class Commands:
-    """Commands as messages, repeated while they are in force, and the set-point that goes to the target meanwhile."""
+    """Commands as messages, repeated while they are in force, and the set-point that goes to the
+    target meanwhile."""
 
-    def __init__(self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float) -> None:
+    def __init__(
+        self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float
+    ) -> None:
         """`encode` makes a message of the target and the set-point [rad]."""
-        self.publisher, self._encode, self._period = publisher, encode, period_s
+        self.publisher = publisher
+        self._encode = encode
+        self._period = period_s
         self._setpoint = self._since = self._next = 0.0
         self.restart()
 
@@ -97,7 +129,9 @@ class Commands:
     def send(self, target: Target, angle: float, now: float) -> None:
         """Move on from where the set-point is; from the measured angle where there is none yet."""
         self._setpoint = angle if self.target is None else self._at(self.target, now)
-        self.target, self._since, self._next = target, now, now
+        self.target = target
+        self._since = now
+        self._next = now
         self.tick(now)
 
     def tick(self, now: float) -> None:
@@ -115,7 +149,8 @@ class Commands:
     def following_error(self, angle: float, now: float, delay_s: float) -> float:
         """Return by how much the set-point leads a measured angle [rad].
 
-        A fin that is where any set-point of the last `delay_s` was has no error: the driver may be late by so much.
+        A fin that is where any set-point of the last `delay_s` was has no error: the driver may be
+        late by so much.
         """
         assert self.target is not None
         self._recent.append((now, self._at(self.target, now)))
@@ -142,23 +177,28 @@ class _Topics(NamedTuple):
 class Ros2Machine:
     """Meets the Machine contract.
 
-    What a stop does lies with the driver. A command holds the angle that was last measured, so that the fin brakes as
-    its driver brakes; with a `stop_topic`, `true` goes there as well. Both are repeated until the fin is at rest. The
-    motor may stay on, and a driver that does not listen goes on, which is reported. Keep a switch of the motor's supply
-    at hand.
+    What a stop does lies with the driver. A command holds the angle that was last measured, so that
+    the fin brakes as its driver brakes; with a `stop_topic`, `true` goes there as well. Both are
+    repeated until the fin is at rest. The motor may stay on, and a driver that does not listen goes
+    on, which is reported. Keep a switch of the motor's supply at hand.
     """
 
     name = "ros2"
 
     def __init__(
-        self, config: Ros2PlantConfig, clock: Clock = REAL,
+        self,
+        config: Ros2PlantConfig,
+        clock: Clock = REAL,
         opener: Callable[[TransportConfig, Typestore], Transport] = open_transport,
-    ) -> None:  # fmt: skip
-        self.config, self.clock, self._opener = config, clock, opener
+    ) -> None:
+        self.config = config
+        self.clock = clock
+        self._opener = opener
         self.limits: Limits = config.limits
         self._types = define_types(config.flipper.definitions if config.flipper else {})
         self._sign = -1.0 if config.negate_angle else 1.0
-        # A signal's handler may stop the machine while this very thread is in the middle of a command.
+        # A signal's handler may stop the machine while this very thread is in the middle of a
+        # command.
         self._lock = clock.lock()
         # The loop reads, and a stop in another thread looks whether the fin still turns.
         self._reading = clock.lock()
@@ -179,16 +219,21 @@ class Ros2Machine:
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Doubt that is left after a stop: whether the motor is off, always; and whether the fin still turns."""
+        """Doubt that is left after a stop: whether the motor is off, always; and whether the fin
+        still turns."""
         return (
-            self._stop_failure or "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+            self._stop_failure
+            or "whether the motor is off lies with its driver; keep a switch of its supply at hand"
         )
 
     def open(self) -> None:
         """Wait until joint and wrench publish; nothing is sent."""
         self.close()
         self._stop_failure = None
-        config, flipper, sign, turn = self.config, self.config.flipper, self._sign, rotation(self.config.frame)
+        config = self.config
+        flipper = self.config.flipper
+        sign = self._sign
+        turn = rotation(self.config.frame)
         transport = self._opener(config.connection, self._types)
 
         def subscribe(topic: str, kind: str, read: Callable[[Any], Any]) -> Subscription[Any]:
@@ -198,16 +243,32 @@ class Ros2Machine:
         def encode(target: Target, setpoint: float) -> bytes:
             if flipper is not None:
                 return encode_flipper(flipper, self._types, sign * setpoint)
-            return cdr(JOINT_STATE, time.time_ns(), (sign * target.angle, target.velocity), "", config.joint_name)
+            return cdr(
+                JOINT_STATE,
+                time.time_ns(),
+                (sign * target.angle, target.velocity),
+                "",
+                config.joint_name,
+            )
 
         try:
             # What a flipper's configuration lacks is told before anything is sent.
             encode(Target(0.0, 0.0), 0.0)
-            joint = subscribe(config.joint_topic, JOINT_STATE, lambda message: joint_of(message, config.joint_name))
-            wrench = subscribe(config.wrench_topic, WRENCH_STAMPED, lambda message: rotated(wrench_of(message), turn))
+            joint = subscribe(
+                config.joint_topic,
+                JOINT_STATE,
+                lambda message: joint_of(message, config.joint_name),
+            )
+            wrench = subscribe(
+                config.wrench_topic,
+                WRENCH_STAMPED,
+                lambda message: rotated(wrench_of(message), turn),
+            )
             kind = flipper.type if flipper else JOINT_STATE
             publisher = transport.publish(config.command_topic, kind, COMMAND_DEADLINE_S)
-            commands = Commands(publisher, encode, 1 / (flipper.rate_hz if flipper else COMMAND_RATE_HZ))
+            commands = Commands(
+                publisher, encode, 1 / (flipper.rate_hz if flipper else COMMAND_RATE_HZ)
+            )
             stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)
             self._topics = _Topics(transport, joint, wrench, commands, stop)
             self._await_first(self._topics)
@@ -221,30 +282,43 @@ class Ros2Machine:
         topics = self._take()
         assert self._joint is not None
         assert self._force is not None
-        complaints = [refusal for refusal in (topics.joint.refusal, topics.wrench.refusal) if refusal is not None]
+        complaints = [
+            refusal
+            for refusal in (topics.joint.refusal, topics.wrench.refusal)
+            if refusal is not None
+        ]
         following_error = None
         with self._lock:
             if self._enabled:
                 self._send(topics.commands.tick)
             if self._enabled:
-                angle, delay_s = self._joint[1], self.config.driver_delay_s
+                angle = self._joint[1]
+                delay_s = self.config.driver_delay_s
                 following_error = topics.commands.following_error(angle, self.clock(), delay_s)
                 if not topics.commands.publisher.readers():
                     topic = self.config.command_topic
-                    complaints.append(f"nobody reads {topic} any more: commands go nowhere; start the driver again")
+                    complaints.append(
+                        f"nobody reads {topic} any more: commands go nowhere; start the driver "
+                        "again"
+                    )
         return Sample(*self._joint, None, following_error, *self._force, tuple(complaints))
 
     def enable(self) -> None:
         """Take commands, and hold where it is."""
-        topics, limits = self._take(), self.limits
+        topics = self._take()
+        limits = self.limits
         assert self._joint is not None
         angle = self._joint[1]
         if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
-            raise DeviceError(f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
-                              f"{limits.angle_max:.3f} rad; bring it back by its own driver")  # fmt: skip
+            raise DeviceError(
+                f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
+                f"{limits.angle_max:.3f} rad; bring it back by its own driver"
+            )
         if not topics.commands.publisher.readers():
-            raise DeviceError(f"nobody reads {self.config.command_topic}: commands would go nowhere; start the driver, "
-                              "and check the topic's type")  # fmt: skip
+            raise DeviceError(
+                f"nobody reads {self.config.command_topic}: commands would go nowhere; start the "
+                "driver, and check the topic's type"
+            )
         with self._lock:
             if self.config.stop_release and topics.stop is not None:
                 topics.stop.send(serialized(BOOL, {"data": False}))
@@ -265,7 +339,8 @@ class Ros2Machine:
             self._send(self._topics.commands.send, target, self._joint[1])
 
     def stop(self) -> None:
-        """Brake until the fin is at rest, 0.5 s at most; see the class for what it can do and cannot."""
+        """Brake until the fin is at rest, 0.5 s at most; see the class for what it can do and
+        cannot."""
         # A command that hangs in its transport must not keep the watchdog from its stop.
         alone = self._lock.acquire(timeout=LOCK_S)
         self._enabled = False
@@ -274,18 +349,21 @@ class Ros2Machine:
             self._lock.release()
         if topics is None:
             return
-        # A loop that hung has not read for a while, and to hold an old angle would be a motion. In a thread, since the
-        # transport may be what hangs; a computer that cannot start one stops all the same.
+        # A loop that hung has not read for a while, and to hold an old angle would be a motion. In
+        # a thread, since the transport may be what hangs; a computer that cannot start one stops
+        # all the same.
         with contextlib.suppress(RuntimeError):
             self.clock.spawn(self._read_quietly, "ros2 reading before a stop").join(LOCK_S)
         joint = self._joint
         if joint is None:
             return
-        # How fast the fin brakes does not depend on this; how fast it would go back to an angle that it has left does.
+        # How fast the fin brakes does not depend on this; how fast it would go back to an angle
+        # that it has left does.
         velocity = self.limits.velocity_min or self.limits.velocity_max
         sends = []
         if self._was_enabled:
-            # First, and whoever reads the stop topic: that may be a recorder, while the driver does not.
+            # First, and whoever reads the stop topic: that may be a recorder, while the driver does
+            # not.
             sends.append(functools.partial(topics.commands.hold, joint[1], velocity))
         if topics.stop is not None:
             sends.append(functools.partial(topics.stop.send, serialized(BOOL, {"data": True})))
@@ -305,7 +383,10 @@ class Ros2Machine:
         elif last and last[0][0] > joint[0]:
             self._stop_failure = "the fin still turns; switch off its supply"
         else:
-            self._stop_failure = f"no new {self.config.joint_topic} show whether the fin stands; switch off its supply"
+            self._stop_failure = (
+                f"no new {self.config.joint_topic} show whether the fin stands; "
+                "switch off its supply"
+            )
 
     def close(self) -> None:
         """Stop and leave; a machine that was not enabled sends nothing."""
@@ -313,7 +394,8 @@ class Ros2Machine:
             if self._enabled:
                 self.stop()
             self._counted = self.counters()
-            topics, self._topics = self._topics, None
+            topics = self._topics
+            self._topics = None
             self._joint = self._force = None
             self._was_enabled = False
         if topics is not None:
@@ -325,7 +407,10 @@ class Ros2Machine:
             return self._counted
         return {
             f"{name}_{count}": getattr(subscription, count)
-            for name, subscription in (("joint", self._topics.joint), ("wrench", self._topics.wrench))
+            for name, subscription in (
+                ("joint", self._topics.joint),
+                ("wrench", self._topics.wrench),
+            )
             for count in ("received", "refused", "not_newer")
         }
 
@@ -340,8 +425,8 @@ class Ros2Machine:
                 raise DeviceError(
                     awaited.refusal
                     or f"{awaited.topic}: no {awaited.kind} in {self.config.wait_s:g} s; there is "
-                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, correct the topic, or the domain "
-                    "(ROS_DOMAIN_ID) and the network"
+                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, correct the topic, "
+                    "or the domain (ROS_DOMAIN_ID) and the network"
                 )
 
     def _take(self) -> _Topics:

@@ -1,4 +1,5 @@
-"""ROS 2's topics through rclpy, for a Python that ROS 2 is installed for; messages go in and out as bytes.
+"""ROS 2's topics through rclpy, for a Python that ROS 2 is installed for; messages go in and out as
+bytes.
 
 Written after rclpy's documentation and tried with a stand-in for it: it has not met a real ROS 2.
 """
@@ -16,19 +17,32 @@ from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
 
 
 class RclpyTransport:
-    """Meets the Transport contract: a context and a node of its own, and a thread that takes what comes."""
+    """Meets the Transport contract: a context and a node of its own, and a thread that takes what
+    comes."""
 
-    notes: tuple[str, ...] = ("rclpy listens as ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE say",)
+    notes: tuple[str, ...] = (
+        "rclpy listens as ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE say",
+    )
 
     def __init__(self, config: TransportConfig) -> None:
         if config.network is not None:
-            raise RigError(f"--network {config.network} is for DDS; with rclpy ROS 2's own settings choose the network")
+            raise RigError(
+                f"--network {config.network} is for DDS; with rclpy ROS 2's own settings choose "
+                "the network"
+            )
         try:
-            rclpy, executors, signals = map(importlib.import_module, ("rclpy", "rclpy.executors", "rclpy.signals"))
+            rclpy, executors, signals = map(
+                importlib.import_module, ("rclpy", "rclpy.executors", "rclpy.signals")
+            )
             context = rclpy.Context()
-            # Ctrl-C is softfin's: it stops the fin first. No words of the command line are ROS's either.
-            rclpy.init(args=[], context=context, domain_id=config.domain_id(),
-                       signal_handler_options=signals.SignalHandlerOptions.NO)  # fmt: skip
+            # Ctrl-C is softfin's: it stops the fin first. No words of the command line are ROS's
+            # either.
+            rclpy.init(
+                args=[],
+                context=context,
+                domain_id=config.domain_id(),
+                signal_handler_options=signals.SignalHandlerOptions.NO,
+            )
             self._steps = contextlib.ExitStack()
             self._steps.callback(rclpy.try_shutdown, context=context)
             self._node: Any = rclpy.create_node(config.node, context=context)
@@ -38,7 +52,9 @@ class RclpyTransport:
             self._executor.add_node(self._node)
         except Exception as error:
             # What it raises where the installation is broken is not documented.
-            raise RigError(f"rclpy cannot be used ({one_line(error)}); use transport: dds") from None
+            raise RigError(
+                f"rclpy cannot be used ({one_line(error)}); use transport: dds"
+            ) from None
         self._own: list[str] = []
         self.failure: str | None = None
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
@@ -54,7 +70,9 @@ class RclpyTransport:
                 publisher.publish(data)
             except Exception as error:
                 # rclpy's own errors are of several modules of its C extension.
-                raise DeviceError(f"{topic}: not sent ({one_line(error)}); is ROS 2 still up?") from None
+                raise DeviceError(
+                    f"{topic}: not sent ({one_line(error)}); is ROS 2 still up?"
+                ) from None
 
         return Publisher(send, lambda: int(publisher.get_subscription_count()))
 
@@ -68,9 +86,12 @@ class RclpyTransport:
             return [waiting.popleft() for _ in range(len(waiting))]
 
         self._node.create_subscription(
-            _class(kind), topic, lambda data: waiting.append((bytes(data), time.monotonic())),
-            _asked(quality), raw=True,
-        )  # fmt: skip
+            _class(kind),
+            topic,
+            lambda data: waiting.append((bytes(data), time.monotonic())),
+            _asked(quality),
+            raw=True,
+        )
         # rclpy itself warns of publishers that offer less than is asked for.
         return Subscriber(take, lambda: 0)
 
@@ -78,7 +99,9 @@ class RclpyTransport:
         """Topics and types as `ros2 topic list -t` shows them, without ours."""
         found = sorted(self._node.get_topic_names_and_types())
         return {
-            name: ", ".join(kinds) for name, kinds in found if self._node.count_publishers(name) > self._own.count(name)
+            name: ", ".join(kinds)
+            for name, kinds in found
+            if self._node.count_publishers(name) > self._own.count(name)
         }
 
     def close(self) -> None:
@@ -129,4 +152,6 @@ def _class(kind: str) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
-        raise RigError(f"ROS 2 has no {kind} here; build and source its package, or use transport: dds") from None
+        raise RigError(
+            f"ROS 2 has no {kind} here; build and source its package, or use transport: dds"
+        ) from None

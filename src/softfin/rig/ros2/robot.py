@@ -1,7 +1,9 @@
-"""A robot's ROS 2 node: a wrench comes in, one reference force goes out to the node of each fin. NumPy alone.
+"""A robot's ROS 2 node: a wrench comes in, one reference force goes out to the node of each fin.
+NumPy alone.
 
-Each fin is a `softfin ros2` process of its own, with its own session, safety and recording. This node moves nothing by
-itself: it shares the wrench among the fins, watches whether they are there, and passes on the emergency stop.
+Each fin is a `softfin ros2` process of its own, with its own session, safety and recording. This
+node moves nothing by itself: it shares the wrench among the fins, watches whether they are there,
+and passes on the emergency stop.
 """
 
 import itertools
@@ -16,7 +18,14 @@ from softfin.core.errors import ConfigurationError, DeviceError, RigError, Safet
 from softfin.rig.machine import Wrench
 from softfin.rig.pace import Pace
 from softfin.rig.ros2.config import RobotNodeConfig, check_names, fin_topics
-from softfin.rig.ros2.connection import BOOL, Publisher, Subscription, Transport, check_frame, wrench_of
+from softfin.rig.ros2.connection import (
+    BOOL,
+    Publisher,
+    Subscription,
+    Transport,
+    check_frame,
+    wrench_of,
+)
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
 from softfin.robot.allocation import Allocation, Forces
@@ -25,7 +34,8 @@ from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 STOPPING_S = 3.0
-"""Time for which fins are told to stop, until they fall silent [s]; a fin brakes and powers off within one or two."""
+"""Time for which fins are told to stop, until they fall silent [s]; a fin brakes and powers off
+within one or two."""
 
 QUIET_S = 0.5
 """Silence of a fin that was told to stop after which it counts as stopped [s]."""
@@ -40,12 +50,16 @@ class FinTopics:
     def __init__(self, transport: Transport, name: str, prefix: str) -> None:
         self.name = name
         topics = fin_topics(name, prefix)
-        self.joint_topic, self.stop_topic = topics["joint_topic"], topics["stop_topic"]
+        self.joint_topic = topics["joint_topic"]
+        self.stop_topic = topics["stop_topic"]
         self.reference_topic = topics["reference_topic"]
         self.reference: Publisher = transport.publish(self.reference_topic, WRENCH_STAMPED)
         self.stop: Publisher = transport.publish(self.stop_topic, BOOL)
-        # Not stamped: a fin that publishes is there; whether its readings are new, its own safety watches.
-        self._joint = Subscription(transport, self.joint_topic, JOINT_STATE, lambda message: None, stamped=False)
+        # Not stamped: a fin that publishes is there; whether its readings are new, its own safety
+        # watches.
+        self._joint = Subscription(
+            transport, self.joint_topic, JOINT_STATE, lambda message: None, stamped=False
+        )
         self.last_s: float | None = None
         """Time of its last message [s]; None before the first."""
 
@@ -62,35 +76,48 @@ class FinTopics:
         """Topics without a node at their other end, each in words."""
         found = [] if self.last_s is not None else [f"nobody publishes {self.joint_topic}"]
         topics = ((self.reference_topic, self.reference), (self.stop_topic, self.stop))
-        return found + [f"nobody reads {topic}" for topic, publisher in topics if not publisher.readers()]
+        return found + [
+            f"nobody reads {topic}" for topic, publisher in topics if not publisher.readers()
+        ]
 
 
 class RobotNode:
     """Turns wrenches into references of the fins, action by action, until it is stopped."""
 
     def __init__(
-        self, transport: Transport, robot: RobotConfig, config: RobotNodeConfig, report: Callable[[str], None],
+        self,
+        transport: Transport,
+        robot: RobotConfig,
+        config: RobotNodeConfig,
+        report: Callable[[str], None],
         clock: Clock = REAL,
-    ) -> None:  # fmt: skip
-        """`report` gets remarks for the user; raises InputError where robot and configuration do not fit."""
+    ) -> None:
+        """`report` gets remarks for the user; raises InputError where robot and configuration do
+        not fit."""
         self._allocation = BracedAllocation(robot, fin_reach(robot, config))
         check_topics(robot, config)
-        self.robot, self.config, self._clock = robot, config, clock
+        self.robot = robot
+        self.config = config
+        self._clock = clock
         self._once = OnceReporter(report)
         self.fins = [FinTopics(transport, name, config.fin_prefix) for name in robot.fins]
         self._achieved = transport.publish(config.wrench_topic, WRENCH_STAMPED)
         self._saturated = transport.publish(config.saturated_topic, BOOL)
-        wrenches = Subscription(transport, config.reference_topic, WRENCH_STAMPED, self._read, stamped=False)
+        wrenches = Subscription(
+            transport, config.reference_topic, WRENCH_STAMPED, self._read, stamped=False
+        )
         self._wrenches = NewestReference(wrenches, config.reference_timeout_s, clock, self._once)
         self._stop = EmergencyStop(transport, config.stop_topic, self._once)
         self._rest: Forces = np.zeros((len(self.fins), 2))
-        self._forces, self._brace = self._rest, self._rest
+        self._forces = self._rest
+        self._brace = self._rest
 
     def run(self, request: StopRequest) -> None:
         """Wait for the fins, then act until a stop; however it ends, every fin is told to stop.
 
         Raises:
-            SafetyStop: somebody asked for a stop, wrenches ended and `reference_lost` is stop, or a fin is silent and
+            SafetyStop: somebody asked for a stop, wrenches ended and `reference_lost` is stop, or a
+            fin is silent and
                 `silent_fin` is stop.
             DeviceError: fins were not there within `wait_s`.
         """
@@ -107,24 +134,32 @@ class RobotNode:
             self._stop_fins(pace)
 
     def send_references(self) -> None:
-        """Publish the references of one action, the wrench that they make, and whether that is less than asked for."""
+        """Publish the references of one action, the wrench that they make, and whether that is less
+        than asked for."""
         wrench = self._wrenches.newest()
         if wrench is None:
             # Fins that brace themselves would go on beating for nobody.
             action = Allocation(self._rest, np.zeros(6), np.zeros(6, bool))
         else:
-            action, self._brace = self._allocation.share(np.array(wrench), self._forces, self._brace)
+            action, self._brace = self._allocation.share(
+                np.array(wrench), self._forces, self._brace
+            )
             if action.given_up.any():
                 axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
-                self._once(f"{self.config.reference_topic}: beyond the fins' reach in {axes}: the fins make what they "
-                           f"can, see {self.config.wrench_topic}")  # fmt: skip
+                self._once(
+                    f"{self.config.reference_topic}: beyond the fins' reach in {axes}: the fins "
+                    f"make what they can, see {self.config.wrench_topic}"
+                )
         self._forces = action.forces
         for number, (fin, (x, y)) in enumerate(zip(self.fins, action.forces.tolist(), strict=True)):
             self._send_reference(fin, x, y)
             if number in self._allocation.dead:
                 self._send(fin.stop, serialized(BOOL, {"data": True}))
         achieved: list[float] = action.wrench.tolist()
-        self._send(self._achieved, cdr(WRENCH_STAMPED, self._stamp_ns(), achieved, self.config.vehicle_frame_id))
+        self._send(
+            self._achieved,
+            cdr(WRENCH_STAMPED, self._stamp_ns(), achieved, self.config.vehicle_frame_id),
+        )
         self._send(self._saturated, serialized(BOOL, {"data": bool(action.given_up.any())}))
 
     def watch(self, request: StopRequest) -> None:
@@ -132,9 +167,15 @@ class RobotNode:
         self._listen(request)
         if self._wrenches.is_lost and self.config.reference_lost == "stop":
             # A robot whose radio or operator is gone must not go on swimming.
-            reason = f"{self.config.reference_topic}: no wrench for {self.config.reference_timeout_s:g} s"
-            raise SafetyStop(f"{reason}; every fin was told to stop; start its publisher, then the nodes again")
-        now, timeout = self._clock(), self.config.fin_timeout_s
+            reason = (
+                f"{self.config.reference_topic}: no wrench for "
+                f"{self.config.reference_timeout_s:g} s"
+            )
+            raise SafetyStop(
+                f"{reason}; every fin was told to stop; start its publisher, then the nodes again"
+            )
+        now = self._clock()
+        timeout = self.config.fin_timeout_s
         for number, fin in enumerate(self.fins):
             if number not in self._allocation.dead and fin.is_silent(now, timeout):
                 reason = f"{fin.name} is silent: nothing on {fin.joint_topic} for {timeout:g} s"
@@ -144,7 +185,9 @@ class RobotNode:
 
     def _await_fins(self, pace: Pace, request: StopRequest) -> None:
         """Wait until every fin publishes and listens; those that do not count as silent."""
-        self._once.report(f"{self.robot.name}: waits for {', '.join(fin.joint_topic for fin in self.fins)}")
+        self._once.report(
+            f"{self.robot.name}: waits for {', '.join(fin.joint_topic for fin in self.fins)}"
+        )
         deadline = self._clock() + self.config.wait_s
         while missing := {n: found for n, fin in enumerate(self.fins) if (found := fin.missing())}:
             if self._clock() > deadline:
@@ -153,8 +196,10 @@ class RobotNode:
             self._listen(request)
         if missing and self.robot.silent_fin == "stop":
             told = ", ".join(itertools.chain.from_iterable(missing.values()))
-            raise DeviceError(f"after {self.config.wait_s:g} s {told}; start `softfin ros2` for each fin with these "
-                              "topics, in the same domain and network; every fin was told to stop")  # fmt: skip
+            raise DeviceError(
+                f"after {self.config.wait_s:g} s {told}; start `softfin ros2` for each fin with "
+                "these topics, in the same domain and network; every fin was told to stop"
+            )
         for number, found in missing.items():
             self._declare_dead(number, f"{self.fins[number].name} is not there: {', '.join(found)}")
 
@@ -177,7 +222,9 @@ class RobotNode:
         self._allocation.declare_dead(number)
         if len(self._allocation.dead) == len(self.fins):
             raise SafetyStop(f"{reason}; no fin is left")
-        self._once.report(f"{reason}: declared dead until this node is started again; the others go on")
+        self._once.report(
+            f"{reason}: declared dead until this node is started again; the others go on"
+        )
 
     def _stop_fins(self, pace: Pace) -> None:
         """Tell every fin to stop until all are silent; name those that are not."""
@@ -187,7 +234,8 @@ class RobotNode:
                 self._send(fin.stop, serialized(BOOL, {"data": True}))
                 self._send_reference(fin, 0.0, 0.0)
             pace.wait()
-            now, going = self._clock(), []
+            now = self._clock()
+            going = []
             for fin in self.fins:
                 try:
                     fin.listen()
@@ -198,13 +246,17 @@ class RobotNode:
             if not going:
                 return
             if now > deadline:
-                self._once.report(f"{', '.join(going)}: told to stop {STOPPING_S:g} s ago and still publishing; use "
-                                  "their switches")  # fmt: skip
+                self._once.report(
+                    f"{', '.join(going)}: told to stop {STOPPING_S:g} s ago and still publishing; "
+                    "use their switches"
+                )
                 return
 
     def _send_reference(self, fin: FinTopics, x: float, y: float) -> None:
         # Without a frame: in the fin's own, whatever it is called.
-        self._send(fin.reference, cdr(WRENCH_STAMPED, self._stamp_ns(), (x, y, 0.0, 0.0, 0.0, 0.0), ""))
+        self._send(
+            fin.reference, cdr(WRENCH_STAMPED, self._stamp_ns(), (x, y, 0.0, 0.0, 0.0, 0.0), "")
+        )
 
     def _send(self, publisher: Publisher, data: bytes) -> None:
         try:
@@ -224,16 +276,22 @@ class RobotNode:
 
 
 def fin_reach(robot: RobotConfig, config: RobotNodeConfig) -> list[float]:
-    """Return the greatest mean force of each fin [N]; raises ConfigurationError where one is not configured."""
-    thrust, names = config.max_thrust, list(robot.fins)
+    """Return the greatest mean force of each fin [N]; raises ConfigurationError where one is not
+    configured."""
+    thrust = config.max_thrust
+    names = list(robot.fins)
     if thrust is None:
-        raise ConfigurationError("max_thrust: missing; give the greatest mean force that each fin makes in every "
-                                 "direction with its controller [N], as --set max_thrust=3")  # fmt: skip
+        raise ConfigurationError(
+            "max_thrust: missing; give the greatest mean force that each fin makes in every "
+            "direction with its controller [N], as --set max_thrust=3"
+        )
     if not isinstance(thrust, dict):
         return [thrust] * len(names)
     if set(thrust) != set(names):
-        raise ConfigurationError(f"max_thrust is of {', '.join(thrust)}; {robot.name} has the fins {', '.join(names)}: "
-                                 "give one number, or one for each of them")  # fmt: skip
+        raise ConfigurationError(
+            f"max_thrust is of {', '.join(thrust)}; {robot.name} has the fins {', '.join(names)}: "
+            "give one number, or one for each of them"
+        )
     return [thrust[name] for name in names]
 
 
@@ -241,14 +299,26 @@ def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
     """Raise RigError where a fin cannot take part, or two topics would have one name."""
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:
-            raise RigError(f"{robot.name}: {name} turns within a range; wrenches are shared among fins that push in "
-                           "every direction: leave range_rad out if it does")  # fmt: skip
+            raise RigError(
+                f"{robot.name}: {name} turns within a range; wrenches are shared among fins that "
+                "push in every direction: leave range_rad out if it does"
+            )
         if not (name.isascii() and name.isidentifier()):
             raise RigError(
-                f"{robot.name}: the fin {name!r} cannot be in the name of a topic; use letters, digits and _"
+                f"{robot.name}: the fin {name!r} cannot be in the name of a topic; use letters, "
+                "digits and _"
             )
     own = [value for name, value in config if name.endswith("_topic")]
     try:
-        check_names([*own, *(topic for name in robot.fins for topic in fin_topics(name, config.fin_prefix).values())])
+        check_names(
+            [
+                *own,
+                *(
+                    topic
+                    for name in robot.fins
+                    for topic in fin_topics(name, config.fin_prefix).values()
+                ),
+            ]
+        )
     except ValueError as error:
         raise RigError(f"{robot.name}: {error}") from None

@@ -1,4 +1,5 @@
-"""A trial as one HTML page that plays it in three dimensions; three.js (MIT licence) is part of the page."""
+"""A trial as one HTML page that plays it in three dimensions; three.js (MIT licence) is part of the
+page."""
 
 import base64
 import importlib.resources
@@ -30,21 +31,31 @@ FIN_SPAN_M = 0.081
 def write_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
     """Write the page: nothing is fetched."""
     folder = importlib.resources.files("softfin.robot.view")
-    template, script = (folder.joinpath(name).read_text("utf-8") for name in ("page.html.jinja", "page.js"))
+    template, script = (
+        folder.joinpath(name).read_text("utf-8") for name in ("page.html.jinja", "page.js")
+    )
     library = base64.b64encode(folder.joinpath("three.module.min.js").read_bytes()).decode()
-    page = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(template).render(
-        title=title,
-        trial=Markup(json.dumps(to_dict(robot, record), separators=(",", ":"), allow_nan=False)),
-        library=Markup(library),
-        script=Markup(with_canvas(script)),
-    )  # fmt: skip
+    page = (
+        jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+        .from_string(template)
+        .render(
+            title=title,
+            trial=Markup(
+                json.dumps(to_dict(robot, record), separators=(",", ":"), allow_nan=False)
+            ),
+            library=Markup(library),
+            script=Markup(with_canvas(script)),
+        )
+    )
     artifacts.write_file(path, page)
 
 
 def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
     """Return the data that the page draws, as plain numbers; series are flat, row after row."""
     frames = np.arange(0, len(record.time), FRAME_TICKS)
-    actions = np.minimum((record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1)
+    actions = np.minimum(
+        (record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1
+    )
     series = {
         "position": (record.body.position[frames], 4),
         "attitude": (record.body.attitude[frames], 5),
@@ -56,10 +67,14 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
         "given_up": (record.given_up[actions].astype(int), 0),
     }
     fins = [
-        {"name": name, "place": list(fin.position_m), "axes": fin.axes().ravel().round(6).tolist(),
-         "shaft": list(fin.shaft_axis)}
+        {
+            "name": name,
+            "place": list(fin.position_m),
+            "axes": fin.axes().ravel().round(6).tolist(),
+            "shaft": list(fin.shaft_axis),
+        }
         for name, fin in robot.fins.items()
-    ]  # fmt: skip
+    ]
     shapes = record.shapes[frames]
     return {
         "rate_hz": RATE_HZ / FRAME_TICKS,
@@ -68,7 +83,10 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
         "size": robot.size_m,
         "fins": fins,
         "span": FIN_SPAN_M,
-        **{name: [round(float(x), digits) for x in np.ravel(values)] for name, (values, digits) in series.items()},
+        **{
+            name: [round(float(x), digits) for x in np.ravel(values)]
+            for name, (values, digits) in series.items()
+        },
         "shape_unit": SHAPE_UNIT_M,
         "points": shapes.shape[2],
         "shapes": np.rint(shapes / SHAPE_UNIT_M).astype(int).ravel().tolist(),
@@ -76,7 +94,8 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
 
 
 def _recent_mean(wrench: np.ndarray) -> np.ndarray:
-    """Mean over the period of two strokes that ends at each tick: what the body feels of the fins."""
+    """Mean over the period of two strokes that ends at each tick: what the body feels of the
+    fins."""
     ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
     start = np.maximum(np.arange(len(wrench)) + 1 - ticks, 0)

@@ -1,6 +1,8 @@
-"""Content of softfin's bags: topics, their messages as CDR, and definitions by which any reader decodes them.
+"""Content of softfin's bags: topics, their messages as CDR, and definitions by which any reader
+decodes them.
 
-Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``: readers refuse others.
+Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``:
+readers refuse others.
 """
 
 import importlib.metadata
@@ -18,33 +20,48 @@ from rosbags.typesys.store import Typestore
 
 from softfin.storage.formats import FILES, IN_FILE
 
-COMMAND, JOINT, WRENCH = "/fin/command", "/fin/joint_states", "/fin/wrench"
-REFERENCE, CURRENT, EVENTS = "/fin/reference", "/fin/current", "/fin/events"
+COMMAND = "/fin/command"
+JOINT = "/fin/joint_states"
+WRENCH = "/fin/wrench"
+REFERENCE = "/fin/reference"
+CURRENT = "/fin/current"
+EVENTS = "/fin/events"
 
 DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
 """Topics that become a log, by the role that `softfin.data.importing` gives them."""
 
-JOINT_STATE, WRENCH_STAMPED = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
-FLOAT, STRING = "std_msgs/msg/Float64", "std_msgs/msg/String"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+FLOAT = "std_msgs/msg/Float64"
+STRING = "std_msgs/msg/String"
 
 TYPES = {
-    COMMAND: JOINT_STATE, JOINT: JOINT_STATE, WRENCH: WRENCH_STAMPED, REFERENCE: WRENCH_STAMPED,
-    CURRENT: FLOAT, EVENTS: STRING,
-}  # fmt: skip
+    COMMAND: JOINT_STATE,
+    JOINT: JOINT_STATE,
+    WRENCH: WRENCH_STAMPED,
+    REFERENCE: WRENCH_STAMPED,
+    CURRENT: FLOAT,
+    EVENTS: STRING,
+}
 
 FIELDS = {
     JOINT_STATE: ("position.0", "velocity.0"),
-    WRENCH_STAMPED: tuple(f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz"),
+    WRENCH_STAMPED: tuple(
+        f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz"
+    ),
     FLOAT: ("data",),
 }
-"""Paths of the values: angle and velocity [rad, rad/s], force and torque [N, N m], a current [A]."""
+"""Paths of the values: angle and velocity [rad, rad/s], force and torque [N, N m], a current
+[A]."""
 
 FRAME = "fin"
 """Frame of the force and name of the joint."""
 
 SECOND_NS = 1_000_000_000
 
-_STAMP, _STAMP_BYTE, _NUMBER = struct.Struct("<iI"), 4, struct.Struct("<d")
+_STAMP = struct.Struct("<iI")
+_STAMP_BYTE = 4
+_NUMBER = struct.Struct("<d")
 
 
 @cache
@@ -53,11 +70,13 @@ def type_store() -> Typestore:
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
-def cdr(kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FRAME, joint: str = FRAME) -> bytes:
+def cdr(
+    kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FRAME, joint: str = FRAME
+) -> bytes:
     """The bytes of a message, in OMG's CDR as ROS 2 uses it; the stamp is the time since 1970 [ns].
 
-    rosbags serialises each kind once. The numbers are then written into a copy, seven times as fast: the control loop
-    waits for Python while the recorder packs.
+    rosbags serialises each kind once. The numbers are then written into a copy, seven times as
+    fast: the control loop waits for Python while the recorder packs.
     """
     if isinstance(values, str):
         return serialized(kind, {"data": values.encode(errors="replace").decode()})
@@ -73,22 +92,29 @@ def cdr(kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FR
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
     """A message as rosbags serialises it, and the places of its values."""
-    names = {} if kind == FLOAT else {"header.frame_id": frame} | ({"name.0": joint} if kind == JOINT_STATE else {})
+    names = (
+        {}
+        if kind == FLOAT
+        else {"header.frame_id": frame} | ({"name.0": joint} if kind == JOINT_STATE else {})
+    )
     marks = {path: 1.0 + index for index, path in enumerate(FIELDS[kind])}
     data = serialized(kind, names | marks)
     return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks.values())
 
 
 def serialized(kind: str, values: Mapping[str, Any], types: Typestore | None = None) -> bytes:
-    """The bytes of a message of any type, by the general serialiser; `values` as for `build_message`."""
+    """The bytes of a message of any type, by the general serialiser; `values` as for
+    `build_message`."""
     types = types or type_store()
     return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, kind), values), kind))
 
 
 def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """A field, as rosbags describes it, with values by their paths within it; other numbers are 0, others empty.
+    """A field, as rosbags describes it, with values by their paths within it; other numbers are 0,
+    others empty.
 
-    Sequences are as long as the paths go. Raises ValueError where there is no such field, or one of another kind.
+    Sequences are as long as the paths go. Raises ValueError where there is no such field, or one of
+    another kind.
     """
     node, detail = descriptor
     if node is Nodetype.BASE:
@@ -105,10 +131,15 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
         fields = dict(types.fielddefs[detail][1])
     else:
         element, count = detail
-        count = count if node is Nodetype.ARRAY else max((int(index) + 1 for index in inner), default=0)
+        count = (
+            count if node is Nodetype.ARRAY else max((int(index) + 1 for index in inner), default=0)
+        )
         fields = {str(index): element for index in range(count)}
     if not inner.keys() <= fields.keys():
-        raise ValueError(f"no field {', '.join(inner.keys() - fields.keys())!r}; it has {', '.join(fields) or 'none'}")
+        raise ValueError(
+            f"no field {', '.join(inner.keys() - fields.keys())!r}; it has "
+            f"{', '.join(fields) or 'none'}"
+        )
     items = [build_message(types, field, inner[name]) for name, field in fields.items()]
     if node is Nodetype.NAME:
         return types.types[detail](*items)
@@ -120,21 +151,27 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
 class BagWriter:
     """An MCAP file that is written to a stream, message by message.
 
-    Chunks are not compressed: of one that a power cut left half-written every whole message can be read.
+    Chunks are not compressed: of one that a power cut left half-written every whole message can be
+    read.
     """
 
     def __init__(self, stream: Any) -> None:
-        self._writer, store = start_writer(stream), type_store()
+        self._writer = start_writer(stream)
+        store = type_store()
         schemas = {
-            kind: self._writer.register_schema(kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode())
+            kind: self._writer.register_schema(
+                kind, "ros2msg", store.generate_msgdef(kind, ros_version=2)[0].encode()
+            )
             for kind in dict.fromkeys(TYPES.values())
         }
         # MCAP's profile for ROS 2 requires the entry; empty is ROS 2's default quality of service.
         quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
         self._channels = {
-            topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality) for topic, kind in TYPES.items()
+            topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
+            for topic, kind in TYPES.items()
         }
-        self.flush, self.finish = self._writer.flush, self._writer.finish
+        self.flush = self._writer.flush
+        self.finish = self._writer.finish
         """End the chunk; write the index and the end."""
 
     def write(self, topic: str, stamp_ns: int, values: Sequence[float] | str) -> None:

@@ -1,7 +1,8 @@
-"""Bags that are whole, still grow, were cut off or damaged: bytes in, records of the mcap library or a whole bag out.
+"""Bags that are whole, still grow, were cut off or damaged: bytes in, records of the mcap library
+or a whole bag out.
 
-The library's own readers need a file that ends as it should. Here a record counts as soon as it lies whole in the
-file, a chunk only if its length and its checksum are right.
+The library's own readers need a file that ends as it should. Here a record counts as soon as it
+lies whole in the file, a chunk only if its length and its checksum are right.
 """
 
 import contextlib
@@ -60,12 +61,14 @@ class Damage(NamedTuple):
 
 
 def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[RawRecord]:
-    """Yield the whole records between two bytes of a file; raises LogError at bytes that cannot be a record."""
+    """Yield the whole records between two bytes of a file; raises LogError at bytes that cannot be
+    a record."""
     while start + HEAD.size <= size:
         file.seek(start)
         head = file.read(HEAD.size)
         if len(head) < HEAD.size or not any(head):
-            # Over a network, and after a power cut, the length of a file can be seen before its bytes.
+            # Over a network, and after a power cut, the length of a file can be seen before its
+            # bytes.
             return
         opcode, length = HEAD.unpack(head)
         if not opcode or (opcode != Opcode.ATTACHMENT and length > MAX_RECORD_BYTES):
@@ -73,7 +76,9 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
         end = start + HEAD.size + length
         if end > size:
             return
-        yield RawRecord(opcode, start, end, b"" if opcode == Opcode.ATTACHMENT else file.read(length))
+        yield RawRecord(
+            opcode, start, end, b"" if opcode == Opcode.ATTACHMENT else file.read(length)
+        )
         start = end
 
 
@@ -87,20 +92,33 @@ def decode(record: RawRecord) -> list[Record]:
             return [_KINDS[record.opcode].read(stream)] if record.opcode in _KINDS else []
         chunk = Chunk.read(stream)
         if chunk.uncompressed_size > MAX_RECORD_BYTES:
-            raise ValueError(f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {MAX_RECORD_BYTES:,}")
+            raise ValueError(
+                f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {MAX_RECORD_BYTES:,}"
+            )
         return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
-    except (McapError, zstandard.ZstdError, ValueError, OverflowError, RuntimeError, EOFError, struct.error) as error:
+    except (
+        McapError,
+        zstandard.ZstdError,
+        ValueError,
+        OverflowError,
+        RuntimeError,
+        EOFError,
+        struct.error,
+    ) as error:
         what = "chunk" if record.opcode == Opcode.CHUNK else "record"
         raise LogError(f"a {what} that cannot be decoded ({one_line(error)})") from None
 
 
 def scan(path: Path) -> Iterator[Record | Damage]:
-    """Yield the records of a file in order, those in chunks too, and each damage where it is met."""
+    """Yield the records of a file in order, those in chunks too, and each damage where it is
+    met."""
     try:
         with path.open("rb") as file:
             yield from _scan(file, os.fstat(file.fileno()).st_size)
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror}); give the path of a .mcap file") from None
+        raise LogError(
+            f"{path}: cannot be read ({error.strerror}); give the path of a .mcap file"
+        ) from None
 
 
 def check_bag(path: Path) -> None:
@@ -119,13 +137,16 @@ def _scan(file: io.BufferedIOBase, size: int) -> Iterator[Record | Damage]:
     if file.read(len(MAGIC)) != MAGIC:
         yield Damage(0, size, "it does not begin as MCAP")
         return
-    at, reason = len(MAGIC), "a record that is not whole"
+    at = len(MAGIC)
+    reason = "a record that is not whole"
     try:
         for record in read_records(file, at, size):
             at = record.end
             if record.opcode == Opcode.FOOTER:
                 if not _is_end(file, record):
-                    yield Damage(record.start, size - record.start, "the index or the end is damaged")
+                    yield Damage(
+                        record.start, size - record.start, "the index or the end is damaged"
+                    )
                 return
             yield from _decode(record)
     except LogError as error:
@@ -150,7 +171,8 @@ def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterat
     # Opcode, length and the fields of an uncompressed chunk: its compression has no letters.
     head = file.read(49)
     if head[:1] == bytes([Opcode.CHUNK]) and head[37:41] == bytes(4):
-        # A file system shows zeros where bytes never reached the disk, so no message may end in them.
+        # A file system shows zeros where bytes never reached the disk, so no message may end in
+        # them.
         beginning = file.read(min(size - at, MAX_RECORD_BYTES)).rstrip(b"\0")
         # Behind the first bytes that are not a record there is nothing to save.
         with contextlib.suppress(LogError):
@@ -158,7 +180,8 @@ def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterat
 
 
 def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
-    """Whether a footer is followed by the file's last bytes, and the checksum of the index before it is right."""
+    """Whether a footer is followed by the file's last bytes, and the checksum of the index before
+    it is right."""
     file.seek(record.end)
     if file.read() != MAGIC or len(record.content) < 20:
         return False
@@ -187,7 +210,10 @@ class Recovery(NamedTuple):
     def to_dict(self) -> dict[str, Any]:
         """Recovery for JSON."""
         return self._asdict() | {
-            "damages": [{"byte": at, "bytes": length, "reason": reason} for at, length, reason in self.damages]
+            "damages": [
+                {"byte": at, "bytes": length, "reason": reason}
+                for at, length, reason in self.damages
+            ]
         }
 
 
@@ -197,13 +223,17 @@ def recovered_path(path: Path) -> Path:
 
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Save what can be read; raises LogError where nothing can, ArtifactError where `out` exists."""
+    """Save what can be read; raises LogError where nothing can, ArtifactError where `out`
+    exists."""
     artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    counts, damages = Counter[int](), list[Damage]()
-    first, last = 2**64, 0
-    # Definitions may stand behind their messages where the first chunk is lost: the index repeats them.
+    counts = Counter[int]()
+    damages = list[Damage]()
+    first = 2**64
+    last = 0
+    # Definitions may stand behind their messages where the first chunk is lost: the index repeats
+    # them.
     for item in scan(path):
         match item:
             case Damage():
@@ -214,7 +244,8 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
                 channels.setdefault(item.id, item)
             case Message():
                 counts[item.channel_id] += 1
-                first, last = min(first, item.log_time), max(last, item.log_time)
+                first = min(first, item.log_time)
+                last = max(last, item.log_time)
     messages = Counter[str]()
     for number in sorted(channels.keys() & counts):
         messages[channels[number].topic] += counts[number]
@@ -223,20 +254,31 @@ def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
         damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
     if damages and not messages:
         reason = damages[0].reason
-        raise LogError(f"{path}: no message in it can be read ({reason}); copy it again from where it was recorded")
+        raise LogError(
+            f"{path}: no message in it can be read ({reason}); copy it again from where it was "
+            "recorded"
+        )
 
     def copy(file: BinaryIO) -> None:
-        writer, registered, written = start_writer(file), {0: 0}, {}
+        writer = start_writer(file)
+        registered = {0: 0}
+        written = {}
         for number, schema in schemas.items():
             registered[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
         for number, channel in channels.items():
             kind = registered.get(channel.schema_id, 0)
-            written[number] = writer.register_channel(channel.topic, channel.message_encoding, kind, channel.metadata)
+            written[number] = writer.register_channel(
+                channel.topic, channel.message_encoding, kind, channel.metadata
+            )
         for one in scan(path):
             if isinstance(one, Message) and one.channel_id in written:
-                writer.add_message(written[one.channel_id], one.log_time, one.data, one.publish_time, one.sequence)
+                writer.add_message(
+                    written[one.channel_id], one.log_time, one.data, one.publish_time, one.sequence
+                )
         writer.finish()
 
     if damages:
         artifacts.write_file(out, copy)
-    return Recovery(not damages, dict(messages), max(0, last - first) / 1e9, orphans, tuple(damages))
+    return Recovery(
+        not damages, dict(messages), max(0, last - first) / 1e9, orphans, tuple(damages)
+    )

@@ -1,7 +1,9 @@
-"""Live recording as a ROS 2 bag in MCAP: the control loop hands rows in and never waits; a thread writes them.
+"""Live recording as a ROS 2 bag in MCAP: the control loop hands rows in and never waits; a thread
+writes them.
 
-Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk, so a kill or a power cut
-loses what came since. The file is at any time the beginning of a whole bag: `softfin bag recover` completes it.
+Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk, so a
+kill or a power cut loses what came since. The file is at any time the beginning of a whole bag:
+`softfin bag recover` completes it.
 """
 
 import contextlib
@@ -15,10 +17,20 @@ from pathlib import Path
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import LogError, RunError, one_line
 from softfin.storage import artifact as artifacts
-from softfin.storage.bag.messages import COMMAND, CURRENT, EVENTS, JOINT, REFERENCE, SECOND_NS, WRENCH, BagWriter
+from softfin.storage.bag.messages import (
+    COMMAND,
+    CURRENT,
+    EVENTS,
+    JOINT,
+    REFERENCE,
+    SECOND_NS,
+    WRENCH,
+    BagWriter,
+)
 
 POLL_S = 0.05
-"""Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a millisecond at most."""
+"""Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a
+millisecond at most."""
 
 STALL_S = 5.0
 """Longest time without a flush, while rows come, before the recording counts as failed [s]."""
@@ -33,33 +45,50 @@ CLOSE_S = 10.0
 class BagRecorder:
     """A bag that grows while the fin moves; one thread hands rows in, with times of `clock`.
 
-    Stamps are `clock` plus the wall clock's lead over it at the start, so that a jump of the wall clock does no harm.
+    Stamps are `clock` plus the wall clock's lead over it at the start, so that a jump of the wall
+    clock does no harm.
     """
 
     def __init__(
-        self, path: Path, *, flush_s: float = 0.5, reserve_bytes: int = 50_000_000, clock: Clock = REAL
+        self,
+        path: Path,
+        *,
+        flush_s: float = 0.5,
+        reserve_bytes: int = 50_000_000,
+        clock: Clock = REAL,
     ) -> None:
-        """Create the file, and its folder; raises LogError where it exists, RunError where it cannot be written."""
+        """Create the file, and its folder; raises LogError where it exists, RunError where it
+        cannot be written."""
         self.path = path
-        self._flush_s, self._reserve, self._clock = flush_s, reserve_bytes, clock
+        self._flush_s = flush_s
+        self._reserve = reserve_bytes
+        self._clock = clock
         self._offset_ns = round((clock.wall() - clock()) * SECOND_NS)
-        self._queue: queue.SimpleQueue[tuple[str, float, Sequence[float] | str]] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[tuple[str, float, Sequence[float] | str]] = (
+            queue.SimpleQueue()
+        )
         self.failure: str | None = None
-        """Reason why this recording is not whole, in one line with what to do; None as long as all is well."""
+        """Reason why this recording is not whole, in one line with what to do; None as long as all
+        is well."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             # The buffer has room for 25 minutes that wait for a full disk.
             self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
-            raise LogError(f"{path}: exists already, recordings are never overwritten; give another name") from None
+            raise LogError(
+                f"{path}: exists already, recordings are never overwritten; give another name"
+            ) from None
         except OSError as error:
-            raise RunError(f"{path}: cannot be written ({error.strerror or error}); record elsewhere") from None
+            raise RunError(
+                f"{path}: cannot be written ({error.strerror or error}); record elsewhere"
+            ) from None
         artifacts.sync(path.parent)
         self._bag = BagWriter(self._file)
         self._flushed = clock()
         self._commanded = -float("inf")
         self._closing = clock.event()
-        # The file is a bag before the first row comes, and a disk without room is noticed before a motion.
+        # The file is a bag before the first row comes, and a disk without room is noticed before a
+        # motion.
         self._flush()
         if self.failure is not None:
             with contextlib.suppress(OSError):
@@ -75,7 +104,8 @@ class BagRecorder:
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
     def joint(self, time: float, angle: float, velocity: float, current: float | None) -> None:
-        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] if it is measured."""
+        """Record the shaft's angle and velocity [rad, rad/s], and the motor's current [A] if it is
+        measured."""
         self._hand_in(JOINT, time, (angle, velocity))
         if current is not None:
             self._hand_in(CURRENT, time, (current,))
@@ -93,13 +123,17 @@ class BagRecorder:
         self._hand_in(EVENTS, time, text)
 
     def close(self) -> None:
-        """Write what is left, the index and the end; may be called again, never raises; `failure` holds any error."""
+        """Write what is left, the index and the end; may be called again, never raises; `failure`
+        holds any error."""
         if self._closing.is_set():
             return
         self._closing.set()
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
-            self._fail(f"the disk did not end the file within {CLOSE_S:g} s", f"softfin bag recover {self.path}")
+            self._fail(
+                f"the disk did not end the file within {CLOSE_S:g} s",
+                f"softfin bag recover {self.path}",
+            )
 
     def _hand_in(self, topic: str, time: float, values: Sequence[float] | str) -> None:
         if self._closing.is_set():
@@ -120,7 +154,9 @@ class BagRecorder:
             self._flush(end=True)
         except Exception as error:
             # Whatever it is, the loop must be told and go on to stop the fin.
-            self._fail(f"{type(error).__name__}: {one_line(error)}", f"softfin bag recover {self.path}")
+            self._fail(
+                f"{type(error).__name__}: {one_line(error)}", f"softfin bag recover {self.path}"
+            )
         finally:
             with contextlib.suppress(OSError):
                 self._file.close()
@@ -131,21 +167,32 @@ class BagRecorder:
             try:
                 self._bag.write(topic, self._offset_ns + round(seconds * SECOND_NS), values)
             except Exception as error:
-                self._fail(f"{topic} cannot be {values!r:.100} ({error})", "report this, it is a defect of softfin")
+                self._fail(
+                    f"{topic} cannot be {values!r:.100} ({error})",
+                    "report this, it is a defect of softfin",
+                )
 
     def _flush(self, end: bool = False) -> None:
         try:
             (self._bag.finish if end else self._bag.flush)()
             if shutil.disk_usage(self.path.parent).free < self._reserve:
                 # Reported while there is room for the stop, the events and the end of the file.
-                self._fail(f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room")
+                self._fail(
+                    f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room"
+                )
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            # What could not be written stays in the buffer: the next flush goes on from there, should room be made.
-            self._fail(error.strerror or str(error), f"make room on its disk; softfin bag recover {self.path}")
+            # What could not be written stays in the buffer: the next flush goes on from there,
+            # should room be made.
+            self._fail(
+                error.strerror or str(error),
+                f"make room on its disk; softfin bag recover {self.path}",
+            )
         self._flushed = self._clock()
 
     def _fail(self, reason: str, fix: str) -> None:
         if self.failure is None:
-            self.failure = f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
+            self.failure = (
+                f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
+            )

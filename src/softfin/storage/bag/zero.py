@@ -1,4 +1,5 @@
-"""Zero of the force in a bag: a session measures the force at rest and records it as an event; the wrench stays raw.
+"""Zero of the force in a bag: a session measures the force at rest and records it as an event; the
+wrench stays raw.
 
 An event goes in as text; the zero of any moment comes out, to be subtracted from the readings.
 """
@@ -27,10 +28,14 @@ def parse_zero(text: str) -> Force | None:
     return None if match is None else (float(match[1]), float(match[2]))
 
 
-def zeros_at(zeros: Sequence[tuple[float, Force]], time: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows 2"]:
-    """Return the zero [N] of each time: the last one measured by then, before the first measurement the first one.
+def zeros_at(
+    zeros: Sequence[tuple[float, Force]], time: Float[np.ndarray, "rows"]
+) -> Float[np.ndarray, "rows 2"]:
+    """Return the zero [N] of each time: the last one measured by then, before the first measurement
+    the first one.
 
-    `zeros` are in the order of their times, on the clock of `time`; where there are none, all are 0.
+    `zeros` are in the order of their times, on the clock of `time`; where there are none, all are
+    0.
     """
     if not zeros:
         return np.zeros((len(time), 2))

@@ -1,7 +1,8 @@
-"""Surrogates side by side on the same unseen logs, free-running over several horizons: Table I extended.
+"""Surrogates side by side on the same unseen logs, free-running over several horizons: Table I
+extended.
 
-A group of scores are the seeds of one configuration on the same data. All surrogates are scored on the same rows,
-whatever they need to be warm.
+A group of scores are the seeds of one configuration on the same data. All surrogates are scored on
+the same rows, whatever they need to be warm.
 """
 
 import itertools
@@ -38,14 +39,16 @@ ENOUGH_SEEDS = 3
 """Fewest seeds of a group: below, a difference between two groups may be the luck of a seed."""
 
 FAR = 0.01
-"""Distance beyond the range of the training commands, over that range, from which a test command is worth a note."""
+"""Distance beyond the range of the training commands, over that range, from which a test command is
+worth a note."""
 
 
 class CompareConfig(Configuration):
     """How surrogates are compared."""
 
     horizons_s: tuple[float, ...] = (1.0, 5.0, 30.0)
-    """How long a surrogate runs free [s], on the 10 ms grid; the last is long beside any memory of the fin."""
+    """How long a surrogate runs free [s], on the 10 ms grid; the last is long beside any memory of
+    the fin."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the noise of the plant that sets the noise floor."""
 
@@ -53,7 +56,9 @@ class CompareConfig(Configuration):
     @classmethod
     def _on_the_grid(cls, value: tuple[float, ...]) -> tuple[float, ...]:
         if not value or any(h < 0.1 or abs(h * RATE_HZ - round(h * RATE_HZ)) > 1e-6 for h in value):
-            raise ValueError("horizons are at least 0.1 s and whole numbers of 10 ms samples, such as 1, 5, 30")
+            raise ValueError(
+                "horizons are at least 0.1 s and whole numbers of 10 ms samples, such as 1, 5, 30"
+            )
         return tuple(sorted(set(value)))
 
 
@@ -95,7 +100,8 @@ def compare(
     noise_floor: tuple[str, Plant] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant by its name."""
+    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant
+    by its name."""
     first = max(candidate.surrogate.memory for candidate in found)
     rows = [len(log.reading.time) for log in logs]
     ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
@@ -103,14 +109,16 @@ def compare(
     parts = [(segments_of(rows, each, first), each) for each in reversed(ticks)][::-1]
     spans = measured_ranges(logs)
     measured = [take(logs, *part) for part in parts]
-    of, done = len(found) * len(parts) + (noise_floor is not None), itertools.count(1)
+    of = len(found) * len(parts) + (noise_floor is not None)
+    done = itertools.count(1)
 
     def report(note: str) -> None:
         if progress is not None:
             progress("compare", next(done) / of, note)
 
     def run(candidate: Candidate) -> tuple[list[HorizonScores], Reading]:
-        surrogate, scores = candidate.surrogate, []
+        surrogate = candidate.surrogate
+        scores = []
         for part, actual, horizon in zip(parts, measured, config.horizons_s, strict=True):
             reading, members = free_run(surrogate, logs, *part)
             widths = None
@@ -124,16 +132,20 @@ def compare(
     for candidate in found:
         by_group.setdefault(candidate.group, []).append(candidate)
     seeds = list(by_group.values())
-    models, flops = zip(*((s.model, s.flops_per_tick()) for s in (each[0].surrogate for each in seeds)), strict=True)
+    models, flops = zip(
+        *((s.model, s.flops_per_tick()) for s in (each[0].surrogate for each in seeds)), strict=True
+    )
     # By its model; where several are of one model, also by its first folder.
     names = [
         model if models.count(model) == 1 else f"{model} ({members[0].folder})"
         for model, members in zip(models, seeds, strict=True)
     ]
     yardstick = models.index("paper") if "paper" in models else 0
-    groups, notes = [], list[str]()
+    groups = []
+    notes = list[str]()
     for name, members, cost in zip(names, seeds, flops, strict=True):
-        surrogate, (scores, readings) = members[0].surrogate, zip(*map(run, members), strict=True)
+        surrogate = members[0].surrogate
+        (scores, readings) = zip(*map(run, members), strict=True)
         share, furthest = beyond_limits(members, logs)
         row = {
             "name": name,
@@ -154,14 +166,26 @@ def compare(
         name = f"second recording ({noise_floor[0]})"
         whole = run_from_rest(noise_floor[1], logs, key_of(config.seed, "compare/floor"))
         readings = [take(whole, *part) for part in parts]
-        each = [score_segments(actual, reading, spans) for actual, reading in zip(measured, readings, strict=True)]
-        second = Group({"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1])
-        notes.append(f"{name}: its own noise and drift count too: up to sqrt(2) times the error of a perfect model")
+        each = [
+            score_segments(actual, reading, spans)
+            for actual, reading in zip(measured, readings, strict=True)
+        ]
+        second = Group(
+            {"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1]
+        )
+        notes.append(
+            f"{name}: its own noise and drift count too: up to sqrt(2) times the error of a "
+            "perfect model"
+        )
         report(name)
     summary = {
         "horizons_s": list(config.horizons_s),
         "scored": [
-            {"segments": len(where), "rows": len(where) * each, "rows_left": sum(rows) - len(where) * each}
+            {
+                "segments": len(where),
+                "rows": len(where) * each,
+                "rows_left": sum(rows) - len(where) * each,
+            }
             for where, each in parts
         ],
         "ranges": spans,
@@ -174,12 +198,16 @@ def compare(
     return Comparison(summary, groups, second, measured[-1])
 
 
-def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[dict[str, Any]]:
+def _horizons(
+    config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]
+) -> list[dict[str, Any]]:
     """Scores at each horizon, as mean and 95% interval over the seeds."""
     rows = []
     for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):
         values = {name: np.array([seed.scores[name] for seed in each]) for name in each[0].scores}
-        cells = {name: {"mean": float(x.mean()), "interval": interval(x)} for name, x in values.items()}
+        cells = {
+            name: {"mean": float(x.mean()), "interval": interval(x)} for name, x in values.items()
+        }
         rows.append({"horizon_s": horizon, **cells})
     return rows
 
@@ -187,11 +215,15 @@ def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) 
 def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
     """Caveats for a reader of a group's scores."""
     if (seeds := row["seeds"]) < ENOUGH_SEEDS:
-        yield f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before a difference is believed"
+        yield (
+            f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before a difference "
+            "is believed"
+        )
     if row["furthest_beyond_training"] > FAR:
         yield (
-            f"{row['commands_beyond_training']:.1%} of the test commands lie beyond those it was trained on, the "
-            f"furthest by {row['furthest_beyond_training']:.0%} of their range: there it extrapolates"
+            f"{row['commands_beyond_training']:.1%} of the test commands lie beyond those it was "
+            f"trained on, the furthest by {row['furthest_beyond_training']:.0%} of their range: "
+            "there it extrapolates"
         )
     if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
         yield caveat
@@ -201,29 +233,41 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
     """Load surrogates; raises ConfigurationError where there is none, or one is given twice."""
     if not folders:
         raise ConfigurationError("no surrogate: give the folders of those that are to be compared")
-    found, seen = [], set[str]()
+    found = []
+    seen = set[str]()
     for folder in folders:
-        surrogate, description = load_surrogate(folder), artifacts.load_description(folder, "surrogate")
+        surrogate = load_surrogate(folder)
+        description = artifacts.load_description(folder, "surrogate")
         data = (description.get("provenance") or {}).get("data_hash")
         # Of imported ones nothing says that two are seeds of one another.
         group = str(folder.resolve())
         if description.get("configuration") is not None and data is not None:
-            # The networks too: of several candidates one seed may have chosen another than the next.
-            parts = [surrogate.model, description["configuration"], description.get("networks"), data]
+            # The networks too: of several candidates one seed may have chosen another than the
+            # next.
+            parts = [
+                surrogate.model,
+                description["configuration"],
+                description.get("networks"),
+                data,
+            ]
             group = json.dumps(parts, sort_keys=True)
         # A copy would pass for a second seed and make the interval too narrow.
         if (which := identity(surrogate)) in seen:
-            raise ConfigurationError(f"{folder}: given twice, or a copy of another; give each surrogate once")
+            raise ConfigurationError(
+                f"{folder}: given twice, or a copy of another; give each surrogate once"
+            )
         seen.add(which)
         found.append(Candidate(folder, surrogate, group))
     return found
 
 
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
-    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is over their range."""
+    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is
+    over their range."""
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
-    low, high = limits[..., 0], limits[..., 1]
+    low = limits[..., 0]
+    high = limits[..., 1]
     # Where the training commands never changed, over 1 rad or rad/s.
     span = np.where(high > low, high - low, 1)
     excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)

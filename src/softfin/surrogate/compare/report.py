@@ -1,4 +1,5 @@
-"""A comparison as a folder: ``comparison.json``, and a figure of the predicted forces and their errors."""
+"""A comparison as a folder: ``comparison.json``, and a figure of the predicted forces and their
+errors."""
 
 from collections.abc import Mapping
 from itertools import cycle
@@ -11,7 +12,16 @@ from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.storage import artifact as artifacts
-from softfin.storage.figures import BLACK, BLUE, GREEN, GREY, ORANGE, new_figure, save_figure, styled
+from softfin.storage.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    new_figure,
+    save_figure,
+    styled,
+)
 from softfin.surrogate.compare.compare import Comparison, Group
 from softfin.surrogate.streaming.ensemble import COVERAGE
 
@@ -35,7 +45,8 @@ def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str,
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Force over a segment, measured and predicted; below, error by horizon, of the mean force, of its intervals."""
+    """Force over a segment, measured and predicted; below, error by horizon, of the mean force, of
+    its intervals."""
     longest = [group.longest[0] for group in comparison.groups]
     draw = [_draw_horizons]
     if longest[0].mean_errors is not None:
@@ -47,7 +58,9 @@ def comparison_figure(comparison: Comparison) -> Figure:
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
         above, below = parts
         _draw_traces(above.subplots(2, 1, sharex=True), comparison)
-        for draw_panel, axes in zip(draw, below.subplots(1, len(draw), squeeze=False)[0], strict=True):
+        for draw_panel, axes in zip(
+            draw, below.subplots(1, len(draw), squeeze=False)[0], strict=True
+        ):
             draw_panel(axes, comparison)
     return figure
 
@@ -70,23 +83,43 @@ def _draw_traces(panels: Any, comparison: Comparison) -> None:
 
 
 def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
-    places, count = np.arange(len(comparison.summary["horizons_s"])), len(comparison.groups)
-    for index, (group, (colour, line, marker)) in enumerate(zip(comparison.groups, cycle(STYLES), strict=False)):
+    places = np.arange(len(comparison.summary["horizons_s"]))
+    count = len(comparison.groups)
+    for index, (group, (colour, line, marker)) in enumerate(
+        zip(comparison.groups, cycle(STYLES), strict=False)
+    ):
         for number, (axis, face) in enumerate(zip(AXES, (colour, "white"), strict=True)):
             cells = [row[f"force_{axis}_rmse_n"] for row in group.row["horizons"]]
             intervals = [cell["interval"] for cell in cells if cell["interval"] is not None]
             # Side by side, so that bars of intervals do not cover each other.
             shift = 0.03 * (2 * index + number - count + 0.5)
             axes.errorbar(
-                places + shift, [cell["mean"] for cell in cells], [(high - low) / 2 for low, high in intervals] or None,
-                linestyle=line, marker=marker, color=colour, markerfacecolor=face, markersize=5, capsize=2,
+                places + shift,
+                [cell["mean"] for cell in cells],
+                [(high - low) / 2 for low, high in intervals] or None,
+                linestyle=line,
+                marker=marker,
+                color=colour,
+                markerfacecolor=face,
+                markersize=5,
+                capsize=2,
                 label=f"{group.row['name']}, {axis}",
-            )  # fmt: skip
+            )
     if (second := comparison.noise_floor) is not None:
-        means = [np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES]) for row in second.row["horizons"]]
-        axes.plot(places, means, color=GREY, linewidth=1.6, label=f"{second.row['name']}, mean of x and y")
+        means = [
+            np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES])
+            for row in second.row["horizons"]
+        ]
+        axes.plot(
+            places, means, color=GREY, linewidth=1.6, label=f"{second.row['name']}, mean of x and y"
+        )
     axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.summary["horizons_s"]])
-    axes.set(xlabel="horizon [s]", ylabel="RMSE of the force [N]", ylim=(0, None), title="Error by the horizon")
+    axes.set(
+        xlabel="horizon [s]",
+        ylabel="RMSE of the force [N]",
+        ylim=(0, None),
+        title="Error by the horizon",
+    )
     axes.margins(x=0.12)
     # Room for the legend, clear of the bars.
     axes.set_ylim(0, 1.6 * axes.get_ylim()[1])
@@ -95,22 +128,40 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
 
 def _draw_means(axes: Axes, comparison: Comparison) -> None:
     """Share of the mean forces that are off by no more than so much."""
-    styled_groups = [(group, *style[:2], 1.4) for group, style in zip(comparison.groups, cycle(STYLES), strict=False)]
+    styled_groups = [
+        (group, *style[:2], 1.4)
+        for group, style in zip(comparison.groups, cycle(STYLES), strict=False)
+    ]
     if comparison.noise_floor is not None:
         styled_groups.append((comparison.noise_floor, GREY, "-", 1.6))
     for group, colour, line, width in styled_groups:
         sizes = np.quantile(np.abs(_pooled(group, "mean_errors")), SHARES)
         axes.plot(sizes, SHARES, line, color=colour, linewidth=width, label=group.row["name"])
     axes.axhline(0.95, color=GREY, linewidth=0.8, linestyle=":")
-    axes.text(0.99, 0.94, "95%", color=GREY, ha="right", va="top", transform=axes.get_yaxis_transform(), fontsize=7)
-    axes.set(xlabel="error of the mean force over 2 s [N]", ylabel="share within", ylim=(0, 1.02), xlim=(0, None))
+    axes.text(
+        0.99,
+        0.94,
+        "95%",
+        color=GREY,
+        ha="right",
+        va="top",
+        transform=axes.get_yaxis_transform(),
+        fontsize=7,
+    )
+    axes.set(
+        xlabel="error of the mean force over 2 s [N]",
+        ylabel="share within",
+        ylim=(0, 1.02),
+        xlim=(0, None),
+    )
     axes.locator_params(axis="x", nbins=5)
     axes.set_title(f"Mean force, free-running for {comparison.summary['horizons_s'][-1]:g} s")
     axes.legend(fontsize=7, loc="lower right")
 
 
 def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
-    """Share of the errors within a multiple of the stated half-widths: at 1 it should be what was stated."""
+    """Share of the errors within a multiple of the stated half-widths: at 1 it should be what was
+    stated."""
     for group, (colour, line, marker) in zip(comparison.groups, cycle(STYLES), strict=False):
         if group.longest[0].half_widths is None:
             continue
@@ -119,8 +170,20 @@ def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
         label = f"{group.row['name']}: {within:.1%} inside"
         axes.plot(np.quantile(ratios, SHARES), SHARES, line, color=colour, label=label)
         axes.plot([1], [within], marker, color=colour)
-    axes.plot([1, 1], [COVERAGE - 0.05, COVERAGE + 0.05], color=GREY, linewidth=4, alpha=0.5, label="85% to 95%")
-    axes.set(xlabel="error over the stated half-width", ylabel="share within", xlim=(0, 3), ylim=(0, 1.02))
+    axes.plot(
+        [1, 1],
+        [COVERAGE - 0.05, COVERAGE + 0.05],
+        color=GREY,
+        linewidth=4,
+        alpha=0.5,
+        label="85% to 95%",
+    )
+    axes.set(
+        xlabel="error over the stated half-width",
+        ylabel="share within",
+        xlim=(0, 3),
+        ylim=(0, 1.02),
+    )
     axes.set_title(f"Intervals stated at {COVERAGE:.0%}")
     axes.legend(fontsize=7, loc="lower right")
 

@@ -1,8 +1,10 @@
-"""Free-running over logs, and the scores of what is predicted: Table I, and those of several horizons.
+"""Free-running over logs, and the scores of what is predicted: Table I, and those of several
+horizons.
 
-The paper does not say how it normalises the distance of dynamic time warping (DTW). Here it is the least sum of
-|difference| over all warping paths inside a Sakoe-Chiba band of 1 s, divided by the number of samples: no greater than
-the mean absolute error. It forgives a lag, so it never stands without RMSE.
+The paper does not say how it normalises the distance of dynamic time warping (DTW). Here it is the
+least sum of |difference| over all warping paths inside a Sakoe-Chiba band of 1 s, divided by the
+number of samples: no greater than the mean absolute error. It forgives a lag, so it never stands
+without RMSE.
 """
 
 import math
@@ -43,7 +45,8 @@ NETS = {
     "force_measured": ("Force networks, given the measured motion", "N", "forcenet"),
     "force_free_running": ("Force networks, free-running behind the drive networks", "N", None),
 }
-"""Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand beside."""
+"""Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand
+beside."""
 
 Samples = Float[np.ndarray, "samples"]
 
@@ -56,14 +59,18 @@ Segment = tuple[int, int]
 
 
 def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
-    """Segments of `ticks` end to end over logs of so many rows, from row `first` on; LogError for a short log."""
+    """Segments of `ticks` end to end over logs of so many rows, from row `first` on; LogError for a
+    short log."""
     for index, count in enumerate(rows):
         if count < first + ticks:
             raise LogError(
-                f"test log {index}: {count} rows; {first} to begin with and a horizon of {ticks / RATE_HZ:g} s need "
+                f"test log {index}: {count} rows; {first} to begin with and a horizon of "
+                f"{ticks / RATE_HZ:g} s need "
                 f"{first + ticks}; record longer test logs, or give shorter --horizons"
             )
-    return [(i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)]
+    return [
+        (i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)
+    ]
 
 
 def take(records: Sequence[Any], segments: Sequence[Segment], ticks: int) -> Any:
@@ -74,14 +81,17 @@ def take(records: Sequence[Any], segments: Sequence[Segment], ticks: int) -> Any
 def free_run(
     surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
 ) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
-    """Predict segments from their commands alone, warmed on the rows before; also the forces of each member [N]."""
+    """Predict segments from their commands alone, warmed on the rows before; also the forces of
+    each member [N]."""
     size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
     # Filled up with repeats that are thrown away, so that one compiled program serves all batches.
     filled = [*segments, *[segments[-1]] * (-len(segments) % size)]
     parts = []
     for begin in range(0, len(filled), size):
         some = filled[begin : begin + size]
-        states = _stacked([surrogate.warm(_rows(logs[log], row - surrogate.memory, row)) for log, row in some])
+        states = _stacked(
+            [surrogate.warm(_rows(logs[log], row - surrogate.memory, row)) for log, row in some]
+        )
         # What row k shows was commanded in row k - 1.
         commands = take(logs, [(log, row - 1) for log, row in some], ticks).command
         parts.append(_free_run(surrogate, states, commands))
@@ -90,20 +100,27 @@ def free_run(
 
 
 def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
-    """Whole logs by a plant that starts at rest: NumPy, row for row; raises CommandError beyond the plant's limits."""
-    rows, issued = [len(log.reading.time) for log in logs], []
+    """Whole logs by a plant that starts at rest: NumPy, row for row; raises CommandError beyond the
+    plant's limits."""
+    rows = [len(log.reading.time) for log in logs]
+    issued = []
     for log, count in zip(logs, rows, strict=True):
         check_commands(plant.limits, log.command)
         # The command that row 0 shows stands in no log; the first that does is taken for it.
-        issued.append(Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command)))
+        issued.append(
+            Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command))
+        )
     states = jax.vmap(plant.init)(jax.random.split(key, len(logs)))
     reading, _ = jax.tree.map(np.asarray, _free_run(plant, states, _stacked(issued)))
-    return [Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)]
+    return [
+        Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)
+    ]
 
 
 @eqx.filter_jit
 def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, Any]:
-    """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks, members, 2)``."""
+    """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks,
+    members, 2)``."""
     if not isinstance(plant, EnsemblePlant):
         return jax.vmap(lambda state, issued: roll(plant, state, issued)[1])(states, commands), None
 
@@ -112,7 +129,9 @@ def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, An
         return state, jax.tree.map(lambda x: x[:, 0], each)
 
     each = jax.vmap(lambda state, issued: jax.lax.scan(tick, state, issued)[1])(states, commands)
-    mean = Reading(each.time[..., 0], each.angle.mean(-1), each.velocity.mean(-1), each.force.mean(-2))
+    mean = Reading(
+        each.time[..., 0], each.angle.mean(-1), each.velocity.mean(-1), each.force.mean(-2)
+    )
     return mean, each.force
 
 
@@ -137,16 +156,24 @@ def mae(predicted: AnyArray, measured: AnyArray) -> float:
 def dtw_mae(predicted: Samples, measured: Samples) -> float:
     """Mean absolute difference of one channel after warping: see the module."""
     series = [np.ascontiguousarray(samples, np.float64) for samples in (predicted, measured)]
-    return float(dtw.distance_fast(*series, window=DTW_BAND, inner_dist="euclidean") / len(predicted))
+    return float(
+        dtw.distance_fast(*series, window=DTW_BAND, inner_dist="euclidean") / len(predicted)
+    )
 
 
-TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {"rmse": rmse, "mae": mae, "dtw_mae": dtw_mae}
+TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {
+    "rmse": rmse,
+    "mae": mae,
+    "dtw_mae": dtw_mae,
+}
 
 
 def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
-    """Table I, a row for each network: ``window``, ``parameters``, and means over logs and channels of its scores.
+    """Table I, a row for each network: ``window``, ``parameters``, and means over logs and channels
+    of its scores.
 
-    ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or over the measured range.
+    ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or over the
+    measured range.
     """
     scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
     if surrogate.scaling is not None:
@@ -154,27 +181,40 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
     measured = [columns_of([log]) for log in logs]
     table = {}
     for name, (channels, series, window, parameters) in surrogate.predictions(logs).items():
-        scores = np.array([
-            [[score(x, actual[channel][-len(x) :]) for channel, x in zip(channels, predicted.T, strict=True)]
-             for score in TABLE_I_SCORES.values()]
-            for predicted, actual in zip(series, measured, strict=True)
-        ])  # fmt: skip
+        scores = np.array(
+            [
+                [
+                    [
+                        score(x, actual[channel][-len(x) :])
+                        for channel, x in zip(channels, predicted.T, strict=True)
+                    ]
+                    for score in TABLE_I_SCORES.values()
+                ]
+                for predicted, actual in zip(series, measured, strict=True)
+            ]
+        )
         scaled = scores * [scales[channel] for channel in channels]
-        means = {unit: each.mean(axis=(0, 2)).tolist() for unit, each in (("physical", scores), ("scaled", scaled))}
-        rows = {unit: dict(zip(TABLE_I_SCORES, values, strict=True)) for unit, values in means.items()}
+        means = {
+            unit: each.mean(axis=(0, 2)).tolist()
+            for unit, each in (("physical", scores), ("scaled", scaled))
+        }
+        rows = {
+            unit: dict(zip(TABLE_I_SCORES, values, strict=True)) for unit, values in means.items()
+        }
         table[name] = {"window": window, "parameters": parameters, **rows}
     return table
 
 
 def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
-    """Greatest minus least measured value of each channel over test logs; raises LogError where one never changes."""
+    """Greatest minus least measured value of each channel over test logs; raises LogError where one
+    never changes."""
     spans = {}
     for name, (low, high) in ranges(logs, (ANGLE, *FORCES)).items():
         spans[name] = high - low
         if not high > low:
             raise LogError(
-                f"test logs: column {name} is {low:g} in every row, so that no prediction of it can be "
-                "scored; give test logs in which it changes, or none"
+                f"test logs: column {name} is {low:g} in every row, so that no prediction of it "
+                "can be scored; give test logs in which it changes, or none"
             )
     return spans
 
@@ -183,7 +223,8 @@ class HorizonScores(NamedTuple):
     """Scores of one surrogate at one horizon."""
 
     scores: dict[str, float]
-    """Scores by name with unit; those of the mean force and of its interval only where there are such."""
+    """Scores by name with unit; those of the mean force and of its interval only where there are
+    such."""
     mean_errors: Means | None
     """Errors of the mean force, predicted minus measured."""
     half_widths: Means | None
@@ -193,25 +234,42 @@ class HorizonScores(NamedTuple):
 def score_segments(
     measured: Log, predicted: Reading, spans: Mapping[str, float], half_widths: Means | None = None
 ) -> HorizonScores:
-    """Score segments, fields ``(segments, ticks)``, as docs/files.md describes; `spans` are `measured_ranges`."""
+    """Score segments, fields ``(segments, ticks)``, as docs/files.md describes; `spans` are
+    `measured_ranges`."""
     pairs = {"angle": (predicted.angle, measured.reading.angle)}
-    pairs |= {f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i]) for i, x in enumerate(AXES)}
-    scores, distances = {}, []
+    pairs |= {
+        f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i])
+        for i, x in enumerate(AXES)
+    }
+    scores = {}
+    distances = []
     for (name, pair), span in zip(pairs.items(), spans.values(), strict=True):
-        error, distance = rmse(*pair), np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)])
+        error = rmse(*pair)
+        distance = np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)])
         scores[f"{name}_rmse_{'rad' if name == 'angle' else 'n'}"] = error
-        with np.errstate(divide="ignore", invalid="ignore"):  # a channel that never changes has none
-            scores[f"{name}_r2"] = float(1 - np.square(error) / np.var(np.asarray(pair[1], np.float64)))
+        with np.errstate(
+            divide="ignore", invalid="ignore"
+        ):  # a channel that never changes has none
+            scores[f"{name}_r2"] = float(
+                1 - np.square(error) / np.var(np.asarray(pair[1], np.float64))
+            )
         distances.append([distance, distance / span])
-    scores |= {"angle_mae_rad": mae(*pairs["angle"]), "force_mae_n": mae(predicted.force, measured.reading.force)}
+    scores |= {
+        "angle_mae_rad": mae(*pairs["angle"]),
+        "force_mae_n": mae(predicted.force, measured.reading.force),
+    }
     for quantity, unit, some in (("angle", "rad", distances[:1]), ("force", "n", distances[1:])):
         distance, scaled = np.mean(some, axis=0).tolist()
         scores |= {f"{quantity}_dtw_mae_{unit}": distance, f"{quantity}_dtw_mae_scaled": scaled}
     if measured.reading.angle.shape[1] < WINDOW:
         return HorizonScores(scores, None, None)
-    mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(np.asarray(measured.reading.force))
+    mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(
+        np.asarray(measured.reading.force)
+    )
     size = np.abs(mean_errors)
-    scores |= {f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)}
+    scores |= {
+        f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)
+    }
     each = {"mae": np.mean(size), "p95": np.quantile(size, 0.95), "worst": np.max(size)}
     scores |= {f"mean_force_{name}_n": float(value) for name, value in each.items()}
     if half_widths is not None:

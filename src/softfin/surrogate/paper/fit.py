@@ -1,6 +1,8 @@
-"""Fits PosNet and ForceNet to logs: both learn side by side from the same windows, one step ahead (Sec. III-B).
+"""Fits PosNet and ForceNet to logs: both learn side by side from the same windows, one step ahead
+(Sec. III-B).
 
-Adam on the mean square error of the scaled outputs; early stopping per network on held-out logs, best weights kept.
+Adam on the mean square error of the scaled outputs; early stopping per network on held-out logs,
+best weights kept.
 """
 
 from collections.abc import Sequence
@@ -24,7 +26,13 @@ from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import COLUMNS, COMMAND_COLUMNS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
 from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, check_lengths, hold_out, keep_best
+from softfin.surrogate.training import (
+    UPDATES_A_CALL,
+    TrainingState,
+    check_lengths,
+    hold_out,
+    keep_best,
+)
 
 
 class FitConfig(Configuration):
@@ -54,22 +62,31 @@ class Nets(NamedTuple):
 
 
 def fit(
-    logs: Sequence[Log], config: FitConfig, seed: int, run_directory: RunDirectory, progress: Progress | None = None
+    logs: Sequence[Log],
+    config: FitConfig,
+    seed: int,
+    run_directory: RunDirectory,
+    progress: Progress | None = None,
 ) -> Surrogate:
-    """Fit both networks to the training logs; continue from the checkpoint in run_directory if there is one."""
+    """Fit both networks to the training logs; continue from the checkpoint in run_directory if
+    there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # Equal calls, so that one compiled program does them all.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
     learner = PaperLearner(config, updates)
-    state, done = learner.start(key_of(seed, "fit/weights")), {"epoch": 0, "stale": 0}
+    state = learner.start(key_of(seed, "fit/weights"))
+    done = {"epoch": 0, "stale": 0}
     if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
     record = run_directory.log(rewind_to=done["epoch"])
     while done["epoch"] < config.epochs and done["stale"] < config.patience:
-        epoch, losses = done["epoch"], []
-        order = generator_of(seed, f"fit/epoch/{epoch}").permutation(starts)[: updates * config.batch]
+        epoch = done["epoch"]
+        losses = []
+        order = generator_of(seed, f"fit/epoch/{epoch}").permutation(starts)[
+            : updates * config.batch
+        ]
         key = key_of(seed, f"fit/dropout/{epoch}")
         for call, batches in enumerate(order.reshape(calls, -1, config.batch), 1):
             state, mse = learner.run(state, table, jnp.asarray(batches), key)
@@ -81,7 +98,11 @@ def fit(
         state, improved = keep_best(state, losses, held_out, "networks")
         done = {"epoch": epoch + 1, "stale": 0 if improved else done["stale"] + 1}
         means = {"train": Nets(*np.mean(losses, axis=0)), "held_out": held_out}
-        scalars = {f"{part}/{net}_mse": float(x) for part, nets in means.items() for net, x in nets._asdict().items()}
+        scalars = {
+            f"{part}/{net}_mse": float(x)
+            for part, nets in means.items()
+            for net, x in nets._asdict().items()
+        }
         record.write(epoch + 1, **scalars)
         run_directory.save(state, done)
     record.close()
@@ -91,12 +112,16 @@ def fit(
 def split(
     logs: Sequence[Log], config: FitConfig
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
-    """Training logs, held-out logs, and of the former the scaling and where windows begin; raises LogError."""
+    """Training logs, held-out logs, and of the former the scaling and where windows begin; raises
+    LogError."""
     check_lengths(logs, config.posnet.window, "training")
     training, holding = hold_out(logs, config.held_out)
     starts = window_starts([len(log.reading.time) for log in training], config.posnet.window)
     if len(starts) < config.batch:
-        raise LogError(f"{len(starts)} training windows are fewer than one batch of {config.batch}; record more rows")
+        raise LogError(
+            f"{len(starts)} training windows are fewer than one batch of {config.batch}; record "
+            "more rows"
+        )
     return training, holding, Scaling.fit(training), starts
 
 
@@ -112,17 +137,29 @@ class PaperLearner:
     @jit("none")
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
-        configs, keys = (self.config.posnet, self.config.forcenet), jax.random.split(key)
-        nets = Nets(*(Network.create(config, one) for config, one in zip(configs, keys, strict=True)))
-        return TrainingState(nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32)))
+        configs = (self.config.posnet, self.config.forcenet)
+        keys = jax.random.split(key)
+        nets = Nets(
+            *(Network.create(config, one) for config, one in zip(configs, keys, strict=True))
+        )
+        return TrainingState(
+            nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32))
+        )
 
-    def _run(self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray) -> tuple[TrainingState, Nets]:
-        """An update for each of the batches ``(updates, batch)`` of windows of the table; also the mean losses."""
+    def _run(
+        self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray
+    ) -> tuple[TrainingState, Nets]:
+        """An update for each of the batches ``(updates, batch)`` of windows of the table; also the
+        mean losses."""
 
-        def update(carry: tuple[Nets, Any], batch: Int[Array, "batch"]) -> tuple[tuple[Nets, Any], Nets]:
+        def update(
+            carry: tuple[Nets, Any], batch: Int[Array, "batch"]
+        ) -> tuple[tuple[Nets, Any], Nets]:
             nets, optimiser = carry
             dropout_key = jax.random.fold_in(key, batch[0])
-            (_, losses), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(nets, table, batch, dropout_key)
+            (_, losses), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(
+                nets, table, batch, dropout_key
+            )
             step, optimiser = self.optimiser.update(gradient, optimiser)
             return (optax.apply_updates(nets, step), optimiser), losses
 
@@ -133,7 +170,8 @@ class PaperLearner:
 def loss(
     nets: Nets, table: Float[Array, "rows channels"], starts: Int[Array, "batch"], key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], Nets]:
-    """Mean square error of the scaled outputs, summed over both networks: each depends on its own alone."""
+    """Mean square error of the scaled outputs, summed over both networks: each depends on its own
+    alone."""
     window = nets.posnet.config.window
     inputs = gather(table[:, : 1 + len(COMMAND_COLUMNS)], starts, window)
     target = table[starts + window]
@@ -141,21 +179,28 @@ def loss(
     posnet_key, forcenet_key = jax.random.split(key)
     losses = Nets(
         jnp.mean((nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]) ** 2),
-        jnp.mean((nets.forcenet(inputs, forcenet_key) - target[:, 1 + len(COMMAND_COLUMNS) :]) ** 2),
+        jnp.mean(
+            (nets.forcenet(inputs, forcenet_key) - target[:, 1 + len(COMMAND_COLUMNS) :]) ** 2
+        ),
     )
     return losses.posnet + losses.forcenet, losses
 
 
 def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"]:
-    """Return the rows where windows begin in logs laid end to end, with their target inside the same log."""
+    """Return the rows where windows begin in logs laid end to end, with their target inside the
+    same log."""
     offsets = np.cumsum([0, *rows[:-1]])
-    parts = [offset + np.arange(max(count - window, 0)) for offset, count in zip(offsets, rows, strict=True)]
+    parts = [
+        offset + np.arange(max(count - window, 0))
+        for offset, count in zip(offsets, rows, strict=True)
+    ]
     return np.concatenate(parts).astype(np.int32)
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def _mean_square_error(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
     tables = [scaling.table((*net.config.channels, *net.config.outputs), log) for log in logs]
-    inputs, window = len(net.config.channels), net.config.window
+    inputs = len(net.config.channels)
+    window = net.config.window
     errors = [net.over_table(table[:, :inputs]) - table[window:, inputs:] for table in tables]
     return float(np.mean(np.concatenate(errors) ** 2))

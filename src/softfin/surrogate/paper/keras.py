@@ -1,4 +1,5 @@
-"""Import of Keras 2 ``.keras`` files: a zip with the layers as JSON and the weights as HDF5. No TensorFlow, no pickle.
+"""Import of Keras 2 ``.keras`` files: a zip with the layers as JSON and the weights as HDF5. No
+TensorFlow, no pickle.
 
 The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, data_max}}``.
 """
@@ -22,37 +23,64 @@ from softfin.surrogate.training import restored
 
 LAYERS: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], dict[str, Any]]] = {
     "Conv1D": (
-        lambda c: {"kind": "conv1d", "filters": c["filters"], "kernel": c["kernel_size"][0],
-                   "activation": c["activation"]},
-        {"padding": "same", "strides": [1], "dilation_rate": [1], "groups": 1, "use_bias": True,
-         "data_format": "channels_last"},
+        lambda c: {
+            "kind": "conv1d",
+            "filters": c["filters"],
+            "kernel": c["kernel_size"][0],
+            "activation": c["activation"],
+        },
+        {
+            "padding": "same",
+            "strides": [1],
+            "dilation_rate": [1],
+            "groups": 1,
+            "use_bias": True,
+            "data_format": "channels_last",
+        },
     ),
     "LSTM": (
         lambda c: {"kind": "lstm", "units": c["units"], "sequence": c["return_sequences"]},
-        {"activation": "tanh", "recurrent_activation": "sigmoid", "use_bias": True, "go_backwards": False},
+        {
+            "activation": "tanh",
+            "recurrent_activation": "sigmoid",
+            "use_bias": True,
+            "go_backwards": False,
+        },
     ),
-    "Dense": (lambda c: {"kind": "dense", "units": c["units"], "activation": c["activation"]}, {"use_bias": True}),
+    "Dense": (
+        lambda c: {"kind": "dense", "units": c["units"], "activation": c["activation"]},
+        {"use_bias": True},
+    ),
     "Dropout": (lambda c: {"kind": "dropout", "rate": c["rate"]}, {}),
     "Flatten": (lambda _: {"kind": "flatten"}, {}),
     "GlobalAveragePooling1D": (lambda _: {"kind": "mean_pool"}, {}),
-}  # fmt: skip
-"""Layer by its name in Keras, and the options that must be as they are here wherever they are given."""
+}
+"""Layer by its name in Keras, and the options that must be as they are here wherever they are
+given."""
 
 
 def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
-    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError where it cannot."""
+    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError where
+    it cannot."""
     try:
         channels = json.loads(scalers.read_bytes())
     except OSError as error:
         raise ArtifactError(f"{scalers}: cannot be read ({error.strerror or error})") from None
     except (ValueError, RecursionError) as error:
-        raise ArtifactError(f"{scalers}: not JSON ({error}); give the scalers as JSON, never as pickle") from None
+        raise ArtifactError(
+            f"{scalers}: not JSON ({error}); give the scalers as JSON, never as pickle"
+        ) from None
     scaling = Scaling.build({"channels": channels}, str(scalers))
     scaling.require(str(scalers))
-    nets = read_network(posnet, COMMAND_COLUMNS, (ANGLE,)), read_network(forcenet, (ANGLE, *COMMAND_COLUMNS), FORCES)
+    nets = (
+        read_network(posnet, COMMAND_COLUMNS, (ANGLE,)),
+        read_network(forcenet, (ANGLE, *COMMAND_COLUMNS), FORCES),
+    )
     surrogate = Surrogate(*nets, scaling)
     if problem := surrogate.limits.problem():
-        raise ArtifactError(f"{scalers}: {problem}; they are data_min and data_max of the commands' channels")
+        raise ArtifactError(
+            f"{scalers}: {problem}; they are data_min and data_max of the commands' channels"
+        )
     return surrogate
 
 
@@ -63,7 +91,9 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
             layers, groups, shape = _layers(path, json.loads(archive.read("config.json")))
             content = io.BytesIO(archive.read("model.weights.h5"))
         if shape[0] != len(channels):
-            raise ArtifactError(f"{path}: takes {shape[0]} channels; this network must take {', '.join(channels)}")
+            raise ArtifactError(
+                f"{path}: takes {shape[0]} channels; this network must take {', '.join(channels)}"
+            )
         values = {"channels": channels, "outputs": outputs, "window": shape[1], "layers": layers}
         config = NetworkConfig.build(values, str(path))
         with h5py.File(content, "r") as file:
@@ -78,18 +108,28 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except Exception as error:
-        # Damaged files fail anywhere in zip, JSON and HDF5, and h5py makes of it whatever exception fits.
+        # Damaged files fail anywhere in zip, JSON and HDF5, and h5py makes of it whatever exception
+        # fits.
         reason = one_line(error)
         raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({reason})") from None
 
 
-def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Any], list[str], tuple[int, int]]:
+def _layers(
+    path: Path, description: dict[str, Any]
+) -> tuple[list[Any], list[str], tuple[int, int]]:
     """The layers, where the HDF5 has the weights of each, and the input's shape."""
     if description.get("class_name") != "Sequential":
-        raise ArtifactError(f"{path}: is a {description.get('class_name')} model; only Sequential ones can be imported")
-    layers, groups, counts, shape = [], list[str](), Counter[str](), (0, 0)
+        raise ArtifactError(
+            f"{path}: is a {description.get('class_name')} model; only Sequential ones can be "
+            "imported"
+        )
+    layers = []
+    groups = list[str]()
+    counts = Counter[str]()
+    shape = (0, 0)
     for entry in description["config"]["layers"]:
-        kind, config = entry["class_name"], entry["config"]
+        kind = entry["class_name"]
+        config = entry["config"]
         if batch_shape := config.get("batch_input_shape") or config.get("batch_shape"):
             shape = (int(batch_shape[1]), int(batch_shape[2]))
         if kind == "InputLayer":
@@ -99,7 +139,9 @@ def _layers(path: Path, description: dict[str, Any]) -> tuple[list[Any], list[st
         build, expected = LAYERS[kind]
         for name, value in expected.items():
             if (met := config.get(name, value)) != value:
-                raise ArtifactError(f"{path}: layer {config.get('name')} has {name} = {met}; it must be {value}")
+                raise ArtifactError(
+                    f"{path}: layer {config.get('name')} has {name} = {met}; it must be {value}"
+                )
         layers.append(build(config))
         # Numbered within its class, as Keras 2.15 saves them.
         number = f"_{counts[kind]}" if counts[kind] else ""

@@ -1,7 +1,8 @@
-"""Networks over a window of samples, described by their configuration: channels are the steps, the window the features.
+"""Networks over a window of samples, described by their configuration: channels are the steps, the
+window the features.
 
-This is the layout of the published weights (paper Sec. III-B): a window (channels, samples) goes into the first layer
-as a sequence of `channels` steps with `samples` features each.
+This is the layout of the published weights (paper Sec. III-B): a window (channels, samples) goes
+into the first layer as a sequence of `channels` steps with `samples` features each.
 """
 
 from collections.abc import Callable
@@ -19,10 +20,15 @@ from softfin.core.configuration import Configuration
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
 MAX_CHUNK_WINDOWS = 2048
-"""Windows that a network takes at once from a table: enough for the matrix products, few enough for the caches."""
+"""Windows that a network takes at once from a table: enough for the matrix products, few enough for
+the caches."""
 
 Activation = Literal["linear", "relu", "tanh"]
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {"linear": lambda x: x, "relu": jax.nn.relu, "tanh": jnp.tanh}
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
+    "linear": lambda x: x,
+    "relu": jax.nn.relu,
+    "tanh": jnp.tanh,
+}
 
 Parameters = dict[str, Array]
 Shapes = dict[str, Any]
@@ -36,7 +42,8 @@ def abstract(*shape: int) -> Any:
 
 
 class BaseLayer(Configuration):
-    """A layer that works on a whole batch with few and large products, faster than Equinox's; this changes nothing."""
+    """A layer that works on a whole batch with few and large products, faster than Equinox's; this
+    changes nothing."""
 
     def shapes(self, example: Shape) -> Shapes:
         """Shapes of the parameters by name."""
@@ -57,25 +64,33 @@ class Conv1D(BaseLayer):
 
     def shapes(self, example: Shape) -> Shapes:
         """Kernel (taps, features, filters) and bias."""
-        return {"kernel": abstract(self.kernel, example[1], self.filters), "bias": abstract(self.filters)}
+        return {
+            "kernel": abstract(self.kernel, example[1], self.filters),
+            "bias": abstract(self.filters),
+        }
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """One matrix product: with few steps nearly every block of the convolution's matrix is used."""
+        """One matrix product: with few steps nearly every block of the convolution's matrix is
+        used."""
         batch, steps, features = x.shape
-        kernel, left = parameters["kernel"], (self.kernel - 1) // 2
+        kernel = parameters["kernel"]
+        left = (self.kernel - 1) // 2
         empty = jnp.zeros((features, self.filters), kernel.dtype)
 
         def block(tap: int) -> Array:
             return kernel[tap] if 0 <= tap < self.kernel else empty
 
         # Blocks rather than an index: at one fin a step is an eighth quicker.
-        matrix = jnp.block([[block(source - target + left) for target in range(steps)] for source in range(steps)])
+        matrix = jnp.block(
+            [[block(source - target + left) for target in range(steps)] for source in range(steps)]
+        )
         y = (x.reshape(batch, steps * features) @ matrix).reshape(batch, steps, self.filters)
         return ACTIVATIONS[self.activation](y + parameters["bias"])
 
 
 class LSTM(BaseLayer):
-    """Long short-term memory (Hochreiter and Schmidhuber 1997); gates in the order input, forget, cell, output."""
+    """Long short-term memory (Hochreiter and Schmidhuber 1997); gates in the order input, forget,
+    cell, output."""
 
     kind: Literal["lstm"] = "lstm"
     units: PositiveInt
@@ -89,10 +104,14 @@ class LSTM(BaseLayer):
         return {**kernels, "bias": abstract(gates)}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """One product a step, of input and past side by side; the first step has no past, so nothing to forget."""
-        kernel, bias = parameters["kernel"], parameters["bias"]
+        """One product a step, of input and past side by side; the first step has no past, so
+        nothing to forget."""
+        kernel = parameters["kernel"]
+        bias = parameters["bias"]
         both = jnp.concatenate([kernel, parameters["recurrent"]])
-        i, g, o = jnp.split(x[:, 0] @ self._without_forget(kernel) + self._without_forget(bias), 3, axis=-1)
+        i, g, o = jnp.split(
+            x[:, 0] @ self._without_forget(kernel) + self._without_forget(bias), 3, axis=-1
+        )
         cell = jax.nn.sigmoid(i) * jnp.tanh(g)
         outputs = [jax.nn.sigmoid(o) * jnp.tanh(cell)]
         for step in range(1, x.shape[1]):
@@ -143,7 +162,8 @@ class Dense(BaseLayer):
 
 
 class Dropout(BaseLayer):
-    """Drops features at random in training (Srivastava et al. 2014), see `Network.__call__`; else changes nothing."""
+    """Drops features at random in training (Srivastava et al. 2014), see `Network.__call__`; else
+    changes nothing."""
 
     kind: Literal["dropout"] = "dropout"
     rate: float = Field(ge=0, lt=1)
@@ -173,7 +193,10 @@ class NetworkConfig(Configuration):
 
     def shapes(self) -> tuple[Shapes, ...]:
         """Shapes of each layer's parameters."""
-        return tuple(layer.shapes(example) for layer, example in zip(self.layers, self.examples(), strict=False))
+        return tuple(
+            layer.shapes(example)
+            for layer, example in zip(self.layers, self.examples(), strict=False)
+        )
 
     def parameters(self) -> int:
         """Number of trainable parameters."""
@@ -183,26 +206,47 @@ class NetworkConfig(Configuration):
         """Floating-point operations of the matrix products for one window, two a multiply-add."""
         program = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
         steps = program(self.shapes(), abstract(1, len(self.channels), self.window)).eqns
-        return int(2 * sum(
-            step.outvars[0].aval.size * prod(step.invars[0].aval.shape[axis] for axis in contracted)
-            for step in steps
-            if step.primitive.name == "dot_general"
-            for (contracted, _), _ in [step.params["dimension_numbers"]]
-        ))  # fmt: skip
+        return int(
+            2
+            * sum(
+                step.outvars[0].aval.size
+                * prod(step.invars[0].aval.shape[axis] for axis in contracted)
+                for step in steps
+                if step.primitive.name == "dot_general"
+                for (contracted, _), _ in [step.params["dimension_numbers"]]
+            )
+        )
 
 
-POSNET = NetworkConfig(channels=COMMAND_COLUMNS, outputs=(ANGLE,), layers=(
-    Conv1D(filters=128, kernel=5), Conv1D(filters=64, kernel=3), Flatten(),
-    Dense(units=128), Dense(units=64), Dense(units=1, activation="linear"),
-))  # fmt: skip
-"""PosNet: the last second of commands in, the angle one sample later out; 113,601 parameters, as in Table I."""
+POSNET = NetworkConfig(
+    channels=COMMAND_COLUMNS,
+    outputs=(ANGLE,),
+    layers=(
+        Conv1D(filters=128, kernel=5),
+        Conv1D(filters=64, kernel=3),
+        Flatten(),
+        Dense(units=128),
+        Dense(units=64),
+        Dense(units=1, activation="linear"),
+    ),
+)
+"""PosNet: the last second of commands in, the angle one sample later out; 113,601 parameters, as in
+Table I."""
 
-FORCENET = NetworkConfig(channels=(ANGLE, *COMMAND_COLUMNS), outputs=FORCES, layers=(
-    LSTM(units=128, sequence=True), MeanPool(),
-    Dense(units=64), Dense(units=64), Dropout(rate=0.4), Dense(units=2, activation="linear"),
-))  # fmt: skip
-"""ForceNet: the last second of motion and commands in, the force one sample later out; 129,794 parameters, as in
-Table I. The published weights have a second LSTM layer instead of the mean."""
+FORCENET = NetworkConfig(
+    channels=(ANGLE, *COMMAND_COLUMNS),
+    outputs=FORCES,
+    layers=(
+        LSTM(units=128, sequence=True),
+        MeanPool(),
+        Dense(units=64),
+        Dense(units=64),
+        Dropout(rate=0.4),
+        Dense(units=2, activation="linear"),
+    ),
+)
+"""ForceNet: the last second of motion and commands in, the force one sample later out; 129,794
+parameters, as in Table I. The published weights have a second LSTM layer instead of the mean."""
 
 
 class Network(eqx.Module):
@@ -216,7 +260,9 @@ class Network(eqx.Module):
     ) -> Float[Array, "batch outputs"]:
         """Scaled windows to scaled outputs; a key means training, so dropout drops."""
         x = windows
-        for index, (layer, parameters) in enumerate(zip(self.config.layers, self.layers, strict=True)):
+        for index, (layer, parameters) in enumerate(
+            zip(self.config.layers, self.layers, strict=True)
+        ):
             if isinstance(layer, Dropout) and key is not None:
                 keep = jax.random.bernoulli(jax.random.fold_in(key, index), 1 - layer.rate, x.shape)
                 x = jnp.where(keep, x / (1 - layer.rate), 0)
@@ -224,21 +270,34 @@ class Network(eqx.Module):
                 x = layer.apply(parameters, x)
         return x
 
-    def over_table(self, table: Float[np.ndarray, "rows channels"]) -> Float[np.ndarray, "predicted outputs"]:
-        """Scaled output for every row behind the first window: window i is rows i .. i+99 and predicts row i+100."""
+    def over_table(
+        self, table: Float[np.ndarray, "rows channels"]
+    ) -> Float[np.ndarray, "predicted outputs"]:
+        """Scaled output for every row behind the first window: window i is rows i .. i+99 and
+        predicts row i+100."""
         count = len(table) - self.config.window
         on_device = jnp.asarray(table)
-        parts = [np.asarray(_chunk(self, on_device, jnp.int32(first))) for first in range(0, count, MAX_CHUNK_WINDOWS)]
+        parts = [
+            np.asarray(_chunk(self, on_device, jnp.int32(first)))
+            for first in range(0, count, MAX_CHUNK_WINDOWS)
+        ]
         return np.concatenate(parts)[:count]
 
     @classmethod
     def create(cls, config: NetworkConfig, key: PRNGKeyArray) -> "Network":
-        """Fresh weights: Glorot-uniform, recurrent ones orthogonal, forget gates open (Keras's defaults)."""
-        draw = {"kernel": jax.nn.initializers.glorot_uniform(), "recurrent": jax.nn.initializers.orthogonal(),
-                "bias": lambda _, shape: jnp.zeros(shape)}  # fmt: skip
+        """Fresh weights: Glorot-uniform, recurrent ones orthogonal, forget gates open (Keras's
+        defaults)."""
+        draw = {
+            "kernel": jax.nn.initializers.glorot_uniform(),
+            "recurrent": jax.nn.initializers.orthogonal(),
+            "bias": lambda _, shape: jnp.zeros(shape),
+        }
         layers = []
         for index, (layer, shapes) in enumerate(zip(config.layers, config.shapes(), strict=True)):
-            keys = [jax.random.fold_in(jax.random.fold_in(key, index), number) for number in range(len(shapes))]
+            keys = [
+                jax.random.fold_in(jax.random.fold_in(key, index), number)
+                for number in range(len(shapes))
+            ]
             each = zip(keys, shapes.items(), strict=True)
             parameters = {name: draw[name](one, like.shape) for one, (name, like) in each}
             if isinstance(layer, LSTM):
@@ -256,6 +315,10 @@ def gather(
 
 
 @eqx.filter_jit
-def _chunk(network: Network, table: Float[Array, "rows channels"], first: Int[Array, ""]) -> Float[Array, "chunk out"]:
-    starts = jnp.minimum(first + jnp.arange(MAX_CHUNK_WINDOWS), table.shape[0] - 1 - network.config.window)
+def _chunk(
+    network: Network, table: Float[Array, "rows channels"], first: Int[Array, ""]
+) -> Float[Array, "chunk out"]:
+    starts = jnp.minimum(
+        first + jnp.arange(MAX_CHUNK_WINDOWS), table.shape[0] - 1 - network.config.window
+    )
     return network(gather(table, starts, network.config.window))

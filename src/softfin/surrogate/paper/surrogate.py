@@ -3,8 +3,9 @@
     command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
-A held command lets all ticks of an action go through each network at once: PosNet sees commands alone, and ForceNet
-sees angles that PosNet has then predicted already. Only the new ticks are computed.
+A held command lets all ticks of an action go through each network at once: PosNet sees commands
+alone, and ForceNet sees angles that PosNet has then predicted already. Only the new ticks are
+computed.
 """
 
 from collections.abc import Sequence
@@ -42,9 +43,13 @@ class Surrogate(eqx.Module):
     scaling: Scaling = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        posnet, forcenet = self.posnet.config.window, self.forcenet.config.window
+        posnet = self.posnet.config.window
+        forcenet = self.forcenet.config.window
         if posnet != forcenet:
-            raise ArtifactError(f"PosNet sees {posnet} samples and ForceNet {forcenet}; both must see the same window")
+            raise ArtifactError(
+                f"PosNet sees {posnet} samples and ForceNet {forcenet}; both must see the same "
+                "window"
+            )
 
     @property
     def window(self) -> int:
@@ -61,30 +66,43 @@ class Surrogate(eqx.Module):
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
     def init(self, key: PRNGKeyArray) -> SurrogateState:
-        """Return the state of a fin at rest at angle 0 for longer than the window; the key is not used."""
+        """Return the state of a fin at rest at angle 0 for longer than the window; the key is not
+        used."""
         rest = self._scaled(rest_command(self.limits))
         angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
 
     def warm(self, history: Log) -> SurrogateState:
-        """The state after a recorded history, of which the last `memory` rows count; raises LogError if shorter."""
+        """The state after a recorded history, of which the last `memory` rows count; raises
+        LogError if shorter."""
         if (rows := len(history.reading.time)) < self.memory:
-            raise LogError(f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm after as many")
+            raise LogError(
+                f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm "
+                "after as many"
+            )
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
-        # The last row's command is yet to be given; the oldest of the state's leaves before it is looked at.
+        # The last row's command is yet to be given; the oldest of the state's leaves before it is
+        # looked at.
         commands = np.concatenate([table[:2, :1], table[:2, :-1]], axis=1)
         tick = tick_at(float(history.reading.time[-1]))
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands), jnp.asarray(table[2]))
 
-    def advance(self, state: SurrogateState, command: Command, ticks: int) -> tuple[SurrogateState, Reading]:
-        """Hold the command for `ticks` samples; all of them go through each network as one batch."""
+    def advance(
+        self, state: SurrogateState, command: Command, ticks: int
+    ) -> tuple[SurrogateState, Reading]:
+        """Hold the command for `ticks` samples; all of them go through each network as one
+        batch."""
         return self._held(state, command, ticks, ticks)
 
-    def hold_action(self, state: SurrogateState, command: Command, ticks: Ticks) -> tuple[SurrogateState, Reading]:
+    def hold_action(
+        self, state: SurrogateState, command: Command, ticks: Ticks
+    ) -> tuple[SurrogateState, Reading]:
         """Hold the command for an action, as one batch of the longest."""
         return self._held(state, command, MOST_TICKS, ticks)
 
-    def _held(self, state: SurrogateState, command: Command, rows: int, ticks: Ticks) -> tuple[SurrogateState, Reading]:
+    def _held(
+        self, state: SurrogateState, command: Command, rows: int, ticks: Ticks
+    ) -> tuple[SurrogateState, Reading]:
         """Readings of so many rows, of which the first `ticks` count."""
         held = jnp.tile(self._scaled(command)[:, None], rows)
         commands = jnp.concatenate([state.commands, held], axis=1)
@@ -95,12 +113,17 @@ class Surrogate(eqx.Module):
         angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
         time = (state.tick + 1 + jnp.arange(rows)) * jnp.float32(TICK_S)
         reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
-        commands, angles = (jax.lax.dynamic_slice_in_dim(x, ticks, self.window, -1) for x in (commands, angles))
+        commands, angles = (
+            jax.lax.dynamic_slice_in_dim(x, ticks, self.window, -1) for x in (commands, angles)
+        )
         return SurrogateState(state.tick + ticks, commands, angles), reading
 
     def _scaled(self, command: Command) -> Float[Array, "2"]:
         return jnp.stack(
-            [self.scaling.scaled(name, value) for name, value in zip(COMMAND_COLUMNS, command, strict=True)]
+            [
+                self.scaling.scaled(name, value)
+                for name, value in zip(COMMAND_COLUMNS, command, strict=True)
+            ]
         )
 
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
@@ -109,18 +132,25 @@ class Surrogate(eqx.Module):
         return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
 
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
-        """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or from PosNet's."""
+        """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or
+        from PosNet's."""
         table = self.scaling.table((ANGLE, *COMMAND_COLUMNS), log)
         if free_running:
             # Nothing was predicted for the first window.
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
-        return np.asarray(self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table))))
+        return np.asarray(
+            self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table)))
+        )
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Predictions of logs by PosNet, and by ForceNet given the measured angle and behind PosNet."""
+        """Predictions of logs by PosNet, and by ForceNet given the measured angle and behind
+        PosNet."""
         posnet, forcenet = (net.config.parameters() for net in (self.posnet, self.forcenet))
         angle = [self.predict_angle(log)[:, None] for log in logs]
-        given, free = ([self.predict_force(log, free_running) for log in logs] for free_running in (False, True))
+        given, free = (
+            [self.predict_force(log, free_running) for log in logs]
+            for free_running in (False, True)
+        )
         return {
             "posnet": NetPrediction((ANGLE,), angle, self.window, posnet),
             "forcenet_measured": NetPrediction(FORCES, given, self.window, forcenet),
@@ -145,18 +175,27 @@ class Surrogate(eqx.Module):
         }, named({name: net.layers for name, net in nets.items()})
 
     @classmethod
-    def from_files(cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str) -> "Surrogate":
-        """The surrogate that `to_files` described; raises ArtifactError where channels or weights do not fit."""
+    def from_files(
+        cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str
+    ) -> "Surrogate":
+        """The surrogate that `to_files` described; raises ArtifactError where channels or weights
+        do not fit."""
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)
         networks = description["networks"]
-        configs = {name: NetworkConfig.model_validate(networks[name]) for name in ("posnet", "forcenet")}
-        layers = restored({name: config.shapes() for name, config in configs.items()}, weights, source)
+        configs = {
+            name: NetworkConfig.model_validate(networks[name]) for name in ("posnet", "forcenet")
+        }
+        layers = restored(
+            {name: config.shapes() for name, config in configs.items()}, weights, source
+        )
         posnet, forcenet = (Network(config, layers[name]) for name, config in configs.items())
         return cls(posnet, forcenet, scaling)
 
 
-def windows(series: Float[Array, "channels samples"], window: int) -> Float[Array, "count channels window"]:
+def windows(
+    series: Float[Array, "channels samples"], window: int
+) -> Float[Array, "count channels window"]:
     """Every run of `window` samples, the oldest first: ``count = samples - window + 1``."""
     count = series.shape[1] - window + 1
     rows = jnp.arange(count)[:, None] + jnp.arange(window)

@@ -1,12 +1,14 @@
-"""Members of an ensemble (a drive and a force network in series), their predictions of logs, and their error estimates.
+"""Members of an ensemble (a drive and a force network in series), their predictions of logs, and
+their error estimates.
 
-The interval on the mean force is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094): errors on logs that
-no weight was trained on, divided by what the members' disagreement expects of them, and their quantile. The errors of
-one log and axis share its drift, so K logs hold little more than 2 K independent ones: the quantile is widened by
-Student's t with 2 K degrees of freedom over the normal quantile, as for a scale estimated from so many. The same logs
-chose among the ten sets of weights of each member: so it is calibrated, not guaranteed. The distance of a motion from
-the training data is Mahalanobis's in the memory of a network (Lee et al. 2018, NeurIPS), which depends on the last
-motion.
+The interval on the mean force is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094):
+errors on logs that no weight was trained on, divided by what the members' disagreement expects of
+them, and their quantile. The errors of one log and axis share its drift, so K logs hold little more
+than 2 K independent ones: the quantile is widened by Student's t with 2 K degrees of freedom over
+the normal quantile, as for a scale estimated from so many. The same logs chose among the ten sets
+of weights of each member: so it is calibrated, not guaranteed. The distance of a motion from the
+training data is Mahalanobis's in the memory of a network (Lee et al. 2018, NeurIPS), which depends
+on the last motion.
 """
 
 import functools
@@ -39,13 +41,16 @@ COVERAGE = 0.9
 """Share of the mean forces that an interval should hold."""
 
 ENOUGH_LOGS = 10
-"""Held-out logs below which it is luck how much of what differs from log to log, such as the drift, is known."""
+"""Held-out logs below which it is luck how much of what differs from log to log, such as the drift,
+is known."""
 
 RARE = 0.999
 """Share of the training data that is nearer than distance 1."""
 
-LOGS, EVERY = 50, 7
-"""Logs that the distance is measured from, and ticks between the moments that are taken from them."""
+LOGS = 50
+EVERY = 7
+"""Logs that the distance is measured from, and ticks between the moments that are taken from
+them."""
 
 
 class MemberState(NamedTuple):
@@ -65,14 +70,18 @@ class Member(eqx.Module):
         """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
         return MemberState(self.drive.start(motion, waiting), self.force.start(motion))
 
-    def step(self, state: MemberState, command: Command) -> tuple[MemberState, tuple[Motion, Float[Array, "2"]]]:
+    def step(
+        self, state: MemberState, command: Command
+    ) -> tuple[MemberState, tuple[Motion, Float[Array, "2"]]]:
         """Step by a tick under a command."""
         drive = self.drive.step(state.drive, command)
         force, predicted = self.force.step(state.force, drive.motion)
         return MemberState(drive, force), (drive.motion, predicted)
 
 
-def ensemble(count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> Member:
+def ensemble(
+    count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: Scales, key: PRNGKeyArray
+) -> Member:
     """Make members with fresh weights of their own: every array has a leading axis ``members``."""
 
     def one(key: PRNGKeyArray) -> Member:
@@ -94,7 +103,8 @@ def parameters(module: eqx.Module) -> int:
 
 
 def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Motion:
-    """The shaft's motion under one command a tick, ``(1 + ticks,)``: that of command k is what row k + 1 shows."""
+    """The shaft's motion under one command a tick, ``(1 + ticks,)``: that of command k is what row
+    k + 1 shows."""
 
     def step(state: FollowingState, command: Command) -> tuple[FollowingState, Motion]:
         state = drive.step(state, command)
@@ -106,12 +116,15 @@ def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Com
 
 def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
     """The forces of all rows of a motion ``(1 + ticks,)`` but the first [N]."""
-    before, after = (jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None)))
+    before, after = (
+        jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None))
+    )
     return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), after)[1]
 
 
 def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
-    """Predict the motion of every log, ``(members, rows)``, from its commands and its first row alone; NumPy."""
+    """Predict the motion of every log, ``(members, rows)``, from its commands and its first row
+    alone; NumPy."""
 
     def predict(some: Sequence[Log]) -> Any:
         # What was commanded before a log is not recorded: its first command has long been given.
@@ -123,8 +136,11 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     return _together(logs, [len(log.reading.time) for log in logs], predict)
 
 
-def predict_force(nets: ForceNet, motion: Sequence[Motion]) -> list[Float[np.ndarray, "members rows 2"]]:
-    """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and gets the second's."""
+def predict_force(
+    nets: ForceNet, motion: Sequence[Motion]
+) -> list[Float[np.ndarray, "members rows 2"]]:
+    """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and
+    gets the second's."""
 
     def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
         force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
@@ -133,24 +149,33 @@ def predict_force(nets: ForceNet, motion: Sequence[Motion]) -> list[Float[np.nda
     return _together(motion, [each.angle.shape[1] for each in motion], predict)
 
 
-def _together(records: Sequence[Any], rows: Sequence[int], predict: Callable[[Any], Any]) -> list[Any]:
+def _together(
+    records: Sequence[Any], rows: Sequence[int], predict: Callable[[Any], Any]
+) -> list[Any]:
     """Predict for records of equal length, side by side on the second axis."""
     results: dict[int, Any] = {}
     for length in set(rows):
         index = [i for i, other in enumerate(rows) if other == length]
         predicted = predict([records[i] for i in index])
-        results |= {i: jax.tree.map(lambda x, n=n: np.asarray(x[:, n]), predicted) for n, i in enumerate(index)}
+        results |= {
+            i: jax.tree.map(lambda x, n=n: np.asarray(x[:, n]), predicted)
+            for n, i in enumerate(index)
+        }
     return [results[i] for i in range(len(rows))]
 
 
 @eqx.filter_jit
 def _motions(drives: FollowingNet, *given: Any) -> Any:
-    return eqx.filter_vmap(lambda drive: jax.vmap(functools.partial(motions, drive))(*given))(drives)
+    return eqx.filter_vmap(lambda drive: jax.vmap(functools.partial(motions, drive))(*given))(
+        drives
+    )
 
 
 @eqx.filter_jit
 def _forces(nets: ForceNet, motion: Motion) -> Any:
-    return eqx.filter_vmap(lambda net, motion: jax.vmap(functools.partial(forces, net))(motion))(nets, motion)
+    return eqx.filter_vmap(lambda net, motion: jax.vmap(functools.partial(forces, net))(motion))(
+        nets, motion
+    )
 
 
 class Interval(Configuration):
@@ -162,9 +187,11 @@ class Interval(Configuration):
     coverage: float = Field(gt=0, lt=1)
     """Share of the means that it should hold [-]."""
     factor: float = Field(gt=0)
-    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, widened as they are few [-]."""
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, widened as they are few
+    [-]."""
     floor_n: float = Field(gt=0)
-    """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members have wrong."""
+    """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members
+    have wrong."""
     windows: int = Field(ge=1)
     """Means that it was calibrated with, those of both axes, from so many `logs`."""
     logs: int = Field(ge=1)
@@ -178,24 +205,34 @@ class Interval(Configuration):
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
-            f"intervals come from {counted(self.logs, 'held-out log')}; they are widened for that, but from less than "
-            f"{ENOUGH_LOGS} it is luck how much they hold of what differs from log to log, such as the sensor's drift"
+            f"intervals come from {counted(self.logs, 'held-out log')}; they are widened for that, "
+            f"but from less than {ENOUGH_LOGS} it is luck how much they hold of what differs from "
+            "log to log, such as the sensor's drift"
         )
 
 
-def calibrated(predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], burn_in: int) -> Interval:
-    """Calibrate the interval on the members' predictions of held-out logs behind the first `burn_in` ticks."""
+def calibrated(
+    predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], burn_in: int
+) -> Interval:
+    """Calibrate the interval on the members' predictions of held-out logs behind the first
+    `burn_in` ticks."""
     means = np.concatenate([window_means(force[:, burn_in:]) for force in predicted], axis=1)
-    measured = np.concatenate([window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs])
+    measured = np.concatenate(
+        [window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs]
+    )
     error = np.abs(means.mean(axis=0) - measured)
     floor_n = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
     # One more than there are, so that the next error is covered and not only these.
-    factor = float(np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf"))
+    factor = float(
+        np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf")
+    )
     # Errors of one log and axis are alike: they share its drift.
     upper = (1 + COVERAGE) / 2
     widened = factor * float(stdtrit(2 * len(logs), upper) / ndtri(upper))
-    return Interval(coverage=COVERAGE, factor=widened, floor_n=floor_n, windows=ratio.size, logs=len(logs))
+    return Interval(
+        coverage=COVERAGE, factor=widened, floor_n=floor_n, windows=ratio.size, logs=len(logs)
+    )
 
 
 class Familiarity(eqx.Module):
@@ -203,10 +240,12 @@ class Familiarity(eqx.Module):
 
     mean: Float[Array, "remembered"]
     whitening: Float[Array, "remembered remembered"]
-    """Inverse square root of the covariance, over the distance that only 1 of 1000 training moments exceeds."""
+    """Inverse square root of the covariance, over the distance that only 1 of 1000 training moments
+    exceeds."""
 
     def distance(self, memory: Float[Array, "remembered"]) -> Float[Array, ""]:
-        """Out-of-distribution score: 1 where only one of a thousand moments of the training data is as far out."""
+        """Out-of-distribution score: 1 where only one of a thousand moments of the training data is
+        as far out."""
         return jnp.sqrt(jnp.sum(((memory - self.mean) @ self.whitening) ** 2))
 
 
@@ -216,9 +255,12 @@ def remembered(state: ForceState) -> Float[Array, "remembered"]:
 
 
 def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiarity:
-    """Compute where training logs lie, from their predicted motion ``(members, rows)`` behind row `burn_in`."""
+    """Compute where training logs lie, from their predicted motion ``(members, rows)`` behind row
+    `burn_in`."""
     some = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1][:LOGS]
-    memory = np.concatenate([_memories(single(nets), each)[burn_in::EVERY] for each in some]).astype(np.float64)
+    memory = np.concatenate(
+        [_memories(single(nets), each)[burn_in::EVERY] for each in some]
+    ).astype(np.float64)
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
     # A direction in which nothing moves would make rounding errors look far.
@@ -235,4 +277,6 @@ def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]
         state, _ = net.step(state, now)
         return state, remembered(state)
 
-    return jax.lax.scan(step, net.start(Motion(*(x[0] for x in motion))), Motion(*(x[1:] for x in motion)))[1]
+    return jax.lax.scan(
+        step, net.start(Motion(*(x[0] for x in motion))), Motion(*(x[1:] for x in motion))
+    )[1]

@@ -1,7 +1,9 @@
-"""Fits a streaming surrogate: profile, drive networks, force networks, then their error estimates, in this order.
+"""Fits a streaming surrogate: profile, drive networks, force networks, then their error estimates,
+in this order.
 
-All members learn side by side. Force networks are trained on the motion that the drive networks predict for whole
-logs, so that both are scored as they will be used: free-running, from the commands alone.
+All members learn side by side. Force networks are trained on the motion that the drive networks
+predict for whole logs, so that both are scored as they will be used: free-running, from the
+commands alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +38,14 @@ from softfin.surrogate.streaming.ensemble import (
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
 from softfin.surrogate.streaming.profile import identify
-from softfin.surrogate.streaming.segments import Motion, Scales, SegmentBatch, Table, scales_of, slices
+from softfin.surrogate.streaming.segments import (
+    Motion,
+    Scales,
+    SegmentBatch,
+    Table,
+    scales_of,
+    slices,
+)
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best
 
@@ -51,14 +60,16 @@ Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any]
 
 
 class StreamingConfig(Configuration):
-    """How an ensemble of networks with a state of their own is fitted; docs/surrogates.md measures the choices."""
+    """How an ensemble of networks with a state of their own is fitted; docs/surrogates.md measures
+    the choices."""
 
     drive: DriveNetConfig = DriveNetConfig()
     """Commands to motion."""
     force: ForceNetConfig = ForceNetConfig()
     """Motion to force."""
     members: PositiveInt = 5
-    """Members of the ensemble, trained side by side from different weights on different segments."""
+    """Members of the ensemble, trained side by side from different weights on different
+    segments."""
     drive_updates: PositiveInt = 400
     """Updates of the drive networks; the learning rate falls to a hundredth over them (cosine)."""
     force_updates: PositiveInt = 2000
@@ -68,30 +79,40 @@ class StreamingConfig(Configuration):
     ticks: int = Field(default=250, ge=2)
     """Length of a segment [10 ms]; gradients go back through all of it."""
     burn_in: int = Field(default=80, ge=0)
-    """Ticks at the beginning of a segment whose errors do not count: what was before it is not known."""
+    """Ticks at the beginning of a segment whose errors do not count: what was before it is not
+    known."""
     learning_rate: float = Field(default=0.01, gt=0)
     """Greatest learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
-    """Parts of the force networks' training between which they change from the measured to the predicted motion."""
+    """Parts of the force networks' training between which they change from the measured to the
+    predicted motion."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Share of the training logs kept for choosing weights and calibrating intervals; at least one log."""
+    """Share of the training logs kept for choosing weights and calibrating intervals; at least one
+    log."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "StreamingConfig":
         if self.burn_in >= self.ticks:
             raise ValueError(f"burn_in must be less than ticks = {self.ticks}, or no error counts")
         if not 0 <= self.free_running[0] <= self.free_running[1] <= 1:
-            raise ValueError("free_running must be two parts of the training in order, such as 0.2, 0.8")
+            raise ValueError(
+                "free_running must be two parts of the training in order, such as 0.2, 0.8"
+            )
         return self
 
 
 class StreamingLearner:
-    """The updates of one kind of network, compiled once: all members' weights a step further, side by side."""
+    """The updates of one kind of network, compiled once: all members' weights a step further, side
+    by side."""
 
     def __init__(self, loss: Loss, config: StreamingConfig, updates: int) -> None:
-        self.loss, self.config, self.updates = loss, config, updates
+        self.loss = loss
+        self.config = config
+        self.updates = updates
         rate = config.learning_rate
-        schedule = optax.warmup_cosine_decay_schedule(0.0, rate, min(WARM_UP, updates // 4), updates, rate / 100)
+        schedule = optax.warmup_cosine_decay_schedule(
+            0.0, rate, min(WARM_UP, updates // 4), updates, rate / 100
+        )
         self.optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
         self.run = jit("high")(self._run)
 
@@ -102,16 +123,26 @@ class StreamingLearner:
         return TrainingState(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), nets, worst)
 
     def _run(
-        self, state: TrainingState, table: Table, predicted: Motion, first: Int[Array, ""], count: int,
+        self,
+        state: TrainingState,
+        table: Table,
+        predicted: Motion,
+        first: Int[Array, ""],
+        count: int,
         key: PRNGKeyArray,
-    ) -> tuple[TrainingState, Float[Array, "members"]]:  # fmt: skip
-        """`count` updates (static), of which `first` is the first; also returns the members' mean losses."""
+    ) -> tuple[TrainingState, Float[Array, "members"]]:
+        """`count` updates (static), of which `first` is the first; also returns the members' mean
+        losses."""
 
-        def member(net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray) -> Any:
+        def member(
+            net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray
+        ) -> Any:
             draw, key = jax.random.split(key)
             segments = table.draw(draw, self.config.batch, self.config.ticks)
             motion = slices(predicted, segments.starts, self.config.ticks + 1)
-            loss, slope = jax.value_and_grad(self.loss)(net, segments, motion, number / self.updates, key, self.config)
+            loss, slope = jax.value_and_grad(self.loss)(
+                net, segments, motion, number / self.updates, key, self.config
+            )
             step, optimiser = self.optimiser.update(slope, optimiser, net)
             return optax.apply_updates(net, step), optimiser, loss
 
@@ -122,7 +153,9 @@ class StreamingLearner:
             nets, optimiser, loss = each(nets, optimiser, predicted, number, keys)
             return (nets, optimiser), loss
 
-        (nets, optimiser), losses = jax.lax.scan(update, (state.nets, state.optimiser), first + jnp.arange(count))
+        (nets, optimiser), losses = jax.lax.scan(
+            update, (state.nets, state.optimiser), first + jnp.arange(count)
+        )
         return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
 
 
@@ -134,7 +167,12 @@ def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) 
 
 
 def drive_loss(
-    net: FollowingNet, segments: SegmentBatch, _: Motion, __: Array, ___: PRNGKeyArray, config: StreamingConfig
+    net: FollowingNet,
+    segments: SegmentBatch,
+    _: Motion,
+    __: Array,
+    ___: PRNGKeyArray,
+    config: StreamingConfig,
 ) -> Float[Array, ""]:
     """Mean of `motion_error`: free-running from the first tick on."""
     before = jax.tree.map(lambda x: x[:, 0], segments.motion)
@@ -143,11 +181,18 @@ def drive_loss(
 
 
 def force_loss(
-    net: ForceNet, segments: SegmentBatch, predicted: Motion, done: Array, key: PRNGKeyArray, config: StreamingConfig
+    net: ForceNet,
+    segments: SegmentBatch,
+    predicted: Motion,
+    done: Array,
+    key: PRNGKeyArray,
+    config: StreamingConfig,
 ) -> Float[Array, ""]:
-    """Mean square error of the force over its scale, given the measured motion of a segment or the drive network's.
+    """Mean square error of the force over its scale, given the measured motion of a segment or the
+    drive network's.
 
-    The latter with a probability that grows from 0 to 1 over the `free_running` part of the training.
+    The latter with a probability that grows from 0 to 1 over the `free_running` part of the
+    training.
     """
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
@@ -164,13 +209,16 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; continue from the checkpoint in run_directory if there is one."""
+    """Fit an ensemble to the training logs; continue from the checkpoint in run_directory if there
+    is one."""
     training, holding, scales, table = split_streaming(logs, config)
     start = jit("none")(ensemble)
     members = start(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
     updates = {"drive": config.drive_updates, "force": config.force_updates}
     losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
-    learners = {name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()}
+    learners = {
+        name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()
+    }
     states = {name: learner.start(getattr(members, name)) for name, learner in learners.items()}
     done: dict[str, Any] = dict.fromkeys(learners, 0)
     if (resumed := run_directory.load(states)) is not None:
@@ -178,20 +226,28 @@ def fit_streaming(
     else:
         if progress is not None:
             progress("fit", 0.0, "identifying the drive's profile from the logs")
-        profile = jax.tree.map(lambda x: jnp.full((config.members, *x.shape), x), identify(training, seed)[0])
+        profile = jax.tree.map(
+            lambda x: jnp.full((config.members, *x.shape), x), identify(training, seed)[0]
+        )
         nets = eqx.tree_at(lambda nets: nets.profile, states["drive"].nets, profile)
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
 
     def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
-        """Do all updates of one kind of network; return the best by `errors` on held-out logs, ``(members, rows)``."""
-        key, (call, round_of) = key_of(seed, f"fit/{name}"), _calls(updates[name])
+        """Do all updates of one kind of network; return the best by `errors` on held-out logs,
+        ``(members, rows)``."""
+        key = key_of(seed, f"fit/{name}")
+        (call, round_of) = _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
         while done[name] < updates[name]:
-            state, losses, until = states[name], [], min(done[name] + round_of, updates[name])
+            state = states[name]
+            losses = []
+            until = min(done[name] + round_of, updates[name])
             for first in range(done[name], until, call):
                 count = min(call, until - first)
-                state, loss = learners[name].run(state, table, predicted, jnp.int32(first), count, key)
+                state, loss = learners[name].run(
+                    state, table, predicted, jnp.int32(first), count, key
+                )
                 losses.append(loss)
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
@@ -216,30 +272,39 @@ def fit_streaming(
     not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
     drives = learn("drive", not_used, drive_errors)
     motion = predict_motion(drives, training)
-    joined = Motion(*(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True)))
-    held_motion, burn_in = predict_motion(drives, holding), config.burn_in
+    joined = Motion(
+        *(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True))
+    )
+    held_motion = predict_motion(drives, holding)
+    burn_in = config.burn_in
     force_nets = learn("force", joined, force_errors)
     record.close()
     interval = calibrated(predict_force(force_nets, held_motion), holding, burn_in)
     familiarity = familiar(force_nets, motion, burn_in)
-    return StreamingSurrogate(Member(drives, force_nets), command_limits(training), interval, familiarity)
+    return StreamingSurrogate(
+        Member(drives, force_nets), command_limits(training), interval, familiarity
+    )
 
 
-def split_streaming(logs: Sequence[Log], config: StreamingConfig) -> tuple[Sequence[Log], list[Log], Scales, Table]:
-    """Training and held-out logs, scales and table of the former; raises LogError where these cannot be fitted."""
+def split_streaming(
+    logs: Sequence[Log], config: StreamingConfig
+) -> tuple[Sequence[Log], list[Log], Scales, Table]:
+    """Training and held-out logs, scales and table of the former; raises LogError where these
+    cannot be fitted."""
     training, held_out = hold_out(logs, config.held_out)
     needed = config.burn_in + WINDOW
     holding = [log for log in held_out if len(log.reading.time) >= needed]
     if not holding:
         raise LogError(
-            f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over {WINDOW} samples "
-            f"behind burn_in = {config.burn_in} need as many; record longer"
+            f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over "
+            f"{WINDOW} samples behind burn_in = {config.burn_in} need as many; record longer"
         )
     return training, holding, scales_of(training), Table.of(training, config.ticks)
 
 
 def _calls(updates: int) -> tuple[int, int]:
-    """Updates a call and a round: rounds of equal calls, so that one compiled program does all but the very last."""
+    """Updates a call and a round: rounds of equal calls, so that one compiled program does all but
+    the very last."""
     round_of = -(-updates // MAX_SCORINGS)
     calls = -(-round_of // UPDATES_A_CALL)
     call = -(-round_of // calls)

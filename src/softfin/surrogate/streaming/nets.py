@@ -1,7 +1,9 @@
-"""The networks of one fin, tick by tick: drive network (commands to motion) and force network (motion to force).
+"""The networks of one fin, tick by tick: drive network (commands to motion) and force network
+(motion to force).
 
-A fin that is mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y change sign (odd), force
-x and speeds do not (even). The recurrent core of both networks has that built in, weight by weight.
+A fin that is mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y
+change sign (odd), force x and speeds do not (even). The recurrent core of both networks has that
+built in, weight by weight.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -18,21 +20,24 @@ from softfin.surrogate.streaming.profile import Profile, ProfileState
 from softfin.surrogate.streaming.segments import Motion, Scales
 
 SLOWEST = 60.0
-"""Gates begin with time constants from 2 to this many ticks, so that both ripples and strokes are remembered."""
+"""Gates begin with time constants from 2 to this many ticks, so that both ripples and strokes are
+remembered."""
 
 
 class Parity(NamedTuple):
-    """Sizes, inputs, outputs or memory: those that a mirror does not change, and those whose sign it changes."""
+    """Sizes, inputs, outputs or memory: those that a mirror does not change, and those whose sign
+    it changes."""
 
     even: Any
     odd: Any
 
 
 class MirrorCore(eqx.Module):
-    """A gated recurrent unit, h' = h + u (c - h) with a gate u and a candidate c; mirrors inputs to outputs exactly.
+    """A gated recurrent unit, h' = h + u (c - h) with a gate u and a candidate c; mirrors inputs to
+    outputs exactly.
 
-    Odd candidates are odd functions of odd inputs; gates, even candidates and what multiplies the odd ones are
-    functions of even inputs and of `magnitude` of mixtures of the odd ones.
+    Odd candidates are odd functions of odd inputs; gates, even candidates and what multiplies the
+    odd ones are functions of even inputs and of `magnitude` of mixtures of the odd ones.
     """
 
     odd_in: Float[Array, "odd_inputs candidates_and_magnitudes"]
@@ -45,13 +50,17 @@ class MirrorCore(eqx.Module):
     odd_factors: Float[Array, "hidden odd_outputs_times_units"]
     units: int = eqx.field(static=True)
 
-    def __init__(self, inputs: Parity, outputs: Parity, units: int, hidden: int, key: PRNGKeyArray) -> None:
+    def __init__(
+        self, inputs: Parity, outputs: Parity, units: int, hidden: int, key: PRNGKeyArray
+    ) -> None:
         keys = jax.random.split(key, 4)
         self.units = units
         self.odd_in = _uniform(keys[0], units + inputs.odd, 2 * units)
         self.even_in = _uniform(keys[1], 2 * units + inputs.even, 4 * units)
         # In random order, to open by 1 / time constant.
-        gates = jax.random.permutation(keys[2], -jnp.log(jnp.geomspace(2.0, SLOWEST, 2 * units) - 1))
+        gates = jax.random.permutation(
+            keys[2], -jnp.log(jnp.geomspace(2.0, SLOWEST, 2 * units) - 1)
+        )
         self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
@@ -79,23 +88,27 @@ class MirrorCore(eqx.Module):
 
 
 def magnitude(x: Array) -> Array:
-    """Return sqrt(1 + x^2) - 1: even and smooth, x^2 / 2 where small and |x| where large, as drag in the velocity."""
+    """Return sqrt(1 + x^2) - 1: even and smooth, x^2 / 2 where small and |x| where large, as drag
+    in the velocity."""
     return jnp.sqrt(1 + x * x) - 1
 
 
 def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
-    """Draw entries of variance 1/2 over the inputs: less than keeps the spread, since all memory is fed back."""
+    """Draw entries of variance 1/2 over the inputs: less than keeps the spread, since all memory is
+    fed back."""
     reach = jnp.sqrt(1.5 / inputs)
     return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
 
 
 def products(net: eqx.Module) -> int:
-    """Multiplications of the matrix products of one tick: every matrix of one fin's networks is used once."""
+    """Multiplications of the matrix products of one tick: every matrix of one fin's networks is
+    used once."""
     return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
 
 
 class DriveNetConfig(Configuration):
-    """Size of the drive network, and what is built into it; the latter is fixed, but names the network's structure."""
+    """Size of the drive network, and what is built into it; the latter is fixed, but names the
+    network's structure."""
 
     units: PositiveInt = 8
     """Remembered numbers of each parity."""
@@ -104,7 +117,8 @@ class DriveNetConfig(Configuration):
     mirror: Literal[True] = True
     """The drive goes both ways alike."""
     profile: Literal[True] = True
-    """The trapezoidal profile is known, and the network gives only the rest: the fin's load, the servo, the play."""
+    """The trapezoidal profile is known, and the network gives only the rest: the fin's load, the
+    servo, the play."""
 
 
 class FollowingState(NamedTuple):
@@ -116,7 +130,8 @@ class FollowingState(NamedTuple):
 
 
 class FollowingNet(eqx.Module):
-    """The drive network, which predicts how far the shaft is from its profile; one fin, no batch axes."""
+    """The drive network, which predicts how far the shaft is from its profile; one fin, no batch
+    axes."""
 
     core: MirrorCore
     profile: Profile
@@ -126,29 +141,41 @@ class FollowingNet(eqx.Module):
     def __init__(self, config: DriveNetConfig, scales: Scales, key: PRNGKeyArray) -> None:
         self.core = MirrorCore(Parity(1, 3), Parity(0, 2), config.units, config.hidden, key)
         self.profile = Profile()
-        self.config, self.scales = config, scales
+        self.config = config
+        self.scales = scales
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
         """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
-        return FollowingState(jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion)
+        return FollowingState(
+            jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion
+        )
 
     def step(self, state: FollowingState, command: Command) -> FollowingState:
-        """Step by one tick under a command; `motion` of the new state is what the shaft has come to."""
+        """Step by one tick under a command; `motion` of the new state is what the shaft has come
+        to."""
         # Identified beforehand and not learnt: its corners make a poor slope to descend.
         fixed: Any = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
-        before, now = fixed.motion(state.profile), fixed.motion(profile)
-        velocity, change = self.scales.velocity_rad_s, self.scales.change_rad_s
-        behind, faster = target.angle - now.angle, now.velocity - before.velocity
+        before = fixed.motion(state.profile)
+        now = fixed.motion(profile)
+        velocity = self.scales.velocity_rad_s
+        change = self.scales.change_rad_s
+        behind = target.angle - now.angle
+        faster = now.velocity - before.velocity
         odd = jnp.stack([behind / self.scales.angle_rad, now.velocity / velocity, faster / change])
-        memory, outputs = self.core.step(state.memory, Parity((target.velocity / velocity)[None], odd))
+        memory, outputs = self.core.step(
+            state.memory, Parity((target.velocity / velocity)[None], odd)
+        )
         # Outputs of 1 move the shaft by about a tick's motion: the network is a correction.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
-        return FollowingState(profile, memory, Motion(angle, now.velocity + change * outputs.odd[1]))
+        return FollowingState(
+            profile, memory, Motion(angle, now.velocity + change * outputs.odd[1])
+        )
 
 
 class ForceNetConfig(Configuration):
-    """Size of the force network, and what is built into it; the latter is fixed, but names the network's structure."""
+    """Size of the force network, and what is built into it; the latter is fixed, but names the
+    network's structure."""
 
     units: PositiveInt = 16
     """Remembered numbers of each parity."""
@@ -161,7 +188,8 @@ class ForceNetConfig(Configuration):
     turning: Literal[True] = True
     """The force turns with the fin: the tank is the same in all directions."""
     quasi_steady: Literal[True] = True
-    """Whether a force of added mass and drag, with fitted coefficients, is added to the output of the network."""
+    """Whether a force of added mass and drag, with fitted coefficients, is added to the output of
+    the network."""
     heteroscedastic: Literal[False] = False
     """The network does not learn how far readings scatter about its force."""
 
@@ -178,9 +206,10 @@ class ForceState(NamedTuple):
 class ForceNet(eqx.Module):
     """The force network of one fin; no batch axes.
 
-    In the frame that turns with the shaft the angle has no effect: still water looks alike in all directions. So
-    the network takes rates alone and gives the force along the fin's axis (thrust, even) and across it (odd). What the
-    water remembers in the tank's own axes, a wake, is a few vectors that the turning frame turns back at each tick.
+    In the frame that turns with the shaft the angle has no effect: still water looks alike in all
+    directions. So the network takes rates alone and gives the force along the fin's axis (thrust,
+    even) and across it (odd). What the water remembers in the tank's own axes, a wake, is a few
+    vectors that the turning frame turns back at each tick.
     """
 
     core: MirrorCore
@@ -193,7 +222,8 @@ class ForceNet(eqx.Module):
     thrust: Float[Array, "2"]
     """Coefficients of velocity squared and velocity times its change."""
     resistance: Float[Array, "3"]
-    """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity (friction)."""
+    """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity
+    (friction)."""
     mount_turn: Float[Array, ""]
     """Angle of the sensor against the tank's axes [rad]."""
     offset: Float[Array, "2"]
@@ -202,12 +232,17 @@ class ForceNet(eqx.Module):
     scales: Scales = eqx.field(static=True)
 
     def __init__(self, config: ForceNetConfig, scales: Scales, key: PRNGKeyArray) -> None:
-        self.core = MirrorCore(Parity(config.wake, 3 + config.wake), Parity(1, 1), config.units, config.hidden, key)
+        self.core = MirrorCore(
+            Parity(config.wake, 3 + config.wake), Parity(1, 1), config.units, config.hidden, key
+        )
         self.along, self.across = (jnp.zeros((config.units, config.wake)) for _ in range(2))
         self.log_time = jnp.log(jnp.geomspace(0.05, 1.5, config.wake))
-        self.thrust, self.resistance = jnp.zeros(2), jnp.zeros(3)
-        self.mount_turn, self.offset = jnp.zeros(()), jnp.zeros(2)
-        self.config, self.scales = config, scales
+        self.thrust = jnp.zeros(2)
+        self.resistance = jnp.zeros(3)
+        self.mount_turn = jnp.zeros(())
+        self.offset = jnp.zeros(2)
+        self.config = config
+        self.scales = scales
 
     def start(self, motion: Motion) -> ForceState:
         """State that remembers nothing but the motion of the tick before."""
@@ -215,25 +250,32 @@ class ForceNet(eqx.Module):
         return ForceState(self.core.blank(), Parity(still, still), motion)
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
-        """Step to the motion that the shaft has come to; predicts the force (x, y) that is read with it [N]."""
+        """Step to the motion that the shaft has come to; predicts the force (x, y) that is read
+        with it [N]."""
         # Seen from a fin that has turned, what stands still in the tank has turned the other way.
         wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
         drag = velocity * jnp.abs(velocity)
         rates = jnp.stack([velocity, change, drag])
-        memory, outputs = self.core.step(state.memory, Parity(wake.even, jnp.concatenate([rates, wake.odd])))
+        memory, outputs = self.core.step(
+            state.memory, Parity(wake.even, jnp.concatenate([rates, wake.odd]))
+        )
         along = outputs.even[0] + self.thrust @ jnp.stack([velocity**2, velocity * change])
         across = outputs.odd[0] + self.resistance @ jnp.stack([change, drag, velocity])
         x, y = _turned(along, across, self.mount_turn + motion.angle)
         force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
         kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
         pushed = (memory.even @ self.along, memory.odd @ self.across)
-        wake = Parity(*(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True)))
+        wake = Parity(
+            *(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True))
+        )
         return ForceState(memory, wake, motion), force
 
 
 def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:
-    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes that the angle is counted from."""
-    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes that the angle is
+    counted from."""
+    cos = jnp.cos(angle)
+    sin = jnp.sin(angle)
     return along * cos + across * sin, across * cos - along * sin

@@ -1,7 +1,8 @@
 """The profile that a positioning drive follows, and its coefficients, read off logs.
 
-The trapezoidal profile itself is the drive's (`softfin.tank.drive`). CMA-ES finds the coefficients that leave the least
-mean absolute error of the angle: so a stroke that the profile cannot explain does not pull at all the others.
+The trapezoidal profile itself is the drive's (`softfin.tank.drive`). CMA-ES finds the coefficients
+that leave the least mean absolute error of the angle: so a stroke that the profile cannot explain
+does not pull at all the others.
 """
 
 from collections.abc import Sequence
@@ -21,14 +22,19 @@ from softfin.tank.drive import delayed, next_velocity
 STEPS_PER_TICK = 2
 """Steps of the profile in a tick: a corner between two ticks is met within 5 ms."""
 
-SEGMENTS, TICKS = 48, 300
-"""How many segments of the logs the coefficients are read off, and how long they are at most [10 ms]."""
+SEGMENTS = 48
+TICKS = 300
+"""How many segments of the logs the coefficients are read off, and how long they are at most [10
+ms]."""
 
-POPULATION, GENERATIONS, STARTS = 16, 150, 4
+POPULATION = 16
+GENERATIONS = 150
+STARTS = 4
 
 
 class ProfileState(NamedTuple):
-    """Angle [rad] and velocity [rad/s] of the profile, and the commands on their way, newest first."""
+    """Angle [rad] and velocity [rad/s] of the profile, and the commands on their way, newest
+    first."""
 
     angle: Float[AnyArray, ""]
     velocity: Float[AnyArray, ""]
@@ -40,7 +46,8 @@ def _coefficient(default: float) -> Any:
 
 
 class Profile(eqx.Module):
-    """Angle and velocity of a drive that follows its profile; by default one that does what it is told."""
+    """Angle and velocity of a drive that follows its profile; by default one that does what it is
+    told."""
 
     gain: Float[Array, ""] = _coefficient(1.0)
     """Ratio of the angle that is read to the angle that was commanded [-]."""
@@ -62,16 +69,21 @@ class Profile(eqx.Module):
         return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
 
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
-        """Step by a tick under a new command; also returns the command that is obeyed, as the log's angles count."""
-        queue = Command(*(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True)))
+        """Step by a tick under a new command; also returns the command that is obeyed, as the log's
+        angles count."""
+        queue = Command(
+            *(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True))
+        )
         obeyed = delayed(queue, self.delay)
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
         target = Command(self.gain * obeyed.angle + self.zero, speed)
         seconds = TICK_S / STEPS_PER_TICK
-        angle, velocity = jnp.asarray(state.angle), jnp.asarray(state.velocity)
+        angle = jnp.asarray(state.angle)
+        velocity = jnp.asarray(state.velocity)
         for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
-            angle, velocity = angle + seconds * (velocity + after) / 2, after
+            angle = angle + seconds * (velocity + after) / 2
+            velocity = after
         return ProfileState(angle, velocity, Command(*(channel[:-1] for channel in queue))), target
 
     def motion(self, state: ProfileState) -> Motion:
@@ -89,28 +101,38 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
     results = []
     for start in range(STARTS):
-        # A drive that does what it is told two or three ticks later, no faster than in the logs. The error has a
-        # minimum at many delays: one search in five ends in a wrong one.
+        # A drive that does what it is told two or three ticks later, no faster than in the logs.
+        # The error has a minimum at many delays: one search in five ends in a wrong one.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
         random = generator_of(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
         search = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
         while not search.stop():
             asked = search.ask()
-            search.tell(asked, np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist())
+            search.tell(
+                asked,
+                np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist(),
+            )
         results.append(search.result)
     best = min(results, key=lambda result: result.fbest)
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
 
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
-    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag count from 0 on."""
-    # The limit moves in small steps: where it is above all commands it has no effect, and a search gets lost there.
+    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag
+    count from 0 on."""
+    # The limit moves in small steps: where it is above all commands it has no effect, and a search
+    # gets lost there.
     gain, zero, delay, factor, limit, acceleration, lag = coded
     return Profile(
-        jnp.exp(0.1 * gain), 0.05 * zero, jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
-        jnp.exp(0.2 * factor), jnp.exp(0.2 * limit), jnp.exp(acceleration), 0.01 * jnp.abs(lag),
-    )  # fmt: skip
+        jnp.exp(0.1 * gain),
+        0.05 * zero,
+        jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
+        jnp.exp(0.2 * factor),
+        jnp.exp(0.2 * limit),
+        jnp.exp(acceleration),
+        0.01 * jnp.abs(lag),
+    )
 
 
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:

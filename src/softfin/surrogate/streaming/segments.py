@@ -1,4 +1,5 @@
-"""Logs as one table on the device, the segments of it that training draws, and the scales of what they hold."""
+"""Logs as one table on the device, the segments of it that training draws, and the scales of what
+they hold."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -40,7 +41,8 @@ class Scales(Configuration):
 def scales_of(logs: Sequence[Log]) -> Scales:
     """Scales of the training logs; raises LogError where nothing moves."""
     angle, velocity, force = (
-        [np.asarray(getattr(log.reading, name), np.float64) for log in logs] for name in ("angle", "velocity", "force")
+        [np.asarray(getattr(log.reading, name), np.float64) for log in logs]
+        for name in ("angle", "velocity", "force")
     )
     values = {
         "angle_rad": np.concatenate(angle).std(),
@@ -50,7 +52,10 @@ def scales_of(logs: Sequence[Log]) -> Scales:
     }
     for name, value in values.items():
         if not value > 0:
-            raise LogError(f"{name.partition('_')[0]} never changes in the training logs: nothing can be learnt")
+            raise LogError(
+                f"{name.partition('_')[0]} never changes in the training logs: nothing can be "
+                "learnt"
+            )
     return Scales(**{name: float(value) for name, value in values.items()})
 
 
@@ -81,15 +86,25 @@ class Table(NamedTuple):
         """Make the table for segments of `ticks`; raises LogError where no log holds one."""
         rows = [len(log.reading.time) for log in logs]
         first = np.cumsum([0, *rows[:-1]])
-        starts = [offset + np.arange(LONGEST_DELAY, count - ticks) for offset, count in zip(first, rows, strict=True)]
+        starts = [
+            offset + np.arange(LONGEST_DELAY, count - ticks)
+            for offset, count in zip(first, rows, strict=True)
+        ]
         choices = np.concatenate(starts).astype(np.int32)
         if not choices.size:
             raise LogError(
-                f"the longest of {len(logs)} training logs has {max(rows)} rows; {ticks + LONGEST_DELAY + 1} are "
+                f"the longest of {len(logs)} training logs has {max(rows)} rows; "
+                f"{ticks + LONGEST_DELAY + 1} are "
                 "needed in one piece; record longer, or make the segments shorter (--set ticks=N)"
             )
-        columns = [(*log.command, log.reading.angle, log.reading.velocity, log.reading.force) for log in logs]
-        joined = [jnp.asarray(np.concatenate(parts, dtype=np.float32)) for parts in zip(*columns, strict=True)]
+        columns = [
+            (*log.command, log.reading.angle, log.reading.velocity, log.reading.force)
+            for log in logs
+        ]
+        joined = [
+            jnp.asarray(np.concatenate(parts, dtype=np.float32))
+            for parts in zip(*columns, strict=True)
+        ]
         return cls(Command(*joined[:2]), Motion(*joined[2:4]), joined[4], jnp.asarray(choices))
 
     def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
@@ -107,6 +122,7 @@ class Table(NamedTuple):
 
 
 def slices(columns: Any, starts: Int[Array, "batch"], length: int) -> Any:
-    """Cut the rows ``start .. start + length`` out of columns, for each start: fields ``(batch, length, ...)``."""
+    """Cut the rows ``start .. start + length`` out of columns, for each start: fields ``(batch,
+    length, ...)``."""
     rows = starts[:, None] + jnp.arange(length)
     return jax.tree.map(lambda x: x[rows], columns)

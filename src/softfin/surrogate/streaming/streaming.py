@@ -1,4 +1,5 @@
-"""An ensemble of streaming networks as a Plant: commands in, readings out at 100 Hz, with estimates of their errors."""
+"""An ensemble of streaming networks as a Plant: commands in, readings out at 100 Hz, with estimates
+of their errors."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -12,7 +13,14 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
-from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, READINGS, SKIPPED, NetPrediction
+from softfin.surrogate.channels import (
+    ANGLE,
+    COMMAND_COLUMNS,
+    FORCES,
+    READINGS,
+    SKIPPED,
+    NetPrediction,
+)
 from softfin.surrogate.streaming.ensemble import (
     Familiarity,
     Interval,
@@ -30,13 +38,15 @@ from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
 from softfin.surrogate.training import named, restored
 
 SETTLED = 3000
-"""Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins with."""
+"""Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins
+with."""
 
 SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
-    """State of every member, and ticks since the start [10 ms]; it does not grow, whatever it remembers."""
+    """State of every member, and ticks since the start [10 ms]; it does not grow, whatever it
+    remembers."""
 
     tick: Int[Array, ""]
     members: MemberState
@@ -61,10 +71,17 @@ class StreamingSurrogate(eqx.Module):
     """Rows of a log that `warm` follows: a stroke at the paper's least velocity takes as long."""
     scaling: ClassVar[None] = None
 
-    def __init__(self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity) -> None:
-        self.members, self.limits, self.interval, self.familiarity = members, limits, interval, familiarity
+    def __init__(
+        self, members: Member, limits: Limits, interval: Interval, familiarity: Familiarity
+    ) -> None:
+        self.members = members
+        self.limits = limits
+        self.interval = interval
+        self.familiarity = familiarity
         command = rest_command(limits)
-        waiting, passed = (Command(*(jnp.full(n, value) for value in command)) for n in (LONGEST_DELAY, SETTLED))
+        waiting, passed = (
+            Command(*(jnp.full(n, value) for value in command)) for n in (LONGEST_DELAY, SETTLED)
+        )
         self.rest = _after(members, Motion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
 
     @property
@@ -77,10 +94,16 @@ class StreamingSurrogate(eqx.Module):
         return StreamingState(jnp.int32(0), self.rest)
 
     def warm(self, history: Log) -> StreamingState:
-        """The state after a recorded history, free-running over its last `memory` rows; raises LogError if shorter."""
+        """The state after a recorded history, free-running over its last `memory` rows; raises
+        LogError if shorter."""
         if (rows := len(history.reading.time)) < self.memory:
-            raise LogError(f"history: {rows} rows; {self.memory} are needed to know what the fin has been doing")
-        command, reading = jax.tree.map(lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history)
+            raise LogError(
+                f"history: {rows} rows; {self.memory} are needed to know what the fin has been "
+                "doing"
+            )
+        command, reading = jax.tree.map(
+            lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
+        )
         motion = Motion(reading.angle[LONGEST_DELAY], reading.velocity[LONGEST_DELAY])
         waiting = Command(*(part[:LONGEST_DELAY][::-1] for part in command))
         # The last row's command shows in the row that comes next.
@@ -88,13 +111,19 @@ class StreamingSurrogate(eqx.Module):
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
 
-    def advance(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields ``(ticks,)``."""
+    def advance(
+        self, state: StreamingState, command: Command, ticks: int
+    ) -> tuple[StreamingState, Reading]:
+        """Hold the command for `ticks` samples of 10 ms and read after each: fields
+        ``(ticks,)``."""
         state, each = self.advance_members(state, command, ticks)
         return state, Reading(each.time[0], *(channel.mean(axis=0) for channel in each[1:]))
 
-    def advance_members(self, state: StreamingState, command: Command, ticks: int) -> tuple[StreamingState, Reading]:
-        """Advance as `advance` does, with every member's own reading: fields ``(members, ticks)``."""
+    def advance_members(
+        self, state: StreamingState, command: Command, ticks: int
+    ) -> tuple[StreamingState, Reading]:
+        """Advance as `advance` does, with every member's own reading: fields ``(members,
+        ticks)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
         def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
@@ -102,36 +131,50 @@ class StreamingSurrogate(eqx.Module):
 
         after, (motion, force) = jax.vmap(one)(self.members, state.members)
         time = (state.tick + 1 + jnp.arange(ticks)) * jnp.float32(TICK_S)
-        reading = Reading(jnp.broadcast_to(time, (self.size, ticks)), motion.angle, motion.velocity, force)
+        reading = Reading(
+            jnp.broadcast_to(time, (self.size, ticks)), motion.angle, motion.velocity, force
+        )
         return StreamingState(state.tick + ticks, after), reading
 
     def member(self, index: Int[Array, ""]) -> "StreamingSurrogate":
-        """One member as a plant of its own, an ensemble of one; `index` may be a value in a program."""
+        """One member as a plant of its own, an ensemble of one; `index` may be a value in a
+        program."""
         picked = jax.tree.map(lambda x: x[index][None], (self.members, self.rest))
-        alone: StreamingSurrogate = eqx.tree_at(lambda ensemble: (ensemble.members, ensemble.rest), self, picked)
+        alone: StreamingSurrogate = eqx.tree_at(
+            lambda ensemble: (ensemble.members, ensemble.rest), self, picked
+        )
         return alone
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
-        """Distance of the last motion from the training data: 1 is as far as one in a thousand moments of them."""
+        """Distance of the last motion from the training data: 1 is as far as one in a thousand
+        moments of them."""
         return self.familiarity.distance(remembered(single(state.members.force)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Mean predictions of logs: drive networks; force networks, given measured and given predicted motion."""
-        drive, force = self.members.drive, self.members.force
+        """Mean predictions of logs: drive networks; force networks, given measured and given
+        predicted motion."""
+        drive = self.members.drive
+        force = self.members.force
         free = predict_motion(drive, logs)
-        measured = [Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1))) for _, r in logs]
+        measured = [
+            Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1)))
+            for _, r in logs
+        ]
         each: dict[str, tuple[tuple[str, ...], eqx.Module, Sequence[AnyArray]]] = {
             "drive": ((ANGLE,), drive, [motion.angle[..., None] for motion in free]),
             "force_measured": (FORCES, force, predict_force(force, measured)),
             "force_free_running": (FORCES, force, predict_force(force, free)),
         }
         return {
-            name: NetPrediction(channels, [np.mean(x, axis=0)[SKIPPED:] for x in series], None, parameters(nets))
+            name: NetPrediction(
+                channels, [np.mean(x, axis=0)[SKIPPED:] for x in series], None, parameters(nets)
+            )
             for name, (channels, nets, series) in each.items()
         }
 
     def flops_per_tick(self) -> int:
-        """Floating-point operations of the matrix products for one sample of one fin, all members together."""
+        """Floating-point operations of the matrix products for one sample of one fin, all members
+        together."""
         return 2 * products(single(self.members)) * self.size
 
     def parameters(self) -> int:
@@ -140,31 +183,43 @@ class StreamingSurrogate(eqx.Module):
 
     def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Entries of ``surrogate.json``, and the arrays by their place in the networks."""
-        drive, force = self.members.drive, self.members.force
+        drive = self.members.drive
+        force = self.members.force
         return {
             "channels": SURROGATE_CHANNELS,
             "members": self.size,
-            "networks": {"drive": drive.config.model_dump(mode="json"), "force": force.config.model_dump(mode="json")},
+            "networks": {
+                "drive": drive.config.model_dump(mode="json"),
+                "force": force.config.model_dump(mode="json"),
+            },
             "scales": force.scales.model_dump(mode="json"),
             "interval": self.interval.model_dump(mode="json"),
             "parameters": self.parameters(),
         }, named({"members": self.members, "familiarity": self.familiarity})
 
     @classmethod
-    def from_files(cls, description: Any, weights: dict[str, np.ndarray], source: str) -> "StreamingSurrogate":
-        """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do not fit."""
+    def from_files(
+        cls, description: Any, weights: dict[str, np.ndarray], source: str
+    ) -> "StreamingSurrogate":
+        """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do
+        not fit."""
         if description["channels"] != SURROGATE_CHANNELS:
             raise ArtifactError(
-                f"{source}: channels {description['channels']}; streaming surrogates have {SURROGATE_CHANNELS}"
+                f"{source}: channels {description['channels']}; streaming surrogates have "
+                f"{SURROGATE_CHANNELS}"
             )
         drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
         force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
-        scales, size = Scales.model_validate(description["scales"]), int(description["members"])
+        scales = Scales.model_validate(description["scales"])
+        size = int(description["members"])
 
         def skeleton() -> dict[str, Any]:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
-            return {"members": ensemble(size, drive, force, scales, jax.random.key(0)), "familiarity": familiarity}
+            return {
+                "members": ensemble(size, drive, force, scales, jax.random.key(0)),
+                "familiarity": familiarity,
+            }
 
         trees = restored(eqx.filter_eval_shape(skeleton), weights, source)
         limits = Limits.of(description["limits"], one_velocity=True)
@@ -177,7 +232,9 @@ def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -
     """State of every member after these commands, one a tick."""
 
     def one(member: Member) -> Any:
-        return jax.lax.scan(lambda state, now: member.step(state, now), member.start(motion, waiting), passed)[0]
+        return jax.lax.scan(
+            lambda state, now: member.step(state, now), member.start(motion, waiting), passed
+        )[0]
 
     state: MemberState = eqx.filter_vmap(one)(members)
     return state

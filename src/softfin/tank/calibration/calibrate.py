@@ -1,7 +1,8 @@
-"""The calibration: logs and a configuration in; out come the tank, the recording and how well both are determined.
+"""The calibration: logs and a configuration in; out come the tank, the recording and how well both
+are determined.
 
-A global search with a coarse tank finds the valley, a local one with the whole tank its bottom, and the slopes there
-show what the logs determine.
+A global search with a coarse tank finds the valley, a local one with the whole tank its bottom, and
+the slopes there show what the logs determine.
 """
 
 import dataclasses
@@ -36,7 +37,8 @@ TRACE_S = 10
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """The tank and the recording that were found, and the segments that they were fitted to and judged on."""
+    """The tank and the recording that were found, and the segments that they were fitted to and
+    judged on."""
 
     tank: TankConfig
     recording: RecordingConfig
@@ -45,13 +47,19 @@ class Calibration:
     test: Segments
 
     def read(self, command: Command) -> Float[np.ndarray, "segments ticks channels"]:
-        """Return what the log of the found tank would have under commands ``(segments, ticks)`` of a log."""
+        """Return what the log of the found tank would have under commands ``(segments, ticks)`` of
+        a log."""
         return np.asarray(read(stacked([(self.tank, self.recording)]), command)[0])
 
     def write(
-        self, out: Path, metadata: dict[str, Any], extra_files: Callable[[Path], None], overwrite: bool
+        self,
+        out: Path,
+        metadata: dict[str, Any],
+        extra_files: Callable[[Path], None],
+        overwrite: bool,
     ) -> dict[str, Any]:
-        """Write the folder, whole or not at all; returns the content of its ``calibration.json`` (docs/files.md)."""
+        """Write the folder, whole or not at all; returns the content of its ``calibration.json``
+        (docs/files.md)."""
         modelled = self.read(self.test.command)
         unseen = scores(modelled, self.test)
         summary = {
@@ -77,20 +85,27 @@ class Calibration:
         return summary
 
 
-def prepared(config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]) -> tuple[Space, Segments, Segments]:
-    """Return what is searched, what it is fitted to and what it is judged on; raises where either is not usable."""
+def prepared(
+    config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]
+) -> tuple[Space, Segments, Segments]:
+    """Return what is searched, what it is fitted to and what it is judged on; raises where either
+    is not usable."""
     parameters = parameters_of(config.parameters)
     if not parameters:
-        raise ConfigurationError("parameters: all are null; give at least one a range, such as fin.span_m: [0.03, 0.2]")
+        raise ConfigurationError(
+            "parameters: all are null; give at least one a range, such as fin.span_m: [0.03, 0.2]"
+        )
     space = Space(parameters, config.tank, config.recording)
-    rows, warm_up = round(config.segment_s * RATE_HZ), round(config.warm_up_s * RATE_HZ)
+    rows = round(config.segment_s * RATE_HZ)
+    warm_up = round(config.warm_up_s * RATE_HZ)
     fitted = cut(train, config.segments, rows, warm_up, "training")
     count = len(fitted.measured)
     blocks = count * ((rows - warm_up) // round(config.block_s * RATE_HZ))
     if blocks < 2 * len(parameters):
         raise LogError(
-            f"training logs: {count} segments make {blocks} blocks of {config.block_s:g} s, which cannot determine "
-            f"{len(parameters)} parameters; record more, raise `segments` or `segment_s`, or fit fewer parameters"
+            f"training logs: {count} segments make {blocks} blocks of {config.block_s:g} s, which "
+            f"cannot determine {len(parameters)} parameters; record more, raise `segments` or "
+            "`segment_s`, or fit fewer parameters"
         )
     return space, fitted, cut(test, config.test_segments, rows, warm_up, "test")
 
@@ -103,7 +118,8 @@ def calibrate(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is one."""
+    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is
+    one."""
     tell = progress or (lambda stage, fraction, note: None)
     space, fitted, unseen = prepared(config, train, test)
     weights = np.array([getattr(config.weights, channel) for channel in FITTED_CHANNELS])
@@ -111,10 +127,12 @@ def calibrate(
     coarse = {"fin": {"plates": config.search_plates}, "steps_per_tick": config.search_steps}
     rough = Space(space.parameters, config.tank.merged(coarse, "calibration"), config.recording)
     errors = rough.errors(fitted, config.population)
-    generations, done = -(-config.evaluations // config.population), 0
+    generations = -(-config.evaluations // config.population)
+    done = 0
     losses = np.full((generations, config.population), np.nan, np.float32)
     if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
-        losses, done = np.asarray(resumed[0]), resumed[1]["generation"]
+        losses = np.asarray(resumed[0])
+        done = resumed[1]["generation"]
     record = run_directory.log(rewind_to=done)
 
     def loss(points: Sequence[Point]) -> Float[np.ndarray, "population"]:
@@ -132,14 +150,17 @@ def calibrate(
     def polished(iteration: int, loss: float) -> None:
         tell("polish", iteration / config.iterations, f"1 - R2 {loss:.4f}")
 
-    linear = polish(space.errors(fitted, config.population), point, weights, config.iterations, polished)
+    linear = polish(
+        space.errors(fitted, config.population), point, weights, config.iterations, polished
+    )
     polished(config.iterations, linear.loss)
     found = determination(linear, round(config.block_s * RATE_HZ), space.parameters)
     return Calibration(*space.configs(linear.point), found, fitted, unseen)
 
 
 def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> Scores:
-    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is measured and modelled."""
+    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is
+    measured and modelled."""
     rows = {}
     for index, channel in enumerate(FITTED_CHANNELS):
         true = np.asarray(segments.compared, np.float64)[..., index]
@@ -160,7 +181,8 @@ def calibration_figure(
     test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: Scores
 ) -> Figure:
     """Draw the test segment of median error, and the mean forces over 2 s of all."""
-    measured, ticks = np.asarray(test.measured), slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
+    measured = np.asarray(test.measured)
+    ticks = slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
     error = (modelled - measured)[:, test.warm_up :] / np.asarray(test.deviation)
     shown = int(np.argsort(np.mean(error**2, axis=(1, 2)))[len(error) // 2])
     command = np.asarray(test.command.angle)[shown, ticks]
@@ -169,11 +191,24 @@ def calibration_figure(
         figure = new_figure(11, 9.5)
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.75, 1))
         panels = parts[0].subplots(3, 1, sharex=True)
-        panels[0].step(time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded")
+        panels[0].step(
+            time, command, where="post", color=GREY, linewidth=0.8, linestyle=":", label="commanded"
+        )
         titles = ("angle [rad]", "force x [N]", "force y [N]")
-        for index, (axes, title, channel) in enumerate(zip(panels, titles, FITTED_CHANNELS, strict=True)):
-            axes.plot(time, measured[shown, ticks, index], color=BLACK, linewidth=1.6, label="measured")
-            axes.plot(time, modelled[shown, ticks, index], color=ORANGE, linewidth=1.3, linestyle="--", label="tank")
+        for index, (axes, title, channel) in enumerate(
+            zip(panels, titles, FITTED_CHANNELS, strict=True)
+        ):
+            axes.plot(
+                time, measured[shown, ticks, index], color=BLACK, linewidth=1.6, label="measured"
+            )
+            axes.plot(
+                time,
+                modelled[shown, ticks, index],
+                color=ORANGE,
+                linewidth=1.3,
+                linestyle="--",
+                label="tank",
+            )
             axes.set(ylabel=title, xlim=(0, len(command) / RATE_HZ))
             axes.set_title(f"R² {scores[channel]['r2']:.3f} over all unseen segments", loc="right")
         panels[0].set_title("The unseen segment of median error", weight="bold")
@@ -187,7 +222,14 @@ def calibration_figure(
         axes = parts[1].subplots()
         axes.axline((0, 0), slope=1, color=GREY, linewidth=0.8)
         for index, colour, marker in ((1, BLUE, "o"), (2, ORANGE, "s")):
-            axes.plot(theirs[:, index], ours[:, index], marker, markersize=4, color=colour, label=titles[index])
+            axes.plot(
+                theirs[:, index],
+                ours[:, index],
+                marker,
+                markersize=4,
+                color=colour,
+                label=titles[index],
+            )
         axes.set(xlabel="measured [N]", ylabel="tank [N]", aspect="equal")
         axes.set_title("Mean forces over 2 s, unseen segments")
         axes.legend(loc="best")

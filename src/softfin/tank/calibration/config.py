@@ -1,8 +1,8 @@
 """Configuration of a calibration: parameters, data, search.
 
-The numbers that it may change have names such as ``fin.length_m``, and ranges. A search moves in scaled coordinates: 0
-is the low end of a parameter's range, 1 the high end, on a logarithmic scale where both are positive, else on a linear
-one.
+The numbers that it may change have names such as ``fin.length_m``, and ranges. A search moves in
+scaled coordinates: 0 is the low end of a parameter's range, 1 the high end, on a logarithmic scale
+where both are positive, else on a linear one.
 """
 
 import difflib
@@ -53,18 +53,31 @@ FREE: dict[str, Range] = {
 }
 """Ranges of what is fitted unless the configuration says otherwise.
 
-Not span and root thickness: a ruler tells them, and no log can tell them from Young's modulus, drag and added mass. Not
-the sensor's misalignment: all that turns with the shaft's zero turns, so one of three offsets must be known.
+Not span and root thickness: a ruler tells them, and no log can tell them from Young's modulus, drag
+and added mass. Not the sensor's misalignment: all that turns with the shaft's zero turns, so one of
+three offsets must be known.
 """
 
 _UNITS = {
-    "_kg_m3": "kg/m3", "_kg_m2": "kg m2", "_rad_s2": "rad/s2", "_nm_rad": "N m/rad", "_rad_s": "rad/s", "_nm": "N m",
-    "_rad": "rad", "_pa": "Pa", "_kg": "kg", "_c": "degC", "_m": "m", "_s": "s", "_n": "N",
-}  # fmt: skip
+    "_kg_m3": "kg/m3",
+    "_kg_m2": "kg m2",
+    "_rad_s2": "rad/s2",
+    "_nm_rad": "N m/rad",
+    "_rad_s": "rad/s",
+    "_nm": "N m",
+    "_rad": "rad",
+    "_pa": "Pa",
+    "_kg": "kg",
+    "_c": "degC",
+    "_m": "m",
+    "_s": "s",
+    "_n": "N",
+}
 
 
 class RecordingConfig(Configuration):
-    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the recording itself."""
+    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the
+    recording itself."""
 
     angle_gain: float = Field(1.0, gt=0)
     """Target angle over commanded angle [-]."""
@@ -99,7 +112,9 @@ class Parameter(NamedTuple):
 
     def scaled(self, value: float) -> float:
         """Return the scaled coordinate of a value: 0 .. 1 within the range."""
-        low, high, at = np.log([self.low, self.high, value]) if self.low > 0 else (self.low, self.high, value)
+        low, high, at = (
+            np.log([self.low, self.high, value]) if self.low > 0 else (self.low, self.high, value)
+        )
         return float((at - low) / (high - low))
 
     def value(self, scaled: float) -> float:
@@ -110,30 +125,46 @@ class Parameter(NamedTuple):
 
     def slope(self, scaled: float) -> float:
         """Return the derivative of the value by the scaled coordinate."""
-        width = np.log(self.high / self.low) * self.value(scaled) if self.low > 0 else self.high - self.low
+        width = (
+            np.log(self.high / self.low) * self.value(scaled)
+            if self.low > 0
+            else self.high - self.low
+        )
         return float(width)
 
 
 def every_range(free: Mapping[str, Range] = FREE) -> Ranges:
-    """Return all numbers of a tank and a recording by group, with the range of those that are free."""
+    """Return all numbers of a tank and a recording by group, with the range of those that are
+    free."""
     groups = {group: value for group, value in TankConfig() if isinstance(value, Configuration)}
     return {
-        group: {name: free.get(f"{group}.{name}") for name, value in values if isinstance(value, float)}
+        group: {
+            name: free.get(f"{group}.{name}") for name, value in values if isinstance(value, float)
+        }
         for group, values in {**groups, "recording": RecordingConfig()}.items()
     }
 
 
 def parameters_of(ranges: Ranges) -> list[Parameter]:
-    """Return the free parameters; raises ConfigurationError for an unknown name or a range that is not ascending."""
+    """Return the free parameters; raises ConfigurationError for an unknown name or a range that is
+    not ascending."""
     allowed = [f"{group}.{name}" for group, names in every_range().items() for name in names]
-    given = {f"{group}.{name}": limits for group, names in ranges.items() for name, limits in names.items()}
+    given = {
+        f"{group}.{name}": limits
+        for group, names in ranges.items()
+        for name, limits in names.items()
+    }
     for name, limits in given.items():
         if name not in allowed:
             (close,) = difflib.get_close_matches(name, allowed, n=1, cutoff=0)
             raise ConfigurationError(f"parameters: there is no {name!r}; did you mean {close!r}?")
         if limits is not None and not limits[0] < limits[1]:
-            raise ConfigurationError(f"parameters.{name} = {list(limits)}: write [low, high] with low below high")
-    return [Parameter(name, *map(float, limits)) for name, limits in given.items() if limits is not None]
+            raise ConfigurationError(
+                f"parameters.{name} = {list(limits)}: write [low, high] with low below high"
+            )
+    return [
+        Parameter(name, *map(float, limits)) for name, limits in given.items() if limits is not None
+    ]
 
 
 class Weights(Configuration):
@@ -157,7 +188,8 @@ class CalibrateConfig(Configuration):
     """How a tank is fitted."""
 
     parameters: Ranges = Field(default_factory=every_range, validate_default=True)
-    """Range [low, high] of each number that is sought; null keeps it as `tank` or `recording` has it."""
+    """Range [low, high] of each number that is sought; null keeps it as `tank` or `recording` has
+    it."""
     tank: TankConfig = TankConfig()
     """Tank where the search starts, which holds all that it does not change."""
     recording: RecordingConfig = RecordingConfig()
@@ -175,7 +207,8 @@ class CalibrateConfig(Configuration):
     search_steps: int = Field(1, ge=1)
     """Steps of time a tick in the global search; the local one has those of `tank`."""
     iterations: int = Field(12, ge=1)
-    """Most steps of the local search (Levenberg-Marquardt); it ends when a step gains less than 1e-6."""
+    """Most steps of the local search (Levenberg-Marquardt); it ends when a step gains less than
+    1e-6."""
     segments: int = Field(24, ge=2)
     """Segments of the training logs that are fitted."""
     test_segments: int = Field(12, ge=1)
@@ -183,18 +216,22 @@ class CalibrateConfig(Configuration):
     segment_s: float = Field(12.0, ge=0.1)
     """Length of each segment [s]."""
     warm_up_s: float = Field(2.0, ge=0)
-    """Start of each segment that is simulated but not compared [s]: longer than a stroke, so that it can end."""
+    """Start of each segment that is simulated but not compared [s]: longer than a stroke, so that
+    it can end."""
     block_s: float = Field(2.0, ge=0.01)
-    """Blocks of time [s] whose errors are taken to be independent of each other when standard errors are computed."""
+    """Blocks of time [s] whose errors are taken to be independent of each other when standard
+    errors are computed."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Excitation of a plant that is to be fitted; logs bring their own commands."""
     velocity_rad_s: Range | None = None
-    """Range of the velocities that the plant is commanded in the excitation; null: that of its limits."""
+    """Range of the velocities that the plant is commanded in the excitation; null: that of its
+    limits."""
 
     @field_validator("parameters", mode="before")
     @classmethod
     def _nested(cls, value: Any) -> Any:
-        """``fin.length_m: range`` becomes ``fin: {length_m: range}``; both may stand side by side."""
+        """``fin.length_m: range`` becomes ``fin: {length_m: range}``; both may stand side by
+        side."""
         if not isinstance(value, dict):
             return value
         tree: dict[str, Any] = {}
@@ -213,11 +250,24 @@ class CalibrateConfig(Configuration):
 CALIBRATE_PRESETS: dict[CalibratePreset, CalibrateConfig] = {
     "full": CalibrateConfig(),
     "quick": CalibrateConfig(
-        parameters=every_range({name: FREE[name] for name in (
-            "drive.acceleration_rad_s2", "drive.lag_s", "fin.length_m", "fin.youngs_modulus_pa",
-            "water.added_mass_coefficient", "water.drag_coefficient",
-        )}),
-        evaluations=800, iterations=8, segments=12, test_segments=6,
+        parameters=every_range(
+            {
+                name: FREE[name]
+                for name in (
+                    "drive.acceleration_rad_s2",
+                    "drive.lag_s",
+                    "fin.length_m",
+                    "fin.youngs_modulus_pa",
+                    "water.added_mass_coefficient",
+                    "water.drag_coefficient",
+                )
+            }
+        ),
+        evaluations=800,
+        iterations=8,
+        segments=12,
+        test_segments=6,
     ),
-}  # fmt: skip
-"""``full``: fin, water, drive and recording. ``quick``: what tells most, in a minute, the log taken as it is."""
+}
+"""``full``: fin, water, drive and recording. ``quick``: what tells most, in a minute, the log taken
+as it is."""

@@ -1,8 +1,9 @@
-"""Data that a tank is fitted to, and many tanks over them in one compiled program: points in, residuals out.
+"""Data that a tank is fitted to, and many tanks over them in one compiled program: points in,
+residuals out.
 
-Logs of a dataset, or of a plant that is moved for the purpose, are cut into equal segments. R2 of a channel is pooled:
-1 - (sum of squared errors) / (sum of squared deviations from the mean), both sums and the mean over all compared ticks
-of all segments together.
+Logs of a dataset, or of a plant that is moved for the purpose, are cut into equal segments. R2 of a
+channel is pooled: 1 - (sum of squared errors) / (sum of squared deviations from the mean), both
+sums and the mean over all compared ticks of all segments together.
 """
 
 import copy
@@ -34,7 +35,8 @@ FITTED_CHANNELS = ("angle", "force_x", "force_y")
 
 
 class Segments(eqx.Module):
-    """Commands, and the readings that follow them: ``measured[:, k]`` comes one tick after ``command.angle[:, k]``."""
+    """Commands, and the readings that follow them: ``measured[:, k]`` comes one tick after
+    ``command.angle[:, k]``."""
 
     command: Command
     """Fields ``(segments, ticks)``."""
@@ -55,7 +57,8 @@ class Segments(eqx.Module):
 
 
 def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> Segments:
-    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` where the logs hold no more."""
+    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` where the logs
+    hold no more."""
     places = [
         (log, slice(start, start + rows))
         for start in range(0, max((len(log.reading.time) for log in logs), default=0) - rows, rows)
@@ -63,23 +66,38 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> 
         if start + rows < len(log.reading.time)
     ][:count]
     if not places:
-        raise LogError(f"{part} logs: none has {rows + 1} rows, one segment of {rows / RATE_HZ:g} s; lower segment_s")
-    command = (jnp.stack([np.asarray(log.command[i][rows], np.float32) for log, rows in places]) for i in range(2))
-    readings = [np.column_stack([log.reading.angle, log.reading.force])[1:][rows] for log, rows in places]
+        raise LogError(
+            f"{part} logs: none has {rows + 1} rows, one segment of {rows / RATE_HZ:g} s; lower "
+            "segment_s"
+        )
+    command = (
+        jnp.stack([np.asarray(log.command[i][rows], np.float32) for log, rows in places])
+        for i in range(2)
+    )
+    readings = [
+        np.column_stack([log.reading.angle, log.reading.force])[1:][rows] for log, rows in places
+    ]
     segments = Segments(Command(*command), jnp.asarray(np.stack(readings), np.float32), warm_up)
-    for channel, deviation in zip(FITTED_CHANNELS, np.asarray(segments.deviation).tolist(), strict=True):
+    for channel, deviation in zip(
+        FITTED_CHANNELS, np.asarray(segments.deviation).tolist(), strict=True
+    ):
         if deviation == 0:
-            raise LogError(f"{part} logs: {channel} never changes, so nothing can be fitted to it; record motion")
+            raise LogError(
+                f"{part} logs: {channel} never changes, so nothing can be fitted to it; record "
+                "motion"
+            )
     return segments
 
 
 def material(
     data: str | Path | Plant, config: CalibrateConfig, seed: int
 ) -> tuple[list[Log], list[Log], dict[str, Any]]:
-    """Return training logs, test logs and what tells them from others: the data's hash or the plant's identity.
+    """Return training logs, test logs and what tells them from others: the data's hash or the
+    plant's identity.
 
-    They are those of a dataset's folder, or of a plant: a surrogate's folder, its name, or itself. Raises ArtifactError
-    for other folders, ConfigurationError for velocities that the plant does not take, or velocities for logs.
+    They are those of a dataset's folder, or of a plant: a surrogate's folder, its name, or itself.
+    Raises ArtifactError for other folders, ConfigurationError for velocities that the plant does
+    not take, or velocities for logs.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -87,17 +105,22 @@ def material(
     if not path.is_dir() or artifacts.is_kind(path, "surrogate"):
         return _of_plant(find_plant(str(data)), config, seed)
     if config.velocity_rad_s is not None:
-        raise ConfigurationError(f"--velocity: {path} is a dataset, which brings its own commands; leave it out")
+        raise ConfigurationError(
+            f"--velocity: {path} is a dataset, which brings its own commands; leave it out"
+        )
     dataset = Dataset.open(path)
     if not dataset.test:
         raise ArtifactError(
-            f"{path}: holds no test logs to judge the fit on; put some of the logs into {path / 'test'}"
+            f"{path}: holds no test logs to judge the fit on; put some of the logs into "
+            f"{path / 'test'}"
         )
     train, test = (list(dataset.load(part)) for part in (dataset.train, dataset.test))
     return train, test, {"data_hash": dataset.data_hash}
 
 
-def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> tuple[list[Log], list[Log], dict[str, Any]]:
+def _of_plant(
+    plant: Plant, config: CalibrateConfig, seed: int
+) -> tuple[list[Log], list[Log], dict[str, Any]]:
     limits = Limits(*plant.limits)
     if config.velocity_rad_s is not None:
         low, high = config.velocity_rad_s
@@ -112,7 +135,9 @@ def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> tuple[list[Lo
     def excited(part: str, count: int) -> list[Log]:
         keys = [key_of(seed, f"calibrate/{part}/{index}") for index in range(count)]
         rows = round(config.segment_s * RATE_HZ) + 1
-        return list(simulate([within] * count, keys, rows, config.excitation, count, lambda done: None))
+        return list(
+            simulate([within] * count, keys, rows, config.excitation, count, lambda done: None)
+        )
 
     return (
         excited("train", config.segments),
@@ -124,7 +149,10 @@ def _of_plant(plant: Plant, config: CalibrateConfig, seed: int) -> tuple[list[Lo
 Errors = Callable[[Sequence[Point]], Iterator[Float[np.ndarray, "segments compared channels"]]]
 """Function from points to the errors of each, divided by each channel's standard deviation."""
 
-QUIET = {"sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0}, "drive": {"encoder_step_rad": 0.0}}
+QUIET = {
+    "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
+    "drive": {"encoder_step_rad": 0.0},
+}
 """A tank without what is random or stepped in the readings: neither can be fitted."""
 
 
@@ -141,7 +169,8 @@ class Model(NamedTuple):
         return cls(Tank(tank.merged(QUIET, "calibration")), arrays)
 
     def read(self, command: Command) -> Float[Array, "ticks channels"]:
-        """Return what the log of this tank would have, from rest, after each command ``(ticks,)`` of a log."""
+        """Return what the log of this tank would have, from rest, after each command ``(ticks,)``
+        of a log."""
         by = self.recording
         angle = by["angle_gain"] * command.angle + by["angle_offset_rad"]
         velocity = jnp.minimum(by["velocity_factor"] * command.velocity, by["velocity_limit_rad_s"])
@@ -154,7 +183,9 @@ class Model(NamedTuple):
 
 def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
     """Return the models side by side, along a new first axis of each array."""
-    side_by_side: Model = jax.tree.map(lambda *leaves: jnp.stack(leaves), *(Model.build(*each) for each in configs))
+    side_by_side: Model = jax.tree.map(
+        lambda *leaves: jnp.stack(leaves), *(Model.build(*each) for each in configs)
+    )
     return side_by_side
 
 
@@ -167,29 +198,40 @@ def read(models: Model, command: Command) -> Float[Array, "models segments ticks
 
 @eqx.filter_jit
 def _errors(models: Model, segments: Segments) -> Float[Array, "models segments compared channels"]:
-    """Model less measured behind the warm-up, over each channel's standard deviation: its mean square is 1 - R2."""
-    found: Array = (read(models, segments.command)[:, :, segments.warm_up :] - segments.compared) / segments.deviation
+    """Model less measured behind the warm-up, over each channel's standard deviation: its mean
+    square is 1 - R2."""
+    found: Array = (
+        read(models, segments.command)[:, :, segments.warm_up :] - segments.compared
+    ) / segments.deviation
     return found
 
 
 class Space:
-    """The box that the free parameters span, round a tank and a recording that give all other numbers."""
+    """The box that the free parameters span, round a tank and a recording that give all other
+    numbers."""
 
-    def __init__(self, parameters: Sequence[Parameter], tank: TankConfig, recording: RecordingConfig) -> None:
-        """Raise ConfigurationError where the box reaches beyond what is valid, or leaves out its starting point."""
+    def __init__(
+        self, parameters: Sequence[Parameter], tank: TankConfig, recording: RecordingConfig
+    ) -> None:
+        """Raise ConfigurationError where the box reaches beyond what is valid, or leaves out its
+        starting point."""
         self.parameters = tuple(parameters)
         self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}
         for parameter in self.parameters:
-            value, name = self._present(parameter), parameter.name
+            value = self._present(parameter)
+            name = parameter.name
             if not parameter.low <= value <= parameter.high:
                 path = name if name.startswith("recording.") else f"tank.{name}"
                 raise ConfigurationError(
-                    f"parameters.{name} = [{parameter.low:g}, {parameter.high:g}]: the search starts at {path} = "
-                    f"{value:g}, which is outside; widen the range, or set {path}"
+                    f"parameters.{name} = [{parameter.low:g}, {parameter.high:g}]: the search "
+                    f"starts at {path} = {value:g}, which is outside; widen the range, or set "
+                    f"{path}"
                 )
             for end in (parameter.low, parameter.high):
                 self._built({name: end}, f"parameters.{name}")
-        self.start = np.array([parameter.scaled(self._present(parameter)) for parameter in self.parameters])
+        self.start = np.array(
+            [parameter.scaled(self._present(parameter)) for parameter in self.parameters]
+        )
 
     def configs(self, point: Point) -> tuple[TankConfig, RecordingConfig]:
         """Return the tank and the recording at a point."""
@@ -199,7 +241,9 @@ class Space:
     def errors(self, segments: Segments, batch: int) -> Errors:
         """Return the function that simulates points against segments, `batch` at once."""
 
-        def errors(points: Sequence[Point]) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
+        def errors(
+            points: Sequence[Point],
+        ) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
             for start in range(0, len(points), batch):
                 some = [self.configs(point) for point in points[start : start + batch]]
                 # Filled up, so that one compiled program serves all calls.
@@ -212,7 +256,9 @@ class Space:
         group, field = parameter.name.split(".")
         return float(self._fixed[group][field])
 
-    def _built(self, values: Mapping[str, float], source: str) -> tuple[TankConfig, RecordingConfig]:
+    def _built(
+        self, values: Mapping[str, float], source: str
+    ) -> tuple[TankConfig, RecordingConfig]:
         trees = copy.deepcopy(self._fixed)
         for name, value in values.items():
             group, field = name.split(".")

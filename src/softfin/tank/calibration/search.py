@@ -1,14 +1,16 @@
-"""The two searches in the box of scaled coordinates, and how well the logs determine what they find.
+"""The two searches in the box of scaled coordinates, and how well the logs determine what they
+find.
 
-CMA-ES goes over all of the box, least squares from its best point. The state of CMA-ES (Hansen 2016, arXiv:1604.00772)
-is not saved but repeated: the same seed and the same losses lead to the same generation. The local search is SciPy's
-trust region, with the Jacobian by differences.
+CMA-ES goes over all of the box, least squares from its best point. The state of CMA-ES (Hansen
+2016, arXiv:1604.00772) is not saved but repeated: the same seed and the same losses lead to the
+same generation. The local search is SciPy's trust region, with the Jacobian by differences.
 
-Standard errors are the jackknife's over blocks of time, in the linear model about the optimum: each block is left out
-once. Errors within a block may be correlated in any way, as those of a model always are; blocks are taken as
-independent (Cameron and Miller 2015, J. Human Resources 50, 317, sec. VI.B). No standard error is less than that for
-errors without correlation. A parameter that sits on an end of its range is taken as given there, and one without any
-effect, such as a limit that is never met, is left out.
+Standard errors are the jackknife's over blocks of time, in the linear model about the optimum: each
+block is left out once. Errors within a block may be correlated in any way, as those of a model
+always are; blocks are taken as independent (Cameron and Miller 2015, J. Human Resources 50, 317,
+sec. VI.B). No standard error is less than that for errors without correlation. A parameter that
+sits on an end of its range is taken as given there, and one without any effect, such as a limit
+that is never met, is left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,10 +35,12 @@ FAILED = 1e3
 """Loss of a tank whose readings are not finite: worse than any other."""
 
 DIFFERENCE = 2e-3
-"""Step of the differences in scaled coordinates: far above float32 round-off, far below any curvature."""
+"""Step of the differences in scaled coordinates: far above float32 round-off, far below any
+curvature."""
 
 GAIN = 1e-6
-"""The search ends when a step lowers the loss by less than this part: little against one over the samples."""
+"""The search ends when a step lowers the loss by less than this part: little against one over the
+samples."""
 
 
 def search(
@@ -47,36 +51,46 @@ def search(
     seed: int,
     report: Callable[[int, Losses], None] = lambda done, losses: None,
 ) -> Point:
-    """Return the best point that was tried; `losses` are those known from before, NaN from there on.
+    """Return the best point that was tried; `losses` are those known from before, NaN from there
+    on.
 
-    `report` is called with the generations done and all losses so far. Raises RunError where no tank of a generation
-    has finite readings.
+    `report` is called with the generations done and all losses so far. Raises RunError where no
+    tank of a generation has finite readings.
     """
     random = generator_of(seed, "calibrate/search")
-    strategy = cma_es(np.clip(start, 1e-3, 1 - 1e-3), step, random, popsize=losses.shape[1], bounds=[0.0, 1.0])
+    strategy = cma_es(
+        np.clip(start, 1e-3, 1 - 1e-3), step, random, popsize=losses.shape[1], bounds=[0.0, 1.0]
+    )
     losses = losses.copy()
-    best, least = start, np.inf
+    best = start
+    least = np.inf
     for generation, row in enumerate(losses):
         points = [np.asarray(point) for point in strategy.ask()]
         if np.isnan(row).any():
             found = loss(points)
             if not np.isfinite(found).any():
-                raise RunError("calibrate: no tank of a generation has finite readings; narrow `parameters`")
+                raise RunError(
+                    "calibrate: no tank of a generation has finite readings; narrow `parameters`"
+                )
             row[:] = np.where(np.isfinite(found), found, FAILED)
             report(generation + 1, losses)
         strategy.tell(points, row.tolist())
         if row.min() < least:
-            best, least = points[int(row.argmin())], float(row.min())
+            best = points[int(row.argmin())]
+            least = float(row.min())
     return best
 
 
 def misfits(errors: Errors, points: Sequence[Point]) -> Float[np.ndarray, "points channels"]:
     """Return 1 - R2 of each point and channel; not finite where a tank's readings are not."""
-    return np.stack([np.mean(np.square(each, dtype=np.float64), axis=(0, 1)) for each in errors(points)])
+    return np.stack(
+        [np.mean(np.square(each, dtype=np.float64), axis=(0, 1)) for each in errors(points)]
+    )
 
 
 class Linear(NamedTuple):
-    """A model about a point: residuals, weighted so that the sum of their squares is the loss, and their slopes."""
+    """A model about a point: residuals, weighted so that the sum of their squares is the loss, and
+    their slopes."""
 
     point: Point
     residuals: Float[np.ndarray, "segments compared channels"]
@@ -87,19 +101,28 @@ class Linear(NamedTuple):
         """Weighted mean of 1 - R2 over the channels."""
         return float(np.square(self.residuals, dtype=np.float64).sum())
 
-    def normal(self) -> tuple[Float[np.ndarray, "parameters parameters"], Float[np.ndarray, "parameters"]]:
+    def normal(
+        self,
+    ) -> tuple[Float[np.ndarray, "parameters parameters"], Float[np.ndarray, "parameters"]]:
         """Return J^T J and J^T r."""
         flat = self.jacobian.reshape(len(self.point), -1).astype(np.float64)
         return flat @ flat.T, flat @ self.residuals.reshape(-1).astype(np.float64)
 
 
 def linearised(errors: Errors, point: Point, weights: Weights) -> Linear:
-    """Return the model about a point; central differences inside the box, one-sided ones at its faces."""
-    up, down = (np.clip(point + sign * DIFFERENCE * np.eye(len(point)), 0.0, 1.0) for sign in (1, -1))
+    """Return the model about a point; central differences inside the box, one-sided ones at its
+    faces."""
+    up, down = (
+        np.clip(point + sign * DIFFERENCE * np.eye(len(point)), 0.0, 1.0) for sign in (1, -1)
+    )
     middle, *sides = errors([point, *up, *down])
     scale = _scale(middle, weights)
-    highs, lows, widths = sides[: len(point)], sides[len(point) :], (up - down).sum(axis=1).astype(np.float32)
-    rise = [(high - low) / width * scale for high, low, width in zip(highs, lows, widths, strict=True)]
+    highs = sides[: len(point)]
+    lows = sides[len(point) :]
+    widths = (up - down).sum(axis=1).astype(np.float32)
+    rise = [
+        (high - low) / width * scale for high, low, width in zip(highs, lows, widths, strict=True)
+    ]
     return Linear(point, middle * scale, np.stack(rise))
 
 
@@ -123,12 +146,21 @@ def polish(
 
     def slopes(point: Point) -> Float[np.ndarray, "samples parameters"]:
         # Beside the last tank with finite readings there may be none.
-        jacobian = np.nan_to_num(linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0)
+        jacobian = np.nan_to_num(
+            linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0
+        )
         return np.asarray(jacobian.reshape(len(point), -1).T, np.float64)
 
     # Dogbox, as the best point may lie on a face of the box, where the other methods do not go.
     found = least_squares(
-        residuals, start, slopes, bounds=(0.0, 1.0), method="dogbox", ftol=GAIN, xtol=1e-8, max_nfev=iterations + 1
+        residuals,
+        start,
+        slopes,
+        bounds=(0.0, 1.0),
+        method="dogbox",
+        ftol=GAIN,
+        xtol=1e-8,
+        max_nfev=iterations + 1,
     )
     return linearised(errors, np.asarray(found.x), weights)
 
@@ -141,43 +173,59 @@ TRADING = 0.9
 """Correlation from which two parameters are said to trade against each other."""
 
 VERDICTS = (("well", 0.1), ("roughly", 0.5), ("poorly", np.inf))
-"""Verdict by the part of the uncertainty that is left: standard error over the deviation of the whole range."""
+"""Verdict by the part of the uncertainty that is left: standard error over the deviation of the
+whole range."""
 
 IDLE = 1e-4
-"""Diagonal of J^T J below which a parameter does nothing that float32 differences could tell from round-off."""
+"""Diagonal of J^T J below which a parameter does nothing that float32 differences could tell from
+round-off."""
 
 FARTHEST = 10.0
-"""Ends of an interval, in widths of the range: what logs say nothing of has an error that no float could hold."""
+"""Ends of an interval, in widths of the range: what logs say nothing of has an error that no float
+could hold."""
 
 RANGE_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform draw from 0 .. 1."""
 
 
-def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter, ...]) -> dict[str, Any]:
+def determination(
+    linear: Linear, block_ticks: int, parameters: tuple[Parameter, ...]
+) -> dict[str, Any]:
     """Return ``parameters`` by name, ``trades`` of pairs, and the number of ``blocks``."""
     normal, gradient = linear.normal()
     at = linear.point
-    low, high = (at <= DIFFERENCE) & (gradient > 0), (at >= 1 - DIFFERENCE) & (gradient < 0)
+    low = (at <= DIFFERENCE) & (gradient > 0)
+    high = (at >= 1 - DIFFERENCE) & (gradient < 0)
     idle = np.diag(normal) < IDLE
     free = np.flatnonzero(~(low | high | idle))
     values, directions = np.linalg.eigh(normal[np.ix_(free, free)])
     # Along a direction without any slope the error is huge, and not infinite.
     least = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
     inverse = directions / np.maximum(values, least) @ directions.T
-    jacobian, residuals = linear.jacobian[free].astype(np.float64), linear.residuals.astype(np.float64)
+    jacobian = linear.jacobian[free].astype(np.float64)
+    residuals = linear.residuals.astype(np.float64)
     count_within = max(residuals.shape[1] // block_ticks, 1)
     blocks = [
         (slopes[:, k].reshape(free.size, -1), errors[k].reshape(-1))
         for slopes, errors in zip(
-            np.array_split(jacobian, count_within, axis=2), np.array_split(residuals, count_within, axis=1), strict=True
+            np.array_split(jacobian, count_within, axis=2),
+            np.array_split(residuals, count_within, axis=1),
+            strict=True,
         )
         for k in range(len(residuals))
     ]
-    # Least squares, as without a block that alone tells something of a parameter the estimate is anywhere.
-    moved = np.asarray([
-        np.linalg.lstsq(np.eye(free.size) - inverse @ slopes @ slopes.T, inverse @ slopes @ errors, rcond=1e-9)[0]
-        for slopes, errors in blocks
-    ])  # fmt: skip
+    # Least squares, as without a block that alone tells something of a parameter the estimate is
+    # anywhere.
+    moved = np.asarray(
+        [
+            np.linalg.lstsq(
+                np.eye(free.size) - inverse @ slopes @ slopes.T,
+                inverse @ slopes @ errors,
+                rcond=1e-9,
+            )[0]
+            for slopes, errors in blocks
+        ]
+    )
     covariance = moved.T @ moved * (len(blocks) - 1) / len(blocks)
 
     jackknife = np.sqrt(np.diag(covariance))
@@ -188,10 +236,15 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
     error[free] = np.maximum(jackknife, np.sqrt(uncorrelated))
     correlation = covariance / np.outer(jackknife, jackknife)
     names = [parameters[i].name for i in free]
-    pairs = [(float(correlation[i, j]), [names[i], names[j]]) for i, j in combinations(range(free.size), 2)]
+    pairs = [
+        (float(correlation[i, j]), [names[i], names[j]])
+        for i, j in combinations(range(free.size), 2)
+    ]
     rows = {}
     for i, parameter in enumerate(parameters):
-        undetermined = "no effect" if idle[i] else "low end" if low[i] else "high end" if high[i] else None
+        undetermined = (
+            "no effect" if idle[i] else "low end" if low[i] else "high end" if high[i] else None
+        )
         rows[parameter.name] = _row(parameter, float(at[i]), float(error[i]), undetermined)
     return {
         "parameters": rows,
@@ -205,9 +258,18 @@ def determination(linear: Linear, block_ticks: int, parameters: tuple[Parameter,
 
 
 def _row(parameter: Parameter, at: float, error: float, undetermined: str | None) -> dict[str, Any]:
-    row = {"value": parameter.value(at), "unit": parameter.unit, "range": [parameter.low, parameter.high]}
+    row = {
+        "value": parameter.value(at),
+        "unit": parameter.unit,
+        "range": [parameter.low, parameter.high],
+    }
     if undetermined is not None:
-        return row | {"standard_error": None, "interval": None, "left": None, "determined": undetermined}
+        return row | {
+            "standard_error": None,
+            "interval": None,
+            "left": None,
+            "determined": undetermined,
+        }
     left = float(error / RANGE_DEVIATION)
     ends = np.clip(at + 1.96 * np.array([-error, error]), -FARTHEST, FARTHEST)
     return row | {
