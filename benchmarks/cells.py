@@ -13,9 +13,9 @@ import jax
 from benchmarks.measure import entry, seconds
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.learning.configuration import GRID
-from softfin.learning.policy import memory_of
+from softfin.learning.policy import policy_memory
 from softfin.learning.ppo import PPO
 from softfin.task.references import PAPER_RANGE, lattice, stack_references
 from softfin.task.task import ForceTracking
@@ -30,7 +30,7 @@ def measured(plant: Plant, side: int) -> dict[str, Any]:
     """Of a grid of side x side cells."""
     learner = PPO(ForceTracking(plant, GRID.task), GRID.ppo, GRID.policy, UPDATES)
     cells = lattice(side, side, PAPER_RANGE)
-    keys = jax.numpy.stack([key_of(0, f"cells/{cell}") for cell in cells])
+    keys = jax.numpy.stack([named_key(0, f"cells/{cell}") for cell in cells])
     begin = time.perf_counter()
     agents = jax.jit(jax.vmap(learner.init))(keys, stack_references(cells))
     update = jax.jit(jax.vmap(learner.update))
@@ -48,7 +48,7 @@ def measured(plant: Plant, side: int) -> dict[str, Any]:
         "cells": len(cells),
         "update_s": taken,
         "compile_s": compiled,
-        **memory_of(agents.policy),
+        **policy_memory(agents.policy),
     }
 
 

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, rows_of, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS, action_ticks, valid_rows
 from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
-from softfin.core.quantities import Limits, command_of
+from softfin.core.quantities import Limits, action_to_command
 from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import Evaluation, ExperimentsConfig, score_experiments
 from softfin.evaluation.experiment import ExperimentRecording, Recorded
@@ -60,10 +60,10 @@ def run_recurrent(
         )
 
     def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, Recorded]:
-        command = command_of(limits, action)
+        command = action_to_command(limits, action)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
         return state, (
-            jax.tree.map(lambda x: jnp.full(MOST_TICKS, x), command),
+            jax.tree.map(lambda x: jnp.full(MAX_ACTION_TICKS, x), command),
             reading,
             true_force,
         )
@@ -74,7 +74,7 @@ def run_recurrent(
     actions = jnp.tile(rest_actions(task, limits), (count, 1, 1))
     memory = None
     kept = []
-    held = ticks_of(config.seconds * len(ACTION_TICKS))
+    held = action_ticks(config.seconds * len(ACTION_TICKS))
     for age, ticks in enumerate(held):
         observed = np.asarray(observe(angle, actions, jnp.int32(age)))
         starts = np.full(count, age == 0)
@@ -88,7 +88,7 @@ def run_recurrent(
         kept.append(jax.tree.map(np.asarray, recorded))
 
     def together(*parts: Any) -> Any:
-        whole = np.concatenate(parts, axis=1)[:, rows_of(len(held))]
+        whole = np.concatenate(parts, axis=1)[:, valid_rows(len(held))]
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
     return ExperimentRecording(

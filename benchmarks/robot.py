@@ -20,7 +20,7 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.quantities import TICK_S, Command
 from softfin.robot.allocation import Allocator
 from softfin.robot.description import load_robot
-from softfin.robot.evaluate import gaits_of
+from softfin.robot.evaluate import find_all_gaits
 from softfin.robot.motion_control import MotionController
 from softfin.robot.paths import hold
 from softfin.robot.simulation import Ambient, Orders, RobotSimulation
@@ -37,7 +37,7 @@ ACTIONS = 12
 def main() -> list[dict[str, Any]]:
     robot = load_robot("ucat")
     tanks = [Tank()] * 4
-    gaits = gaits_of(tanks)
+    gaits = find_all_gaits(tanks)
     with one_core():
         rows = allocation(robot, np.array([each.reach for each in gaits]))
     simulation = RobotSimulation(robot, tanks)

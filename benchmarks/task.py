@@ -16,7 +16,7 @@ from jaxtyping import PRNGKeyArray
 
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
-from softfin.core.action_clock import ACTION_TICKS, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, action_ticks
 from softfin.core.plant import State
 from softfin.core.quantities import Command, Limits, Reading
 from softfin.surrogate import Surrogate
@@ -58,7 +58,7 @@ def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
 
     program = jax.jit(
         lambda state, actions: jax.lax.scan(
-            act, state, (actions, jnp.asarray(ticks_of(len(actions))))
+            act, state, (actions, jnp.asarray(action_ticks(len(actions))))
         )[1]
     )
     return lambda: program(state, actions)

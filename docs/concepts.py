@@ -22,7 +22,7 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.plant import hold
-from softfin.core.quantities import RATE_HZ, Command, command_of
+from softfin.core.quantities import RATE_HZ, Command, action_to_command
 from softfin.gaits.force_map import load_map
 from softfin.storage.figures import (
     BLACK,
@@ -214,7 +214,7 @@ def gait(figure: Figure) -> None:
     times = 4
     scaled = np.tile(np.asarray(table.gait(np.asarray(reference_n, np.float32))), (times, 1))
     tank = Tank()
-    command = command_of(load_controller(EXAMPLE / "gaits").limits, jnp.asarray(scaled.T))
+    command = action_to_command(load_controller(EXAMPLE / "gaits").limits, jnp.asarray(scaled.T))
     reading = jax.tree.map(
         np.asarray, jax.jit(lambda: hold(tank, tank.init(jax.random.key(0)), command))()[1]
     )

@@ -20,10 +20,10 @@ import jax
 import numpy as np
 from matplotlib.ticker import LogLocator
 
-from softfin.cli.options import HelpRequested, Option, help_of, parse
+from softfin.cli.options import HelpRequested, Option, format_help, parse
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, Log, Reading
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.core.window import moving_average
 from softfin.data.collect import CollectConfig
 from softfin.stages.collect import collect
@@ -35,9 +35,9 @@ from softfin.surrogate import FitConfig, StreamingConfig, load_surrogate
 from softfin.surrogate.compare.scores import (
     free_run,
     measured_ranges,
+    plan_segments,
     run_from_rest,
     score_segments,
-    segments_of,
     take,
 )
 from softfin.tank import SensorConfig, Tank, TankConfig
@@ -249,7 +249,7 @@ def without_sensor(run: Path, logs: Sequence[Log]) -> list[Log]:
 
 def again(plant: Tank, logs: Sequence[Log]) -> list[Log]:
     """The same commands once more, from rest."""
-    readings = run_from_rest(plant, logs, key_of(TEST_SEED, "again"))
+    readings = run_from_rest(plant, logs, named_key(TEST_SEED, "again"))
     return [Log(log.command, reading) for log, reading in zip(logs, readings, strict=True)]
 
 
@@ -259,7 +259,7 @@ def silent() -> Tank:
 
 
 def stretches(logs: Sequence[Log]) -> Any:
-    return segments_of([len(log.reading.time) for log in logs], HORIZON, FIRST)
+    return plan_segments([len(log.reading.time) for log in logs], HORIZON, FIRST)
 
 
 def gathered(run: Path) -> list[dict[str, Any]]:
@@ -389,4 +389,4 @@ if __name__ == "__main__":
     try:
         main(parse(Options, sys.argv[1:]))
     except HelpRequested:
-        print(help_of(Options, "data_efficiency.py"))
+        print(format_help(Options, "data_efficiency.py"))

@@ -50,7 +50,7 @@ BOX = "{low: [0.4, -1.6], high: [3.6, 1.6]}"
 UNDER = """
 import softfin.core.action_clock as clock, sys
 ticks, window = {clock}
-clock.ACTION_TICKS, clock.MOST_TICKS, clock.ACTION_RATE_HZ = ticks, max(ticks), float(len(ticks))
+clock.ACTION_TICKS, clock.MAX_ACTION_TICKS, clock.ACTION_RATE_HZ = ticks, max(ticks), float(len(ticks))
 clock.WINDOW = sum(ticks) * window // len(ticks)
 from softfin.cli import main
 main(sys.argv[1:])

@@ -20,8 +20,8 @@ from results.parts import PARTS, SEEDS
 from results.record import FOLDER, load, shown, source
 
 import softfin
-from softfin.cli import COMMANDS, arguments_of
-from softfin.cli.options import help_of
+from softfin.cli import COMMANDS, import_arguments
+from softfin.cli.options import format_help
 from softfin.core import errors
 from softfin.core.configuration import Configuration
 from softfin.stages.example import write_example
@@ -66,7 +66,7 @@ def command_line() -> Iterator[str]:
     os.environ["COLUMNS"] = "92"
     for name, (_, text) in COMMANDS.items():
         yield from (f"## {name}", "", f"{text[0].upper()}{text[1:]}.", "")
-        yield from ("```text", help_of(arguments_of(name), f"softfin {name}"), "```", "")
+        yield from ("```text", format_help(import_arguments(name), f"softfin {name}"), "```", "")
 
 
 def configuration() -> Iterator[str]:

@@ -55,7 +55,7 @@ class Shown(NamedTuple):
         return f"{self.document}:{self.line} {shlex.join(self.words)}"
 
 
-def name_of(path: Path) -> str:
+def plant_name(path: Path) -> str:
     """As it is called in the repository."""
     return path.relative_to(ROOT).as_posix()
 
@@ -84,12 +84,12 @@ def _blocks(path: Path) -> Iterator[Block]:
         first = at + 1
         if fence:
             at = next(i for i in range(first, len(lines)) if lines[i].strip() == "```")
-            yield Block(name_of(path), first + 1, fence[2], "\n".join(lines[first:at]))
+            yield Block(plant_name(path), first + 1, fence[2], "\n".join(lines[first:at]))
         elif lines[at].startswith("    ") and (at == 0 or not lines[at - 1].strip()):
             while at < len(lines) and (lines[at].startswith("    ") or not lines[at].strip()):
                 at += 1
             yield Block(
-                name_of(path),
+                plant_name(path),
                 first,
                 "",
                 "\n".join(line[4:] for line in lines[first - 1 : at]).rstrip(),
@@ -108,7 +108,7 @@ def _spans(path: Path) -> Iterator[tuple[str, int, str]]:
     prose = prose_of(path)
     for found in re.finditer(r"`([^`]+)`", prose):
         line = prose.count("\n", 0, found.start()) + 1
-        yield name_of(path), line, " ".join(found[1].replace(r"\|", "|").split())
+        yield plant_name(path), line, " ".join(found[1].replace(r"\|", "|").split())
 
 
 def prose_of(path: Path) -> str:

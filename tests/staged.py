@@ -29,7 +29,7 @@ from softfin.surrogate.streaming import profile
 from softfin.task.references import PAPER_RANGE
 from tests.control.test_controllers import untrained
 from tests.data import bags
-from tests.data.faulty import columns_of
+from tests.data.faulty import to_columns
 from tests.data.recorded import record
 from tests.documents import ROOT
 from tests.gaits.test_map_store import KNOWN
@@ -140,14 +140,14 @@ def recordings(path: Path) -> None:
     """CSV files with softfin's columns."""
     path.mkdir()
     for seed, name in enumerate(("first", "second", "third", "test")):
-        _csv(path / f"{name}.csv", columns_of(streaming.recorded(ROWS, seed)))
+        _csv(path / f"{name}.csv", to_columns(streaming.recorded(ROWS, seed)))
 
 
 def authors(path: Path) -> None:
     """One CSV file of two logs, end to end, in degrees, with swapped axes and without a column of
     time."""
     path.mkdir()
-    logs = [columns_of(streaming.recorded(ROWS, seed)) for seed in range(2)]
+    logs = [to_columns(streaming.recorded(ROWS, seed)) for seed in range(2)]
     whole = {name: np.concatenate([log[own] for log in logs]) for name, own in AUTHORS.items()}
     for name in ("command angle", "command velocity", "position"):
         whole[name] = np.rad2deg(whole[name])
@@ -158,7 +158,7 @@ def authors(path: Path) -> None:
 
 def run_csv(path: Path) -> None:
     """A CSV file with names and units of one's own, and without a velocity of the command."""
-    columns = columns_of(streaming.recorded(ROWS))
+    columns = to_columns(streaming.recorded(ROWS))
     own = {
         "t [ms]": columns["time_s"] * 1000,
         "cmd angle [deg]": np.rad2deg(columns["command_angle_rad"]),
@@ -179,7 +179,7 @@ def _csv(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 def bag(path: Path) -> None:
     """A folder of a robot's bag, with topics of its own."""
-    columns = columns_of(streaming.recorded(ROWS))
+    columns = to_columns(streaming.recorded(ROWS))
     renamed = {"/fin/joint_states": "/joint_states", "/fin/wrench": "/ft_sensor/wrench"}
     topics = bags.topics_of(columns, ROWS)
     for _, message in topics["/fin/joint_states"]:

@@ -24,7 +24,7 @@ from results.parts import PARTS
 import softfin
 from softfin import cli
 from softfin.cli import COMMANDS, main
-from softfin.cli.options import fields_of
+from softfin.cli.options import list_fields
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.data.collect import CollectConfig
@@ -50,7 +50,7 @@ from tests.documents import (
     commands,
     headings,
     links,
-    name_of,
+    plant_name,
     softfin_words,
     spans,
 )
@@ -75,8 +75,8 @@ WHOLE = tuple(shown for shown in commands() if not shown.in_sentence)
 IN_SENTENCES = tuple(shown for shown in commands() if shown.in_sentence)
 
 
-def arguments_of(name: str) -> type:
-    return cli.arguments_of(name)
+def import_arguments(name: str) -> type:
+    return cli.import_arguments(name)
 
 
 class Parsed(Exception):
@@ -91,9 +91,11 @@ def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> objec
         raise Parsed(arguments)
 
     if words[0] in COMMANDS:
-        monkeypatch.setattr(arguments_of(words[0]), "__call__", run)
+        monkeypatch.setattr(import_arguments(words[0]), "__call__", run)
         # Whether what is named is there is another question.
-        monkeypatch.setattr(arguments_of(words[0]), "check", lambda arguments: None, raising=False)
+        monkeypatch.setattr(
+            import_arguments(words[0]), "check", lambda arguments: None, raising=False
+        )
     with pytest.raises(Parsed) as parsed:
         main([*words, "--debug"])
     (arguments,) = parsed.value.args
@@ -176,7 +178,7 @@ def completed(words, monkeypatch):
 
 def required(name: str) -> list[str]:
     """What has no default: options, and what is given by its place."""
-    fields = arguments_of(name).model_fields
+    fields = import_arguments(name).model_fields
     return [f"--{field.replace('_', '-')}" for field, info in fields.items() if info.is_required()]
 
 
@@ -198,7 +200,7 @@ def options() -> set[str]:
     names = {
         field.name.removeprefix("--")
         for command in COMMANDS
-        for field in fields_of(arguments_of(command))
+        for field in list_fields(import_arguments(command))
     }
     names |= {"help", "version"}
     scripts = "".join(
@@ -363,7 +365,7 @@ def test_fences_are_of_a_kind_that_is_looked_at():
     assert {block.kind for block in blocks()} <= {"", "yaml", "python", "json"} | of_the_site
 
 
-@pytest.mark.parametrize("path", MARKDOWN, ids=name_of)
+@pytest.mark.parametrize("path", MARKDOWN, ids=plant_name)
 def test_links_and_pictures_lead_somewhere(path):
     for target in links(path):
         if "://" not in target:

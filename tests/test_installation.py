@@ -8,7 +8,13 @@ from pathlib import Path
 import pytest
 
 from softfin import installation
-from softfin.installation import EXTRAS, how_to_add, missing_from, requirements_of, what_is_missing
+from softfin.installation import (
+    EXTRAS,
+    extra_requirements,
+    how_to_add,
+    missing_from,
+    what_is_missing,
+)
 from tests.patience import HANG_S
 
 PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
@@ -19,8 +25,8 @@ def test_the_extras_are_those_of_the_project():
 
 
 def test_what_trains_is_no_part_of_what_runs_a_controller():
-    core = set(requirements_of(None))
-    learn = set(requirements_of("learn"))
+    core = set(extra_requirements(None))
+    learn = set(extra_requirements("learn"))
     assert {"numpy", "canopen", "mcap", "pyyaml"} <= core
     assert {"jax", "pyarrow", "scipy", "matplotlib", "tensorboardx"} <= learn
     assert not core & learn
@@ -55,7 +61,7 @@ def test_an_extra_is_added_from_where_softfin_came(source, command, monkeypatch)
 
 
 def test_an_extra_that_brings_another_needs_what_that_needs():
-    assert set(requirements_of("learn")) < set(requirements_of("onnx"))
+    assert set(extra_requirements("learn")) < set(extra_requirements("onnx"))
 
 
 @pytest.mark.parametrize(
@@ -78,7 +84,7 @@ def test_an_extra_that_brings_another_needs_what_that_needs():
     ],
 )
 def test_a_module_that_is_not_there_is_told_with_the_way_out(module, there, told, monkeypatch):
-    monkeypatch.setattr(installation, "version_of", lambda _: there)
+    monkeypatch.setattr(installation, "installed_version", lambda _: there)
     assert (what_is_missing(ModuleNotFoundError(name=module)) or "").startswith(told)
 
 
@@ -97,7 +103,7 @@ def test_a_module_that_softfin_does_not_need_is_a_bug(module):
 def test_a_command_without_what_it_needs_says_so_in_one_line(module, told, tmp_path):
     code = (
         f"import sys; sys.modules[{module!r}] = None; import softfin.installation as installation\n"
-        "installation.version_of = lambda name: None; from softfin.cli import main; "
+        "installation.installed_version = lambda name: None; from softfin.cli import main; "
         "main(sys.argv[1:])"
     )
     words = ("collect", "--out", "dataset", "--plant", "tank") if module == "jax" else ("doctor",)

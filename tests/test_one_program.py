@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import MOST_TICKS, rows_of, ticks_of
+from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks, valid_rows
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, counted, hold, hold_action, mean_of, roll
+from softfin.core.plant import Plant, counted, hold, hold_action, masked_mean, roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading
 from softfin.evaluation import experiment
 from softfin.learning.gradient import Gradient, GradientConfig
@@ -90,7 +90,7 @@ def test_the_tank_takes_the_state_that_it_gives() -> None:
 def test_actions_held_are_their_commands_one_a_tick() -> None:
     fin = AnalyticFin()
     state, reading = hold(fin, fin.init(KEY), ACTIONS)
-    ticks = ticks_of(7)
+    ticks = action_ticks(7)
     assert ticks == [33, 33, 34, 33, 33, 34, 33]
     alone, each = roll(
         fin, fin.init(KEY), Command(*(jnp.repeat(part, np.array(ticks)) for part in ACTIONS))
@@ -104,25 +104,25 @@ def test_the_rows_of_an_action_that_count_are_those_it_is_held(ticks: int) -> No
     command = Command(jnp.float32(0.4), jnp.float32(2.0))
     state, reading = jax.jit(partial(hold_action, fin))(fin.init(KEY), command, ticks)
     expected_state, expected = fin.advance(fin.init(KEY), command, ticks)
-    assert reading.force.shape == (MOST_TICKS, 2)
+    assert reading.force.shape == (MAX_ACTION_TICKS, 2)
     np.testing.assert_allclose(reading.force[:ticks], expected.force, rtol=1e-5)
     np.testing.assert_allclose(state.angle, expected_state.angle, rtol=1e-5)
     np.testing.assert_allclose(
-        mean_of(reading.force, ticks), expected.force.mean(axis=0), rtol=1e-5
+        masked_mean(reading.force, ticks), expected.force.mean(axis=0), rtol=1e-5
     )
 
 
 def test_rows_that_count_follow_one_another() -> None:
-    rows = jnp.arange(3 * MOST_TICKS)
-    kept = counted(rows.reshape(3, MOST_TICKS), 3)
-    assert kept.tolist() == rows_of(3) == [row for row in rows.tolist() if row not in (33, 67)]
+    rows = jnp.arange(3 * MAX_ACTION_TICKS)
+    kept = counted(rows.reshape(3, MAX_ACTION_TICKS), 3)
+    assert kept.tolist() == valid_rows(3) == [row for row in rows.tolist() if row not in (33, 67)]
 
 
 class Careless(AnalyticFin):
     """Forgets that the last row of a short action does not count."""
 
     def hold_action(self, state: Any, command: Command, ticks: Any) -> tuple[Any, Reading]:
-        return self.advance(state, command, MOST_TICKS)
+        return self.advance(state, command, MAX_ACTION_TICKS)
 
 
 class Careful(AnalyticFin):

@@ -14,8 +14,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from softfin.cli import COMMANDS, arguments_of
-from softfin.cli.options import fields_of
+from softfin.cli import COMMANDS, import_arguments
+from softfin.cli.options import list_fields
 from softfin.core import errors
 from tests.data.recorded import record
 from tests.documents import ROOT
@@ -36,7 +36,7 @@ def test_the_command_line_page_has_every_option_of_every_command(generate, monke
     text = "\n" + "\n".join(generate.command_line())
     for name in COMMANDS:
         section = text.split(f"\n## {name}\n")[1].split("\n## ")[0]
-        assert all(field.usage in section for field in fields_of(arguments_of(name)))
+        assert all(field.usage in section for field in list_fields(import_arguments(name)))
 
 
 def test_the_configuration_page_has_every_field_with_its_description(generate):

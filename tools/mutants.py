@@ -504,7 +504,7 @@ class Run:
             tests = self._project.tests[mutation.module]
             limit_s = limits[mutation.module]
             return self._journal.outcome(
-                name_of(mutation), lambda: self._workshop.run([mutation], tests, limit_s)
+                plant_name(mutation), lambda: self._workshop.run([mutation], tests, limit_s)
             )
 
         outcomes = dict(zip(mutations, self._pool.map(run_own, mutations), strict=True))
@@ -524,7 +524,7 @@ class Run:
     def _run_wider(self, group: list[Mutation], limit_s: float) -> dict[Mutation, Outcome]:
         """Run the wider tests on many mutants at once, and on either half if they fail: most
         survivors survive."""
-        name = "wider " + " + ".join(map(name_of, group))
+        name = "wider " + " + ".join(map(plant_name, group))
         outcome = self._journal.outcome(
             name, lambda: self._workshop.run(group, self._project.wider, limit_s)
         )
@@ -553,7 +553,7 @@ def _touch(one: Mutation, other: Mutation) -> bool:
     return one.module == other.module and one.start <= other.end and other.start <= one.end
 
 
-def name_of(mutation: Mutation) -> str:
+def plant_name(mutation: Mutation) -> str:
     """Return the name by which a mutant is known in the journal and in the table."""
     before, after = (" ".join(text.split()) for text in (mutation.before, mutation.after))
     return (
@@ -569,12 +569,12 @@ def report(project: Project, outcomes: dict[Mutation, Outcome]) -> bool:
     for mutation, outcome in outcomes.items():
         reason = project.reason(mutation)
         if outcome.status == "timeout":
-            sys.stdout.write(f"timeout after {outcome.by}: {name_of(mutation)}\n")
+            sys.stdout.write(f"timeout after {outcome.by}: {plant_name(mutation)}\n")
         if outcome.status != "survived":
             column = 1 if outcome.status == "timeout" else 0
         elif reason is not None:
             column = 2
-            sys.stdout.write(f"explained: {name_of(mutation)}: {reason}\n")
+            sys.stdout.write(f"explained: {plant_name(mutation)}: {reason}\n")
         else:
             column = 3
             unexplained.append(mutation)
@@ -585,7 +585,7 @@ def report(project: Project, outcomes: dict[Mutation, Outcome]) -> bool:
     for module, row in [*sorted(counts.items()), ("all", total)]:
         sys.stdout.write(f"{module:28}" + "".join(f"{count:11}" for count in row) + "\n")
     for mutation in unexplained:
-        sys.stdout.write(f"survived: {name_of(mutation)}\n")
+        sys.stdout.write(f"survived: {plant_name(mutation)}\n")
     return not unexplained
 
 

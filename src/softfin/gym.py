@@ -18,7 +18,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant
-from softfin.core.quantities import command_of
+from softfin.core.quantities import action_to_command
 from softfin.gaits.reachable import Cell
 from softfin.storage.registry import find_plant
 from softfin.task.references import PAPER_RANGE, References
@@ -118,7 +118,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         held = jnp.asarray(action, jnp.float32)
         if self._film is not None:
             self._film.add(
-                self._state.plant, command_of(self.task.plant.limits, held), ticks, reference
+                self._state.plant, action_to_command(self.task.plant.limits, held), ticks, reference
             )
         self._state, outcome = self._step(self._state, held, ticks)
         self._actions += 1

@@ -22,7 +22,7 @@ DISTRIBUTIONS = {
 """Distributions of modules that have another name."""
 
 
-def version_of(distribution: str) -> str | None:
+def installed_version(distribution: str) -> str | None:
     """Version of an installed distribution; None where it is not installed."""
     try:
         return importlib.metadata.version(distribution)
@@ -30,7 +30,7 @@ def version_of(distribution: str) -> str | None:
         return None
 
 
-def requirements_of(extra: str | None) -> list[str]:
+def extra_requirements(extra: str | None) -> list[str]:
     """Distributions that softfin itself needs, or that an extra of it adds, with those of an extra
     that it brings."""
     names: list[str] = []
@@ -40,13 +40,13 @@ def requirements_of(extra: str | None) -> list[str]:
         name = re.split(r"[\s<>=!~\[(]", requirement.strip())[0].lower().replace("_", "-")
         if (of and of[1]) == extra:
             brought = re.search(r"\[([\w-]+)\]", requirement)
-            names += requirements_of(brought[1]) if name == "softfin" and brought else [name]
+            names += extra_requirements(brought[1]) if name == "softfin" and brought else [name]
     return names
 
 
 def missing_from(extra: str | None) -> list[str]:
     """Distributions of an extra, or of softfin itself, that are not installed."""
-    return [name for name in requirements_of(extra) if version_of(name) is None]
+    return [name for name in extra_requirements(extra) if installed_version(name) is None]
 
 
 def what_is_missing(error: ModuleNotFoundError) -> str | None:
@@ -54,10 +54,10 @@ def what_is_missing(error: ModuleNotFoundError) -> str | None:
     needs no such one."""
     module = (error.name or "").partition(".")[0]
     distribution = DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
-    parts = [extra for extra in (None, *EXTRAS) if distribution in requirements_of(extra)]
+    parts = [extra for extra in (None, *EXTRAS) if distribution in extra_requirements(extra)]
     if not parts:
         return None
-    if (version := version_of(distribution)) is not None:
+    if (version := installed_version(distribution)) is not None:
         return (
             f"needs {error.name}, which {distribution} {version} lacks; install {distribution} "
             "again"
@@ -84,7 +84,7 @@ def how_to_add(extra: str) -> str:
     if source is None:
         # Nothing is published: by its name alone pip would find nothing, or somebody else's
         # package.
-        wheel = f"dist/softfin-{version_of('softfin')}-py3-none-any.whl"
+        wheel = f"dist/softfin-{installed_version('softfin')}-py3-none-any.whl"
         return f'make wheel, in a checkout of softfin, then {install} "{wheel}[{extra}]"'
     url = source["url"]
     vcs = source.get("vcs_info")

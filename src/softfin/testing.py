@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS
+from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import TICK_S, Command, Limits, Reading, command_of
+from softfin.core.quantities import TICK_S, Command, Limits, Reading, action_to_command
 
 STROKE_TICKS = ACTION_TICKS[0]
 
@@ -102,7 +102,7 @@ def _purity(plant: Plant) -> Iterator[Problem]:
 def _batches(plant: Plant) -> Iterator[Problem]:
     keys = jax.random.split(jax.random.key(1), 2)
     actions = jnp.asarray([[0.5, -0.5, 0.2], [-0.5, 0.5, 0.0]], jnp.float32)
-    angles = command_of(plant.limits, (actions, jnp.ones_like(actions))).angle
+    angles = action_to_command(plant.limits, (actions, jnp.ones_like(actions))).angle
     velocities = jnp.full_like(angles, plant.limits.velocity_max)
 
     def strokes(key: Any, commands: Command) -> Any:
@@ -166,10 +166,10 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         state: State = plant.init(jax.random.key(0))
         after, reading = whole(state, ticks)
         expected_after, expected = plant.advance(state, command, ticks)
-        if jnp.shape(reading.force) != (MOST_TICKS, 2):
+        if jnp.shape(reading.force) != (MAX_ACTION_TICKS, 2):
             yield (
                 f"hold_action gives forces of shape {jnp.shape(reading.force)}",
-                f"it must be ({MOST_TICKS}, 2)",
+                f"it must be ({MAX_ACTION_TICKS}, 2)",
             )
         pairs = zip(
             jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),

@@ -7,7 +7,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.storage.dataset import Dataset
-from tests.data.faulty import columns_of, tank_logs
+from tests.data.faulty import tank_logs, to_columns
 
 COLUMNS = (
     "angle=position,command_angle=command angle,command_velocity=command "
@@ -20,7 +20,7 @@ def authors(tmp_path_factory):
     """As the paper's authors lay theirs out: logs end to end without a time, test sets beside; here
     in degrees."""
     path = tmp_path_factory.mktemp("authors")
-    logs = [columns_of(log) for log in tank_logs(3)]
+    logs = [to_columns(log) for log in tank_logs(3)]
 
     def write(name, parts):
         joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}

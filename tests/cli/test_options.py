@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 import pytest
 
-from softfin.cli import COMMANDS, arguments_of
+from softfin.cli import COMMANDS, import_arguments
 from softfin.cli.common import Force
-from softfin.cli.options import HelpRequested, Option, check, fields_of, help_of, parse
+from softfin.cli.options import HelpRequested, Option, check, format_help, list_fields, parse
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, ConfigurationError
 
@@ -133,7 +133,7 @@ def test_help_shows_what_is_required_first_and_every_default(
     with pytest.raises(HelpRequested):
         parse(Example, ["--zzz-is-not-looked-at=1", "-h"][1:])
     assert (
-        help_of(Example, "example")
+        format_help(Example, "example")
         == """\
 usage: example SOURCE MORE ... --out PATH [OPTION ...]
 
@@ -163,11 +163,11 @@ options:
 def test_the_help_of_every_command_names_kinds_of_values_and_describes_each_option(
     name: str,
 ) -> None:
-    text = help_of(arguments_of(name), f"softfin {name}")
+    text = format_help(import_arguments(name), f"softfin {name}")
     assert "None" not in text
     assert "STR" not in text
     assert "('" not in text, "a default is shown as Python writes it"
-    for field in fields_of(arguments_of(name)):
+    for field in list_fields(import_arguments(name)):
         assert field.usage in text
         if field.option.positional:
             assert field.choices or field.option.metavar, f"{field.field} has no name of its own"

@@ -20,14 +20,14 @@ from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import Session
 from softfin.storage import artifact as artifacts
 from tests.cli.test_cli import fails
-from tests.control.folders import folder_of
+from tests.control.folders import folder_option
 from tests.rig.machines import FreeFin
 from tests.rig.rigs import simulated
 
 
 @pytest.fixture(scope="module")
 def controller(tmp_path_factory):
-    return folder_of("single", tmp_path_factory.mktemp("controller"))
+    return folder_option("single", tmp_path_factory.mktemp("controller"))
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from softfin.rig.epos2.protocol import State
 from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
-from tests.control.folders import folder_of
+from tests.control.folders import folder_option
 from tests.patience import wait_until
 from tests.rig.bags import counts_of, events_of
 from tests.rig.rigs import filed, over_sockets, simulated
@@ -20,7 +20,7 @@ from tests.rig.rigs import filed, over_sockets, simulated
 
 @pytest.fixture(scope="module")
 def controller(tmp_path_factory):
-    return folder_of("single", tmp_path_factory.mktemp("controller"))
+    return folder_option("single", tmp_path_factory.mktemp("controller"))
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ KINDS = ("single", "phased", "grid", "cold", "gaits")
 it."""
 
 
-def folder_of(kind: str, folder: Path) -> Path:
+def folder_option(kind: str, folder: Path) -> Path:
     """Write one and say where."""
     out = folder / kind
     if kind == "gaits":

@@ -6,7 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-from tests.control.folders import KINDS, folder_of
+from tests.control.folders import KINDS, folder_option
 from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]
@@ -66,7 +66,7 @@ def test_every_kind_acts_with_what_the_robots_part_installs(tmp_path: Path) -> N
     ]
     names = [re.split(r"[<>=]", line)[0] for line in extras["learn"]]
     lacking = ["jaxlib", "PIL", *(name.replace("-", "_") for name in names)]
-    said = run(WITHOUT, " ".join(lacking), *(str(folder_of(kind, tmp_path)) for kind in KINDS))
+    said = run(WITHOUT, " ".join(lacking), *(str(folder_option(kind, tmp_path)) for kind in KINDS))
     assert [line.split()[0] for line in said.splitlines()] == [
         kind for kind in ("single", "single", "grid", "grid", "gaits") for _ in range(2)
     ]

@@ -18,7 +18,7 @@ from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, CoverageError
 from softfin.core.operations import NUMPY
-from softfin.core.quantities import PAPER_LIMITS, command_of
+from softfin.core.quantities import PAPER_LIMITS, action_to_command
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell
 from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.controllers import save_controller
@@ -96,7 +96,7 @@ def test_a_controller_acts_as_its_policy_does_in_the_task() -> None:
             memory, action = policy.act(memory, task.observe(fin))
             state, command = act(state, Measured(fin.angle, jnp.zeros(2)), fin.reference)
             np.testing.assert_allclose(
-                command, command_of(PAPER_LIMITS, action), rtol=1e-4, atol=1e-5
+                command, action_to_command(PAPER_LIMITS, action), rtol=1e-4, atol=1e-5
             )
             fin, _ = step(fin, action, ACTION_TICKS[i % 3])
 

@@ -11,7 +11,7 @@ from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.gait import GaitStep
 from softfin.core.errors import CoverageError
-from softfin.core.quantities import PAPER_LIMITS, command_of
+from softfin.core.quantities import PAPER_LIMITS, action_to_command
 from tests.gaits.test_map_store import KNOWN, TABLE
 
 STEP, CELLS = GaitStep.load(KNOWN.to_dict(), KNOWN.arrays(), PAPER_LIMITS, ())
@@ -28,7 +28,7 @@ def commands(references: Any) -> np.ndarray:
 
 def expected(actions: Any) -> np.ndarray:
     return np.stack(
-        [jnp.stack(command_of(PAPER_LIMITS, action)) for action in jnp.asarray(actions)]
+        [jnp.stack(action_to_command(PAPER_LIMITS, action)) for action in jnp.asarray(actions)]
     )
 
 

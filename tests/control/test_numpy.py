@@ -17,7 +17,7 @@ from softfin.core.errors import RunError
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.force_map import MapConfig
-from tests.control.folders import KINDS, folder_of
+from tests.control.folders import KINDS, folder_option
 from tests.gaits.test_map_store import KNOWN
 
 ACTIONS = 200
@@ -26,7 +26,7 @@ ACTIONS = 200
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     out = tmp_path_factory.mktemp("controllers")
-    return {kind: folder_of(kind, out) for kind in KINDS}
+    return {kind: folder_option(kind, out) for kind in KINDS}
 
 
 def episode(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -17,13 +17,13 @@ from softfin.control.controller import Measured
 from softfin.control.onnx import OPSET, export_onnx
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError, RunError
-from tests.control.folders import KINDS, folder_of
+from tests.control.folders import KINDS, folder_option
 
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     out = tmp_path_factory.mktemp("controllers")
-    return {kind: folder_of(kind, out) for kind in KINDS}
+    return {kind: folder_option(kind, out) for kind in KINDS}
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 
 import softfin
-from softfin.core.randomness import cma_es, generator_of
+from softfin.core.randomness import cma_es, named_generator
 
 
 def searched(seed):
@@ -16,7 +16,7 @@ def searched(seed):
 
 
 def test_every_whole_number_is_a_seed():
-    numbers = [generator_of(seed, "a").integers(2**62) for seed in (-1, 2**32 - 1, 2**40, 0, 1)]
+    numbers = [named_generator(seed, "a").integers(2**62) for seed in (-1, 2**32 - 1, 2**40, 0, 1)]
     assert numbers[0] == numbers[1]
     assert numbers[2] == numbers[3] != numbers[4]
 

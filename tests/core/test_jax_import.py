@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.control.folders import folder_of
+from tests.control.folders import folder_option
 from tests.patience import HANG_S
 
 IMPORT_ALL = """
@@ -137,7 +137,7 @@ def test_importing_any_module_leaves_jax_and_the_import_system_as_they_are() -> 
 def test_controllers_are_pytrees_whether_jax_is_imported_before_or_after_them(
     first: str, tmp_path: Path
 ) -> None:
-    folders = [folder_of(kind, tmp_path) for kind in ("single", "grid", "gaits")]
+    folders = [folder_option(kind, tmp_path) for kind in ("single", "grid", "gaits")]
     run(ARE_PYTREES.format(first=first), *folders)
 
 

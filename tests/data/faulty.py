@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 
 from softfin.core.plant import Plant
 from softfin.core.quantities import Command, Log, Reading
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.data.excitation import ExcitationConfig
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.simulate import simulate
@@ -32,11 +32,11 @@ def tank_logs(count: int = 2) -> tuple[Log, ...]:
 
 
 def cut(log: Log, start: int, end: int) -> Log:
-    return log_of({name: values[start:end] for name, values in columns_of(log).items()})
+    return log_of({name: values[start:end] for name, values in to_columns(log).items()})
 
 
 def recorded(plant: Plant, count: int, rows: int) -> tuple[Log, ...]:
-    keys = [key_of(0, f"tests/{index}") for index in range(count)]
+    keys = [named_key(0, f"tests/{index}") for index in range(count)]
     logs = simulate([plant] * count, keys, rows, ExcitationConfig(), count, lambda _: None)
     clock = np.arange(1, rows + 1) / 100
     return tuple(Log(log.command, log.reading._replace(time=clock)) for log in logs)
@@ -51,7 +51,7 @@ def named(*logs: Log, test: int = 1) -> list[NamedLog]:
     ]
 
 
-def columns_of(log: Log) -> Columns:
+def to_columns(log: Log) -> Columns:
     force = np.asarray(log.reading.force, np.float64)
     series = (
         log.reading.time,

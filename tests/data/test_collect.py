@@ -22,7 +22,7 @@ def dataset(config, tmp_path_factory):
     return collect_logs(AnalyticFin(), config, tmp_path_factory.mktemp("collect") / "data")
 
 
-def logs_of(dataset) -> list[Log]:
+def build_logs(dataset) -> list[Log]:
     return list(dataset.load([*dataset.train, *dataset.test]))
 
 
@@ -32,7 +32,7 @@ def assert_same(one: Log, other: Log, tolerance: float = 0.0) -> None:
 
 def test_a_dataset_holds_the_logs_that_were_asked_for(dataset, config):
     assert (len(dataset.train), len(dataset.test)) == (4, 2)
-    for log in logs_of(dataset):
+    for log in build_logs(dataset):
         assert log.reading.force.shape == (ROWS, 2)
         np.testing.assert_array_equal(log.reading.time, np.arange(1, ROWS + 1) / 100)
     assert dataset.description["configuration"] == config.model_dump()
@@ -41,7 +41,7 @@ def test_a_dataset_holds_the_logs_that_were_asked_for(dataset, config):
 
 
 def test_no_two_logs_are_alike(dataset):
-    logs = logs_of(dataset)
+    logs = build_logs(dataset)
     angles = {log.command.angle[:200].tobytes() for log in logs}
     noises = {log.reading.force[:200].tobytes() for log in logs}
     assert len(angles) == len(noises) == len(logs)
@@ -50,7 +50,7 @@ def test_no_two_logs_are_alike(dataset):
 def test_the_command_of_a_row_shows_first_in_the_reading_of_the_next(dataset):
     """By the equation of the analytic fin: the speed of row k + 1 follows from the angle and the
     command of row k."""
-    for log in logs_of(dataset):
+    for log in build_logs(dataset):
         speed = (log.command.angle - log.reading.angle) / AnalyticFin().lag_s
         expected = np.clip(speed, -log.command.velocity, log.command.velocity)
         np.testing.assert_allclose(log.reading.velocity[1:], expected[:-1], atol=1e-4)
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_files_and_another_seed_others(dataset, con
 @pytest.mark.parametrize("batch", [1, 3])
 def test_a_log_does_not_depend_on_what_is_simulated_beside_it(dataset, config, tmp_path, batch):
     other = collect_logs(AnalyticFin(), config.changed([f"batch={batch}"]), tmp_path / "data")
-    for one, another in zip(logs_of(dataset), logs_of(other), strict=True):
+    for one, another in zip(build_logs(dataset), build_logs(other), strict=True):
         assert_same(one, another, tolerance=1e-5)
 
 
@@ -93,7 +93,7 @@ def test_plants_that_cannot_be_stacked_run_one_after_another(tmp_path):
     mixed = collect_logs(
         AnalyticFin(), config, tmp_path / "two", test_plants=[AnalyticFin(gain=0.1), PlainFin(0.9)]
     )
-    for one, other in zip(logs_of(stacked), logs_of(mixed), strict=True):
+    for one, other in zip(build_logs(stacked), build_logs(mixed), strict=True):
         assert_same(one, other, tolerance=1e-5)
 
 
@@ -101,7 +101,8 @@ def test_plants_that_differ_in_what_is_compiled_keep_their_difference(tmp_path):
     config = CollectConfig(logs=1, test_logs=2, rows=300)
     plants = [AnalyticFin(lag_s=0.05, noise_n=0.0), AnalyticFin(lag_s=0.5, noise_n=0.0)]
     fast, slow = (
-        log for log in logs_of(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:]
+        log
+        for log in build_logs(collect_logs(AnalyticFin(), config, tmp_path / "data", plants))[-2:]
     )
     for log, lag in ((fast, 0.05), (slow, 0.5)):
         expected = np.clip(
@@ -171,11 +172,11 @@ def test_a_plant_whose_clock_is_wrong_is_refused(tmp_path):
 
 def test_the_first_command_is_met_at_rest(dataset):
     """Row 1 was read one tick after rest at angle 0, so its angle is within one tick's travel."""
-    for log in logs_of(dataset):
+    for log in build_logs(dataset):
         assert 0 < abs(log.reading.angle[0]) <= PAPER_LIMITS.velocity_max * TICK_S + 1e-6
 
 
 def test_the_kept_command_is_a_command(dataset):
-    command: Command = logs_of(dataset)[0].command
+    command: Command = build_logs(dataset)[0].command
     assert PAPER_LIMITS.velocity_min <= command.velocity.min()
     assert command.velocity.max() <= PAPER_LIMITS.velocity_max

@@ -13,7 +13,7 @@ from softfin.data.issues import Issue
 from softfin.data.recordings import OpenedLogs, find_recordings, open_logs
 from softfin.storage.dataset import Dataset, write_dataset
 from tests.data.bags import topics_of, write_bag
-from tests.data.faulty import columns_of, cut, tank_logs, write_parquet
+from tests.data.faulty import cut, tank_logs, to_columns, write_parquet
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +28,12 @@ def dataset(tmp_path_factory, logs):
     return path
 
 
-def folder_of(path, logs):
+def folder_option(path, logs):
     path.mkdir()
     for index, log in enumerate(logs[:2]):
-        pyarrow.csv.write_csv(pa.table(columns_of(log)), path / f"run{index}.csv")
-    write_parquet(path / "Test_a.parquet", columns_of(logs[2]))
-    write_bag(path / "test" / "bag", topics_of(columns_of(logs[2])))
+        pyarrow.csv.write_csv(pa.table(to_columns(log)), path / f"run{index}.csv")
+    write_parquet(path / "Test_a.parquet", to_columns(logs[2]))
+    write_bag(path / "test" / "bag", topics_of(to_columns(logs[2])))
     (path / "notes.md").write_text("a calm day")
     (path / ".hidden.csv").write_text("")
     return path
@@ -54,14 +54,14 @@ def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
 
 def test_a_dataset_that_was_changed_is_refused_as_ever(tmp_path, logs):
     write_dataset(tmp_path / "d", logs[:1], [], {})
-    write_parquet(tmp_path / "d" / "train" / "0000.parquet", columns_of(logs[1]))
+    write_parquet(tmp_path / "d" / "train" / "0000.parquet", to_columns(logs[1]))
     with pytest.raises(ArtifactError, match="truncated or changed"):
         open_logs(tmp_path / "d")
 
 
 def test_faulty_files_put_into_a_dataset_are_issues_not_the_first_error(tmp_path, logs):
     for index, log in enumerate(logs[:2]):
-        columns = columns_of(log)
+        columns = to_columns(log)
         columns["force_x_n"][5 + index] = np.nan
         write_parquet(tmp_path / "train" / f"{index}.parquet", columns)
     (tmp_path / "dataset.json").write_text("{}")
@@ -71,7 +71,7 @@ def test_faulty_files_put_into_a_dataset_are_issues_not_the_first_error(tmp_path
 
 
 def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
-    opened = open_logs(folder_of(tmp_path / "all", logs))
+    opened = open_logs(folder_option(tmp_path / "all", logs))
     assert [(one.name, one.part) for one in opened.logs] == [
         ("Test_a.parquet", "test"),
         ("run0.csv", "train"),
@@ -95,8 +95,8 @@ def test_a_folder_of_all_kinds_opens_as_one_set_of_logs(tmp_path, logs):
 
 
 def test_a_velocity_of_zeros_in_one_of_several_logs_stops_until_the_fix_is_given(tmp_path, logs):
-    folder = folder_of(tmp_path / "logs", logs)
-    columns = columns_of(logs[2])
+    folder = folder_option(tmp_path / "logs", logs)
+    columns = to_columns(logs[2])
     columns["velocity_rad_s"][:] = 0
     write_bag(folder / "joint", topics_of(columns))
     with pytest.raises(
@@ -110,12 +110,12 @@ def test_a_velocity_of_zeros_in_one_of_several_logs_stops_until_the_fix_is_given
 
 
 def test_one_file_is_enough(tmp_path, logs):
-    path = folder_of(tmp_path / "all", logs) / "run0.csv"
+    path = folder_option(tmp_path / "all", logs) / "run0.csv"
     assert [one.name for one in open_logs(path).logs] == ["run0.csv"]
 
 
 def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
-    path = folder_of(tmp_path / "all", logs)
+    path = folder_option(tmp_path / "all", logs)
     opened = open_logs(path, ImportConfig(test="run1*"))
     assert [one.name for one in opened.logs if one.part == "test"] == ["run1.csv"]
     with pytest.raises(ConfigurationError, match="--test walk: matches none of the files"):
@@ -129,7 +129,7 @@ def test_test_logs_are_chosen_by_a_pattern(tmp_path, logs):
 
 
 def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
-    path = folder_of(tmp_path / "all", logs)
+    path = folder_option(tmp_path / "all", logs)
     plain = open_logs(path).data_hash
     assert plain == open_logs(path).data_hash
     assert plain != open_logs(path, ImportConfig(force="x,-y")).data_hash
@@ -140,7 +140,7 @@ def test_the_hash_tells_files_and_options_apart(tmp_path, logs):
 def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, logs):
     for name, angle in (("a", "theta"), ("b", "theta"), ("c", "pos [rad]")):
         columns = {
-            angle if own == "angle_rad" else own: each for own, each in columns_of(logs[0]).items()
+            angle if own == "angle_rad" else own: each for own, each in to_columns(logs[0]).items()
         }
         write_parquet(tmp_path / f"{name}.parquet", columns)
     opened = open_logs(tmp_path)
@@ -155,7 +155,7 @@ def test_files_whose_columns_are_read_in_another_way_are_each_shown(tmp_path, lo
 
 
 def test_pieces_that_are_all_too_short_are_refused(tmp_path, logs):
-    columns = {name: values[np.r_[0:100, 150:250]] for name, values in columns_of(logs[0]).items()}
+    columns = {name: values[np.r_[0:100, 150:250]] for name, values in to_columns(logs[0]).items()}
     write_parquet(tmp_path / "a.parquet", columns)
     with pytest.raises(
         LogError, match="no logs: all pieces between gaps are shorter than 2 s; --shortest 1"
@@ -164,7 +164,7 @@ def test_pieces_that_are_all_too_short_are_refused(tmp_path, logs):
 
 
 def test_nanoseconds_since_1970_are_a_clock_too(tmp_path, logs):
-    columns = columns_of(logs[0])
+    columns = to_columns(logs[0])
     columns["time_s"] = 1_700_000_000_123_456_789 + 10_000_000 * np.arange(2000)
     pq.write_table(pa.table(columns), tmp_path / "a.parquet")
     (one,) = open_logs(tmp_path, ImportConfig(time_unit="ns")).logs

@@ -14,11 +14,11 @@ from softfin.evaluation.moving_references import (
     SIGNALS,
     MovingPlan,
     _row,
+    moving_signals,
     moving_together,
     plan_moving,
-    signals_of,
 )
-from softfin.evaluation.range_errors import range_of
+from softfin.evaluation.range_errors import controller_range
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 from softfin.task.signals import Ramp, Recorded, Step
@@ -127,8 +127,8 @@ def test_the_instantaneous_error_counts_the_delay_of_the_window():
 
 def test_the_default_signals_lie_within_the_papers_range_and_its_cells():
     for kind in SIGNALS:
-        assert plan_moving(Covering(), [kind], None)[0].signals == signals_of(kind, PAPER_RANGE)
-    assert signals_of("step", PAPER_RANGE)[0] == Step(start_n=(2, 0), to_n=(3, 0))
+        assert plan_moving(Covering(), [kind], None)[0].signals == moving_signals(kind, PAPER_RANGE)
+    assert moving_signals("step", PAPER_RANGE)[0] == Step(start_n=(2, 0), to_n=(3, 0))
 
 
 def test_the_default_signals_keep_to_another_range():
@@ -143,7 +143,7 @@ def test_the_default_signals_keep_to_another_range():
 
 def test_default_signals_beyond_the_fins_reach_are_brought_to_its_edge():
     reachable = Reachable(np.float32([2, 0]), np.full(64, 0.5, np.float32))
-    small, both, *_ = signals_of("step", PAPER_RANGE, reachable)
+    small, both, *_ = moving_signals("step", PAPER_RANGE, reachable)
     np.testing.assert_allclose([small.start_n, small.to_n], [[2, 0], [2.5, 0]], atol=1e-3)
     np.testing.assert_allclose(both.start_n, [2 - 0.5**1.5, -(0.5**1.5)], atol=2e-3)
 
@@ -183,7 +183,7 @@ def test_strictly_it_is_refused_with_time_and_force():
 
 def test_a_controller_without_cells_has_the_papers_range():
     assert isinstance(Flapper(), Controller)
-    assert range_of(Flapper()) == range_of(Covering()) == PAPER_RANGE
+    assert controller_range(Flapper()) == controller_range(Covering()) == PAPER_RANGE
 
 
 def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import CoverageError
-from softfin.core.randomness import generator_of
+from softfin.core.randomness import named_generator
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.figures import error_map_figure
 from softfin.evaluation.range_errors import draw_references, errors_at, map_errors, random_errors
@@ -22,7 +22,7 @@ DISC = Reachable(np.float32([2, 0]), np.full(64, 1.0, np.float32))
 
 def test_they_lie_in_a_cell_and_in_reach_and_are_spread_by_area():
     cells = (Cell(low=(1, -1), high=(2, 1)), Cell(low=(2, 0), high=(3, 1)))
-    forces = draw_references(cells, DISC, 3000, generator_of(0, "test"))
+    forces = draw_references(cells, DISC, 3000, named_generator(0, "test"))
     assert forces.shape == (3000, 2)
     assert DISC.contains(forces).all()
     assert all(min(cell.distance((x, y)) for cell in cells) == 0 for x, y in forces.tolist())
@@ -32,7 +32,7 @@ def test_they_lie_in_a_cell_and_in_reach_and_are_spread_by_area():
 
 def test_the_seed_says_which():
     one, same, other = (
-        draw_references(PAPER_CELLS, None, 5, generator_of(seed, "test")) for seed in (0, 0, 1)
+        draw_references(PAPER_CELLS, None, 5, named_generator(seed, "test")) for seed in (0, 0, 1)
     )
     np.testing.assert_array_equal(one, same)
     assert (one != other).all()
@@ -42,7 +42,7 @@ def test_cells_beyond_reach_are_refused():
     with pytest.raises(
         CoverageError, match=r"random = 3: of 300 references .* this fin can make 0; train"
     ):
-        draw_references((Cell(low=(5, 5), high=(6, 6)),), DISC, 3, generator_of(0, "test"))
+        draw_references((Cell(low=(5, 5), high=(6, 6)),), DISC, 3, named_generator(0, "test"))
 
 
 def test_the_errors_have_mean_percentile_and_worst():

@@ -7,9 +7,9 @@ from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
 from softfin.evaluation.scores import (
     STILL_RAD_S,
+    list_steps,
     score,
     step_responses,
-    steps_of,
     travel,
 )
 from softfin.gaits.reachable import PAPER_REFERENCES
@@ -192,10 +192,10 @@ def test_one_step_is_scored_up_to_the_next():
 
 
 def test_only_changes_between_forces_held_for_a_window_are_steps():
-    assert steps_of(Step(start_n=(1, 0), to_n=(2, 0), at_s=2).sample(400)) == [(200, 400)]
-    assert steps_of(Step(start_n=(1, 0), to_n=(2, 0), at_s=1).sample(400)) == []
-    assert steps_of(Ramp(start_n=(1, 0), to_n=(2, 0), begin_s=5, end_s=10).sample(1500)) == []
-    assert steps_of(Sinusoid(centre_n=(1, 0), amplitude_n=(1, 1)).sample(1500)) == []
+    assert list_steps(Step(start_n=(1, 0), to_n=(2, 0), at_s=2).sample(400)) == [(200, 400)]
+    assert list_steps(Step(start_n=(1, 0), to_n=(2, 0), at_s=1).sample(400)) == []
+    assert list_steps(Ramp(start_n=(1, 0), to_n=(2, 0), begin_s=5, end_s=10).sample(1500)) == []
+    assert list_steps(Sinusoid(centre_n=(1, 0), amplitude_n=(1, 1)).sample(1500)) == []
 
 
 def test_a_force_that_is_its_reference_has_no_error_on_a_ramp_either():

@@ -9,7 +9,7 @@ from softfin.core.quantities import Command
 from softfin.core.window import moving_average
 from softfin.evaluation.evaluate import EvaluateConfig, evaluate
 from softfin.evaluation.experiment import ExperimentRecording, run
-from softfin.evaluation.scores import SurrogateUncertainty, uncertainty_of
+from softfin.evaluation.scores import SurrogateUncertainty, score_uncertainty
 from softfin.surrogate.streaming.ensemble import Familiarity
 from tests.evaluation.test_experiment import Echo
 from tests.plants import AnalyticFin
@@ -34,12 +34,12 @@ def fitted_within(limit):
 
 
 def test_a_plant_that_does_not_estimate_its_errors_has_no_uncertainty(recording):
-    assert uncertainty_of(AnalyticFin(), recording) is None
+    assert score_uncertainty(AnalyticFin(), recording) is None
 
 
 def test_the_half_width_is_that_of_the_members_own_means_over_the_recorded_commands(recording):
     plant = small.surrogate()
-    uncertainty = uncertainty_of(plant, recording)
+    uncertainty = score_uncertainty(plant, recording)
     commands = Command(*(jnp.asarray(part[1, 0]) for part in recording.command))
     force = []
     state = plant.init(jax.random.key(0))
@@ -58,7 +58,7 @@ def test_the_half_width_is_that_of_the_members_own_means_over_the_recorded_comma
 
 @pytest.mark.parametrize(("limit", "share"), [(1e-3, 1.0), (1e3, 0.0)])
 def test_samples_beyond_the_data_are_counted(recording, limit, share):
-    uncertainty = uncertainty_of(fitted_within(limit), recording)
+    uncertainty = score_uncertainty(fitted_within(limit), recording)
     np.testing.assert_array_equal(uncertainty.out_of_distribution_fraction, [share, share])
     assert (uncertainty.furthest > 1).all() == (share == 1)
 

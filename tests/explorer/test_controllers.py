@@ -10,11 +10,11 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import nearest_trackable
 from softfin.control.store import load_controller
 from softfin.core.errors import CoverageError
-from softfin.core.operations import operations_of
+from softfin.core.operations import select_operations
 from softfin.core.quantities import Command
 from softfin.core.window import moving_error, sobolev, window_mean
 from softfin.explorer.contents import controller_data, surrogate_data
-from tests.control.folders import KINDS, folder_of
+from tests.control.folders import KINDS, folder_option
 from tests.control.test_numpy import episode
 from tests.explorer import fins, node
 from tests.surrogate.streaming import small
@@ -45,7 +45,7 @@ output = input.references.map((reference) => {
 @pytest.fixture(scope="module")
 def controllers(tmp_path_factory):
     out = tmp_path_factory.mktemp("controllers")
-    return {kind: load_controller(folder_of(kind, out)) for kind in KINDS}
+    return {kind: load_controller(folder_option(kind, out)) for kind in KINDS}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -189,6 +189,6 @@ def test_where_cells_touch_the_same_policy_acts(controllers):
     singles = [np.array(force, np.float32) for force in forces]
     assert (
         page
-        == [int(step.active_cell(operations_of(low), step.init(), force)) for force in singles]
+        == [int(step.active_cell(select_operations(low), step.init(), force)) for force in singles]
         == [0, 0, 1]
     )

@@ -17,7 +17,7 @@ from softfin.gaits.reachable import Cell, Reachable
 from softfin.stages.explore import explore
 from softfin.surrogate import save_surrogate
 from tests.browser import Browser
-from tests.control.folders import folder_of
+from tests.control.folders import folder_option
 from tests.evaluation.test_report import Page
 from tests.surrogate.streaming import small
 
@@ -39,7 +39,7 @@ def gaits(path):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("explore")
-    folder_of("grid", out)
+    folder_option("grid", out)
     gaits(out / "gaits")
     save_surrogate(
         out / "<b>fin", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}

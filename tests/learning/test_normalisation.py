@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.learning.layers import LEAST_DEVIATION, Normalisation
+from softfin.learning.layers import MIN_DEVIATION, Normalisation
 from softfin.learning.policy import Critic, Policy, PolicyConfig
 
 SMALL = PolicyConfig(units=8, width=8)
@@ -67,7 +67,7 @@ def test_a_number_that_never_varied_is_not_blown_up_later() -> None:
     read = jax.jit(lambda seen, x: Normalisation.create(1).updated(seen)(x))
     same, more = np.asarray(read(np.full((100, 1), 0.7, np.float32), np.float32([[0.7], [0.8]])))
     np.testing.assert_allclose(same, 0, atol=1e-5)
-    np.testing.assert_allclose(more, 0.1 / LEAST_DEVIATION, rtol=1e-4)
+    np.testing.assert_allclose(more, 0.1 / MIN_DEVIATION, rtol=1e-4)
 
 
 def test_old_vectors_weigh_no_more_than_asked() -> None:

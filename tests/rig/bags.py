@@ -22,7 +22,7 @@ def counts_of(path: Path) -> Counter[str]:
         return Counter(channel.topic for _, channel, _ in make_reader(file).iter_messages())
 
 
-def commands_of(path: Path) -> list[tuple[float, float]]:
+def stack_commands(path: Path) -> list[tuple[float, float]]:
     """Time [s] and angle [rad] of each."""
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])

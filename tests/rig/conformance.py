@@ -5,7 +5,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from softfin.core.errors import RigError
-from softfin.rig.machine import Machine, Sample, Target, clock_of
+from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
 
 STEP_RAD = 0.2
@@ -35,7 +35,7 @@ def check_machine(machine: Any) -> None:
         members = [name for name in dir(Machine) if not name.startswith("_")]
         missing = [name for name in members if not hasattr(machine, name)]
         _fail(machine, f"has no {', '.join(missing)}", "softfin.rig.machine.Machine describes them")
-    pace = Pace(clock_of(machine))
+    pace = Pace(machine_clock(machine))
     machine.stop()
     machine.close()
     try:

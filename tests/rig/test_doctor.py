@@ -85,8 +85,8 @@ def test_the_folder_of_compiled_programs_is_checked(tmp_path, monkeypatch):
 
 def test_an_extra_that_is_not_there_says_how_it_is_added(monkeypatch):
     wanted = {"learn": ["numpy", "no-such-thing"], "onnx": ["mcap", "numpy", "no-such-thing"]}
-    monkeypatch.setattr(installation, "requirements_of", lambda extra: wanted.get(extra, []))
-    monkeypatch.setattr(doctor, "requirements_of", installation.requirements_of)
+    monkeypatch.setattr(installation, "extra_requirements", lambda extra: wanted.get(extra, []))
+    monkeypatch.setattr(doctor, "extra_requirements", installation.extra_requirements)
     # It brings `learn`, and does not work without it.
     assert results()["[onnx]"].text.startswith("lacks no-such-thing; where you need it: ")
     learn = results()["[learn]"]

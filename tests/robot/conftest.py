@@ -3,7 +3,7 @@
 import pytest
 
 from softfin.robot.description import RobotConfig, load_robot
-from softfin.robot.evaluate import gaits_of
+from softfin.robot.evaluate import find_all_gaits
 from softfin.robot.simulation import RobotSimulation
 from softfin.tank import Tank
 
@@ -38,7 +38,7 @@ def sister(ucat):
 
 @pytest.fixture(scope="session")
 def gaits():
-    return gaits_of([Tank()] * 4)
+    return find_all_gaits([Tank()] * 4)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import WINDOW, ticks_of
+from softfin.core.action_clock import WINDOW, action_ticks
 from softfin.core.quantities import Command
 from softfin.robot.fin_driver import REST, stroke
 from softfin.tank import Tank
@@ -37,7 +37,9 @@ def mean_force(gaits, force, velocity=(0.0, 0.0)):
     for action in range(24):
         state, command = stroke(gaits, state, force, 1 if action % 2 == 0 else -1)
         commands.append(command)
-    each_tick = Command(*(np.repeat(part, ticks_of(24)) for part in zip(*commands, strict=True)))
+    each_tick = Command(
+        *(np.repeat(part, action_ticks(24)) for part in zip(*commands, strict=True))
+    )
     found = np.asarray(simulated(jax.tree.map(jnp.float32, each_tick), jnp.asarray(velocity)))
     return found[-WINDOW:].mean(axis=0)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import RunError
-from softfin.robot.baselines import drivers_of
+from softfin.robot.baselines import build_drivers
 from softfin.robot.evaluate import RobotEvaluateConfig, trial
 from softfin.robot.motion_control import MotionController
 from softfin.robot.noise import NoiseConfig
@@ -20,7 +20,7 @@ LONG = RobotEvaluateConfig(hold_s=120, settled_s=30)
 
 @pytest.mark.slow
 def test_it_holds_its_place_against_a_push_and_a_current(ucat, simulation, gaits):
-    record, row = trial(simulation, drivers_of(ucat, gaits)["whole"], "hold", LONG, 0)
+    record, row = trial(simulation, build_drivers(ucat, gaits)["whole"], "hold", LONG, 0)
     assert row["position_rms_m"] < 0.02
     assert row["attitude_rms_deg"] < 2
     assert len(record.time) == 12000
@@ -29,7 +29,7 @@ def test_it_holds_its_place_against_a_push_and_a_current(ucat, simulation, gaits
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["lemniscate", "lissajous"])
 def test_it_follows_paths(ucat, simulation, gaits, task):
-    record, row = trial(simulation, drivers_of(ucat, gaits)["whole"], task, SHORT, 1)
+    record, row = trial(simulation, build_drivers(ucat, gaits)["whole"], task, SHORT, 1)
     assert row["position_rms_m"] < 0.06
     assert np.ptp(record.body.position[:, 0]) > 1
 
@@ -46,7 +46,7 @@ def test_it_goes_on_holding_when_a_fin_dies(ucat, simulation, gaits):
 @pytest.mark.parametrize(("task", "dead"), [("hold", False), ("hold", True), ("lemniscate", True)])
 def test_a_trial_may_last_for_any_time(ucat, simulation, gaits, task, dead, seconds):
     config = RobotEvaluateConfig(hold_s=seconds, path_s=seconds, settled_s=0.995, dead=dead)
-    record, row = trial(simulation, drivers_of(ucat, gaits)["whole"], task, config, 1)
+    record, row = trial(simulation, build_drivers(ucat, gaits)["whole"], task, config, 1)
     assert record.time[-1] == pytest.approx(seconds, abs=0.18)
     assert np.isfinite(row["position_rms_m"])
 

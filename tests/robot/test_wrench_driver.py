@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import RunError
-from softfin.robot.baselines import drivers_of
+from softfin.robot.baselines import build_drivers
 from softfin.robot.evaluate import RobotEvaluateConfig, draw_wrenches, wrench_errors
-from softfin.robot.phases import choose_phases, delay_of, side_of
+from softfin.robot.phases import choose_phases, phase_delay, stroke_side
 from softfin.robot.wrench_driver import WrenchDriver
 
 
@@ -20,7 +20,7 @@ def acted(driver, wrench, actions):
 @pytest.mark.slow
 def test_fins_in_the_tank_make_the_wrenches_and_their_ripple_cancels(ucat, simulation, gaits):
     wrenches = draw_wrenches(ucat, gaits, RobotEvaluateConfig(wrenches=16))
-    drivers = drivers_of(ucat, gaits)
+    drivers = build_drivers(ucat, gaits)
     found, free = (
         wrench_errors(simulation, drivers[name], wrenches) for name in ("whole", "without phases")
     )
@@ -101,7 +101,7 @@ def test_while_fins_stroke_a_little_ripple_more_is_kept():
 
 
 def test_phases_are_sixths_of_a_period():
-    assert [(delay_of(phase), side_of(phase, 0)) for phase in range(6)] == [
+    assert [(phase_delay(phase), stroke_side(phase, 0)) for phase in range(6)] == [
         (0, 1),
         (11, 1),
         (22, 1),
@@ -109,7 +109,7 @@ def test_phases_are_sixths_of_a_period():
         (11, -1),
         (22, -1),
     ]
-    assert side_of(0, 1) == -1
+    assert stroke_side(0, 1) == -1
 
 
 def test_a_fin_that_dies_makes_nothing_from_then_on(ucat, gaits):

@@ -22,10 +22,10 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
-from softfin.stages.live import bags_of, collect_live, evaluate_live
+from softfin.stages.live import collect_live, evaluate_live, find_bags
 from softfin.storage.dataset import Dataset
 from softfin.tank import Tank
-from tests.control.folders import folder_of
+from tests.control.folders import folder_option
 from tests.rig.bags import events_of
 from tests.rig.machines import FreeFin
 from tests.rig.rigs import SAFETY, emulated
@@ -54,7 +54,7 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
             collect_live(robot, out, CONFIG, yes, stop=request, progress=stop_in_the_second)
         assert behind.drive.state is State.SWITCH_ON_DISABLED
         assert not out.exists()
-        bags = bags_of(out)
+        bags = find_bags(out)
         assert sorted(path.name for path in bags.iterdir()) == [
             "collect.json",
             "test-000.mcap",
@@ -105,7 +105,7 @@ def test_nothing_moves_and_nothing_is_written_where_nobody_confirms(tmp_path):
 
 
 def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
-    folder = folder_of("single", tmp_path)
+    folder = folder_option("single", tmp_path)
     config = EvaluateConfig(references=((1.0, -1.0),), seconds=3, seeds=1)
     machine = FreeFin(SimulatedClock())
     robot = RobotSetup(machine, SafetyConfig.build(SAFETY, "safety"), settle_s=0.1)
@@ -114,7 +114,7 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
     assert machine.calls[-1] == "close"
     assert summary["references"][0]["reference_n"] == [1.0, -1.0]
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["mean"] == summary["mean"]
-    bag = next(bags_of(tmp_path / "out").glob("session-*.mcap"))
+    bag = next(find_bags(tmp_path / "out").glob("session-*.mcap"))
     active, rest, inactive = events_of(bag)
     assert (active, inactive) == ("active: free fin", "inactive")
     assert rest == "force at rest: (0.0000, 0.1000) N"
@@ -125,7 +125,7 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
 
 
 def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_path, monkeypatch):
-    folder = folder_of("single", tmp_path)
+    folder = folder_option("single", tmp_path)
     with emulated() as (_, robot):
         monkeypatch.setattr(robot.machine, "open", lambda: pytest.fail("opened"))
         monkeypatch.setattr("softfin.stages.live.load_controller", _of_fin("red"))
@@ -235,7 +235,7 @@ def test_a_collection_of_an_older_version_is_finished_only_if_all_its_logs_are_t
     out = tmp_path / "data"
     with emulated() as (_, robot):
         stopped_in_the_second_log(robot, out)
-        state = bags_of(out) / "collect.json"
+        state = find_bags(out) / "collect.json"
         claim = json.loads(state.read_text())
         del claim["rig"]["sensor"]
         with_sensor = state.read_text()

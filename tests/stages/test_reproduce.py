@@ -15,7 +15,7 @@ from softfin.stages.reproduce import RESULTS, _Reproduction
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.surrogate import save_surrogate
 from softfin.task.references import PAPER_RANGE
-from tests.control.folders import folder_of
+from tests.control.folders import folder_option
 from tests.surrogate.streaming import small
 
 ROWS = np.zeros((1, 1, 3))
@@ -138,7 +138,7 @@ def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_pl
         ("single", "single/seed-4"),
     ):
         (tmp_path / place).parent.mkdir(exist_ok=True)
-        folder_of(kind, tmp_path / "made").rename(tmp_path / place)
+        folder_option(kind, tmp_path / "made").rename(tmp_path / place)
     save_surrogate(
         tmp_path / "surrogate", small.surrogate(), None, {"data_hash": "dataset"}, configuration={}
     )

@@ -8,7 +8,7 @@ import pytest
 
 from softfin.core.errors import ArtifactError
 from softfin.core.plant import roll
-from softfin.core.plant_identity import identity, is_of
+from softfin.core.plant_identity import identity, matches_identity
 from softfin.core.quantities import Command
 from softfin.storage import artifact as artifacts
 from softfin.surrogate import StreamingSurrogate, Surrogate, load_surrogate, save_surrogate
@@ -52,13 +52,13 @@ def test_the_identity_is_that_of_what_was_loaded_whatever_xla_makes_of_it(stored
     assert identity(other) == identity(plant)
     # What an earlier version wrote here is known here.
     as_before = [identity(each, computed=True) for each in (plant, other)]
-    assert is_of(as_before[0], plant)
-    assert not is_of(as_before[1], plant)
+    assert matches_identity(as_before[0], plant)
+    assert not matches_identity(as_before[1], plant)
     assert len({identity(plant), *as_before}) == 3
     heavier = eqx.tree_at(
         lambda own: own.members.force.offset, plant, plant.members.force.offset + 1
     )
-    assert not is_of(identity(heavier), plant)
+    assert not matches_identity(identity(heavier), plant)
 
 
 def test_the_folder_says_what_it_is(stored):

@@ -14,11 +14,11 @@ from softfin.task.references import (
     PAPER_CELLS,
     PAPER_RANGE,
     area,
-    cells_of,
     check_apart,
     check_cells,
     lattice,
-    range_of,
+    parse_cells,
+    parse_range,
 )
 
 QUARTERS = lattice(2, 2, PAPER_RANGE)
@@ -43,7 +43,7 @@ def test_a_lattice_fills_its_range_without_gap_or_overlap(
     columns: int, rows: int, x: float, y: float, width: float, height: float
 ) -> None:
     within = Cell(low=(x, y), high=(x + width, y + height))
-    cells = cells_of(f"{columns}x{rows}", within)
+    cells = parse_cells(f"{columns}x{rows}", within)
     assert len(cells) == columns * rows
     np.testing.assert_allclose(
         [bounding_box(cells).low, bounding_box(cells).high], [within.low, within.high]
@@ -52,13 +52,13 @@ def test_a_lattice_fills_its_range_without_gap_or_overlap(
 
 
 def test_columns_lie_along_x_and_rows_along_y() -> None:
-    cells = cells_of("3x1", PAPER_RANGE)
+    cells = parse_cells("3x1", PAPER_RANGE)
     assert [cell.low for cell in cells] == [(0.5, -1.5), (1.5, -1.5), (2.5, -1.5)]
     assert {cell.high[1] for cell in cells} == {1.5}
 
 
 def test_paper_is_the_six_cells_round_the_papers_references() -> None:
-    assert cells_of("paper", Cell(low=(0, 0), high=(9, 9))) == PAPER_CELLS
+    assert parse_cells("paper", Cell(low=(0, 0), high=(9, 9))) == PAPER_CELLS
 
 
 def test_the_papers_cells_touch_and_leave_a_third_of_their_bounding_box() -> None:
@@ -77,20 +77,20 @@ def test_a_missing_cell_is_refused_with_its_size(missing: int) -> None:
 
 def test_a_file_gives_its_cells_in_their_order(tmp_path: Path) -> None:
     text = "cells:\n  - {low: [1, -1], high: [3, 1]}\n  - {low: [0, -1], high: [1, 1]}\n"
-    cells = cells_of(file_of(tmp_path, text), PAPER_RANGE)
+    cells = parse_cells(file_of(tmp_path, text), PAPER_RANGE)
     assert cells == (Cell(low=(1, -1), high=(3, 1)), Cell(low=(0, -1), high=(1, 1)))
 
 
 def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
     text = "cells: [{low: [0, 0], high: [1, 1]}, {low: [2, 0], high: [3, 1]}]\n"
-    assert len(cells_of(file_of(tmp_path, text + "allow_gaps: true\n"), PAPER_RANGE)) == 2
+    assert len(parse_cells(file_of(tmp_path, text + "allow_gaps: true\n"), PAPER_RANGE)) == 2
     with pytest.raises(
         ConfigurationError,
         match=r"cells.yaml: the cells leave 1 N\^2 of their bounding box \(x 0 .. 3, y 0 .. 1 N\) "
         r"uncovered; add "
         r"cells there, or write allow_gaps: true",
     ):
-        cells_of(file_of(tmp_path, text), PAPER_RANGE)
+        parse_cells(file_of(tmp_path, text), PAPER_RANGE)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_file_that_is_no_grid_is_refused_in_one_line(
     text: str, message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigurationError, match=message) as caught:
-        cells_of(file_of(tmp_path, text), PAPER_RANGE)
+        parse_cells(file_of(tmp_path, text), PAPER_RANGE)
     assert "cells.yaml" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -139,7 +139,7 @@ def test_a_file_that_is_no_grid_is_refused_in_one_line(
 )
 def test_what_is_neither_lattice_nor_file_is_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        cells_of(text, PAPER_RANGE)
+        parse_cells(text, PAPER_RANGE)
 
 
 def test_a_lattice_over_a_line_is_refused() -> None:
@@ -147,11 +147,11 @@ def test_a_lattice_over_a_line_is_refused() -> None:
         ConfigurationError,
         match=r"--cells 2x2: the range \(x 0 .. 1, y 1 .. 1 N\) has no width in y",
     ):
-        cells_of("2x2", Cell(low=(0, 1), high=(1, 1)))
+        parse_cells("2x2", Cell(low=(0, 1), high=(1, 1)))
 
 
 def test_a_range_is_four_numbers() -> None:
-    assert range_of("0.5, -1.5,3.5,1.5") == PAPER_RANGE
+    assert parse_range("0.5, -1.5,3.5,1.5") == PAPER_RANGE
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_a_range_is_four_numbers() -> None:
 )
 def test_what_is_no_range_is_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        range_of(text)
+        parse_range(text)
 
 
 def test_touching_cells_do_not_overlap() -> None:

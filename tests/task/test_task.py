@@ -10,7 +10,7 @@ import pytest
 
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.plant import roll
-from softfin.core.quantities import PAPER_LIMITS, Command, Reading, command_of
+from softfin.core.quantities import PAPER_LIMITS, Command, Reading, action_to_command
 from softfin.gaits.reachable import Cell
 from softfin.task.references import References
 from softfin.task.task import (
@@ -20,7 +20,7 @@ from softfin.task.task import (
     SensingConfig,
     TaskConfig,
     TaskState,
-    action_of,
+    command_to_action,
 )
 from tests.plants import AnalyticFin, PlainFin
 
@@ -176,7 +176,7 @@ def test_the_angle_is_that_of_the_last_tick_that_an_action_is_held(
     state, _ = played(task, slow)
     commands = jax.tree.map(
         lambda x: jnp.full(sum(ACTION_TICKS[:actions]), x),
-        command_of(fin.limits, jnp.array(slow[0])),
+        action_to_command(fin.limits, jnp.array(slow[0])),
     )
     _, reading = roll(fin, fin.init(jax.random.key(0)), commands)
     assert float(state.angle) == pytest.approx(float(reading.angle[-1 - delay]), abs=1e-6)
@@ -191,11 +191,11 @@ def test_six_actions_are_exactly_the_window() -> None:
 
 
 def test_normalised_actions_span_the_limits_of_the_plant() -> None:
-    low = command_of(PAPER_LIMITS, -jnp.ones(2))
-    high = command_of(PAPER_LIMITS, jnp.ones(2))
+    low = action_to_command(PAPER_LIMITS, -jnp.ones(2))
+    high = action_to_command(PAPER_LIMITS, jnp.ones(2))
     np.testing.assert_allclose([*low, *high], [-np.pi / 2, 1, np.pi / 2, np.pi], rtol=1e-6)
     np.testing.assert_allclose(
-        action_of(PAPER_LIMITS, command_of(PAPER_LIMITS, STROKE)), STROKE, atol=1e-6
+        command_to_action(PAPER_LIMITS, action_to_command(PAPER_LIMITS, STROKE)), STROKE, atol=1e-6
     )
 
 

@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _run(name, words[1:])
 
 
-def arguments_of(name: str) -> type[Any]:
+def import_arguments(name: str) -> type[Any]:
     """Import the class of a command, such as `ImportLogsArguments`, whose fields are its
     options."""
     module = importlib.import_module(f"softfin.cli.{COMMANDS[name][0]}")
@@ -139,12 +139,12 @@ def _run(name: str, words: list[str]) -> None:
     gc.set_threshold(50_000, 20, 10)
     arguments: Any = None
     try:
-        arguments = arguments_of(name)
+        arguments = import_arguments(name)
         command = options.parse(arguments, words)
         command.check()
         command()
     except options.HelpRequested:
-        sys.stdout.write(options.help_of(arguments, f"softfin {name}") + "\n")
+        sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
         raise SystemExit(0) from None
     except KeyboardInterrupt as interrupt:
         if debug:

@@ -36,7 +36,7 @@ WORD = "move"
 """Word that a person types to let the fin move."""
 
 
-def folder_of(kind: str, positional: bool = False) -> Option:
+def folder_option(kind: str, positional: bool = False) -> Option:
     """Option for the folder of an artifact, such as a controller."""
     metavar = kind.upper() if positional else "DIR"
     return Option(
@@ -85,7 +85,7 @@ ReferenceFile: TypeAlias = Annotated[
 YamlFile: TypeAlias = Annotated[
     Path, Option("FILE", check=lambda path, _: paths.check_readable(path))
 ]
-Controller: TypeAlias = Annotated[Path, folder_of("controller", positional=True)]
+Controller: TypeAlias = Annotated[Path, folder_option("controller", positional=True)]
 Plant: TypeAlias = Annotated[str, plant()]
 AnyPlant: TypeAlias = Annotated[
     str, Option("PLANT", check=lambda name, _: is_live(name) or resolve_plant(name))

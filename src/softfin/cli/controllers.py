@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from softfin.cli.common import Common, Configured, Controller, File, Out, folder_of, plant
+from softfin.cli.common import Common, Configured, Controller, File, Out, folder_option, plant
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName
 from softfin.core.errors import ConfigurationError
@@ -68,7 +68,7 @@ class TrainArguments(Configured):
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
     """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5), or map: all that the fin
     can make (--map)."""
-    map: Annotated[Path, folder_of("map")] | None = None
+    map: Annotated[Path, folder_option("map")] | None = None
     """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin
     from."""
     steps: int | None = None
@@ -208,14 +208,14 @@ def asked_cells(
     """
     from softfin.gaits.force_map import load_map
     from softfin.gaits.reachable import Cell, bounding_box
-    from softfin.task.references import PAPER_RANGE, cells_of, range_of
+    from softfin.task.references import PAPER_RANGE, parse_cells, parse_range
 
     within = PAPER_RANGE
     if span == MAP and force_map is not None:
         low, high = load_map(force_map).force_map.reachable.bounds()
         within = Cell(low=low, high=high)
     elif span is not None:
-        within = range_of(span)
+        within = parse_range(span)
     if controller != "grid":
         if cells is not None:
             raise ConfigurationError(
@@ -224,7 +224,7 @@ def asked_cells(
         return None if span is None else (within,)
     if cells is None and span is None:
         return None
-    found = cells_of(cells or "paper", within)
+    found = parse_cells(cells or "paper", within)
     if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
             f"--range {span}: the cells ({cells or 'paper'}) have places of their own "
@@ -243,7 +243,7 @@ class ExportArguments(Common):
 
     controller: Controller | None = None
     """Folder of the controller; leave it out with --surrogate."""
-    surrogate: Annotated[Path, folder_of("surrogate")] | None = None
+    surrogate: Annotated[Path, folder_option("surrogate")] | None = None
     """Folder of a surrogate instead: a step of 10 ms, a fin for other simulators."""
     onnx: File
     """File to write; what its inputs mean is in its metadata."""

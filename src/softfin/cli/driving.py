@@ -282,7 +282,7 @@ class Ros2Arguments(Driving, Configured):
     """
 
     def __call__(self) -> None:
-        from softfin.rig.machine import clock_of
+        from softfin.rig.machine import machine_clock
         from softfin.rig.ros2.config import NodeConfig
         from softfin.rig.ros2.node import RosNode
         from softfin.rig.ros2.plant import Ros2Machine, open_transport
@@ -293,7 +293,7 @@ class Ros2Arguments(Driving, Configured):
         defaults = NodeConfig() if self.fin is None else NodeConfig.of_fin(self.fin)
         topics = self.configured(defaults, connection=given or None)
         controller, robot = self.parties()
-        if isinstance(clock_of(robot.machine), SimulatedClock):
+        if isinstance(machine_clock(robot.machine), SimulatedClock):
             raise RigError(
                 f"{robot.machine.name}: emulated in simulated time, in which no topic can be "
                 "heard; start softfin rig emulate --real-time"

@@ -15,7 +15,7 @@ from softfin.cli.common import (
     Out,
     Plant,
     ReferenceFile,
-    folder_of,
+    folder_option,
 )
 from softfin.core.choices import MovingReference, ReproducePreset
 from softfin.core.errors import ConfigurationError
@@ -235,7 +235,7 @@ class ViewArguments(Configured):
     gait.velocity_rad_s for the rest."""
     excitation: bool = False
     """Random commands, as datasets are recorded under, in place of the gait."""
-    controller: Annotated[Path, folder_of("controller")] | None = None
+    controller: Annotated[Path, folder_option("controller")] | None = None
     """Folder of a controller that moves the fin in place of the gait."""
     reference: Force | None = None
     """Reference force of the controller, as --reference=X,Y in newton."""

@@ -119,7 +119,7 @@ def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
     return f"; did you mean {close[0]}?" if close else otherwise
 
 
-def fields_of(command: type[Configuration]) -> list[Field]:
+def list_fields(command: type[Configuration]) -> list[Field]:
     """List the options of a command: its own first, then those that it inherits."""
     hints = get_type_hints(command, include_extras=True)
     found = command.model_fields
@@ -155,7 +155,7 @@ def _field(name: str, hint: Any, info: FieldInfo) -> Field:
 def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
     """Return the command that the words ask for; raises ConfigurationError in one line, or
     HelpRequested."""
-    fields = fields_of(command)
+    fields = list_fields(command)
     named = {field.name: field for field in fields if not field.option.positional}
     places = [field for field in fields if field.option.positional]
     values: dict[str, Any] = {}
@@ -207,16 +207,16 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
 def check(command: Any) -> None:
     """Check the paths and names in the values of a command; raises a SoftfinError where one does
     not exist."""
-    for field in fields_of(type(command)):
+    for field in list_fields(type(command)):
         if field.option.check is not None and (value := getattr(command, field.field)) is not None:
             for each in value if field.repeats else (value,):
                 field.option.check(each, command)
 
 
-def help_of(command: type[Configuration], program: str) -> str:
+def format_help(command: type[Configuration], program: str) -> str:
     """Return the help of a command, for the width of the terminal."""
     width = max(60, min(shutil.get_terminal_size().columns, 120))
-    fields = fields_of(command)
+    fields = list_fields(command)
     places = [field for field in fields if field.option.positional]
     options = sorted(
         (field for field in fields if not field.option.positional),

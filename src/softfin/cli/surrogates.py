@@ -15,7 +15,7 @@ from softfin.cli.common import (
     Logs,
     Out,
     Plant,
-    folder_of,
+    folder_option,
     numbers,
 )
 from softfin.cli.options import Option
@@ -138,10 +138,10 @@ class CompareArguments(Configured):
     """Compare surrogates, free-running under the commands of a dataset's test logs for several
     horizons."""
 
-    surrogates: Annotated[tuple[Path, ...], folder_of("surrogate", positional=True)]
+    surrogates: Annotated[tuple[Path, ...], folder_option("surrogate", positional=True)]
     """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one
     group."""
-    dataset: Annotated[Path, folder_of("dataset")]
+    dataset: Annotated[Path, folder_option("dataset")]
     """Folder of the dataset whose test logs they are scored on."""
     out: Out
     """Folder to write comparison.json and the figure to."""

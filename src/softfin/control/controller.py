@@ -15,8 +15,8 @@ import numpy as np
 from softfin.control.references import check_within
 from softfin.core.errors import RunError
 from softfin.core.jax_import import when_jax_is_imported
-from softfin.core.operations import NUMPY, Array, Operations, operations_of
-from softfin.core.quantities import Command, Limits, command_of
+from softfin.core.operations import NUMPY, Array, Operations, select_operations
+from softfin.core.quantities import Command, Limits, action_to_command
 from softfin.gaits.reachable import Cell, Force, Reachable
 
 ControllerState: TypeAlias = Any
@@ -144,14 +144,14 @@ class LoadedController:
             state is as it was.
         """
         angle, force = measured
-        ops = operations_of(angle, reference, state[0])
+        ops = select_operations(angle, reference, state[0])
         if ops is not NUMPY:
             xp = ops.xp
             now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(
                 np.float32
             )
             state, action = self.step.act(ops, state, now)
-            return state, command_of(self.limits, action)
+            return state, action_to_command(self.limits, action)
         if not all(
             abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)
         ):
@@ -161,7 +161,7 @@ class LoadedController:
                 "numbers; check drive and sensor"
             )
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
-        command: Any = command_of(self.limits, action.tolist())
+        command: Any = action_to_command(self.limits, action.tolist())
         least_angle, greatest_angle, least_velocity, greatest_velocity = self.limits
         # Rounding must not lead out of the limits.
         angle = min(max(command.angle, least_angle), greatest_angle)

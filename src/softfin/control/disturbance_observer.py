@@ -34,10 +34,10 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from softfin.control.controller import STATIC, Controller, Measured, register_pytrees
-from softfin.control.references import cells_of, reachable_of
+from softfin.control.references import controller_cells, reachable_set
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, CYCLE_ACTIONS, WINDOW
 from softfin.core.configuration import Configuration
-from softfin.core.operations import NUMPY, Array, Number, Operations, operations_of
+from softfin.core.operations import NUMPY, Array, Number, Operations, select_operations
 from softfin.core.quantities import Command, Limits
 from softfin.gaits.reachable import Cell, Force, Reachable
 
@@ -131,12 +131,12 @@ class DisturbanceObserver:
     @property
     def cells(self) -> tuple[Cell, ...]:
         """Cells of the controller inside."""
-        return cells_of(self.controller)
+        return controller_cells(self.controller)
 
     @property
     def reachable(self) -> Reachable | None:
         """Reachable forces that the controller inside knows."""
-        return reachable_of(self.controller)
+        return reachable_set(self.controller)
 
     @cached_property
     def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -167,7 +167,7 @@ class DisturbanceObserver:
         self, state: DisturbanceObserverState, measured: Measured, reference: Any
     ) -> tuple[DisturbanceObserverState, Command]:
         """Act with the controller inside on the reference less the bias."""
-        ops = operations_of(*measured, reference, state.bias)
+        ops = select_operations(*measured, reference, state.bias)
         xp = ops.xp
         force = xp.asarray(measured.force)
         reference = xp.asarray(reference)

@@ -16,7 +16,7 @@ import numpy as np
 from softfin.control.controller import LoadedController, Measured
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.operations import Array, Number, Operations
-from softfin.core.quantities import command_of
+from softfin.core.quantities import action_to_command
 from softfin.storage.artifact import check_file
 from softfin.storage.onnx_file import (
     FORCE_FRAME,
@@ -122,7 +122,7 @@ def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
     }
     now = ndonnx.concat([ndonnx.reshape(measured["angle"], (1,)), measured["reference"]])
     after, action = controller.step.act(OnnxOperations(ndonnx), type(initial)(**state), now)
-    commands = dict(zip(COMMAND_OUTPUTS, command_of(controller.limits, action), strict=True))
+    commands = dict(zip(COMMAND_OUTPUTS, action_to_command(controller.limits, action), strict=True))
     for name, low, high in zip(
         COMMAND_OUTPUTS, controller.limits[::2], controller.limits[1::2], strict=True
     ):

@@ -29,10 +29,10 @@ ANGLE_SCALE_RAD = np.pi / 2
 GAITS = "gaits"
 """Name before the arrays of a policy's gaits."""
 
-GREATEST_ACTION = np.float32(0.999)
+MAX_ACTION = np.float32(0.999)
 """Actions of gaits are scaled by this before their atanh."""
 
-LEAST_DEVIATION = 0.1
+MIN_DEVIATION = 0.1
 """Observations that hardly varied in training are divided by this."""
 
 _TURN = np.arange(CYCLE_ACTIONS, dtype=np.float32) * np.float32(2 * np.pi / CYCLE_ACTIONS)
@@ -124,7 +124,7 @@ class PolicyNetwork(NamedTuple):
 def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: Number) -> Array:
     """Return the atanh of the action, the `age`-th since the start, of the gait for a reference."""
     # The atanh has no value at 1.
-    return ops.xp.atanh(GREATEST_ACTION * ops.row(gaits.gait(reference, ops), age % CYCLE_ACTIONS))
+    return ops.xp.atanh(MAX_ACTION * ops.row(gaits.gait(reference, ops), age % CYCLE_ACTIONS))
 
 
 def fold(
@@ -176,7 +176,7 @@ def fold(
             "net.lstm.bias",
         )
     )
-    normalised = kernel / np.maximum(deviation, LEAST_DEVIATION)[..., None]
+    normalised = kernel / np.maximum(deviation, MIN_DEVIATION)[..., None]
     bias = bias - (mean[..., None, :] @ normalised)[..., 0, :]
 
     def gates(weights: np.ndarray) -> np.ndarray:

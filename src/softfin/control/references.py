@@ -15,13 +15,13 @@ EDGE_N = 1e-4
 come out even."""
 
 
-def cells_of(controller: Any) -> tuple[Cell, ...]:
+def controller_cells(controller: Any) -> tuple[Cell, ...]:
     """Return the cells that a controller was trained for; none of one that has no `cells` and
     covers everything."""
     return cast(tuple[Cell, ...], getattr(controller, "cells", None) or ())
 
 
-def reachable_of(controller: Any) -> Reachable | None:
+def reachable_set(controller: Any) -> Reachable | None:
     """Return the mean forces that the fin can make, where the controller knows them."""
     return cast(Reachable | None, getattr(controller, "reachable", None))
 
@@ -73,14 +73,14 @@ def nearest_trackable(
     Raises CoverageError for one that the fin can make but the controller was not trained for, and
     where the fin can make nothing that it was trained for.
     """
-    reachable = reachable_of(controller)
+    reachable = reachable_set(controller)
     beyond = np.zeros(len(forces), bool) if reachable is None else ~reachable.contains(forces)
     for x, y in forces[~beyond].tolist():
         controller.check((x, y))
     if reachable is None or not beyond.any():
         return forces
     low, high = reachable.bounds()
-    cells = cells_of(controller) or (Cell(low=low, high=high),)
+    cells = controller_cells(controller) or (Cell(low=low, high=high),)
     near = reachable.nearest_within(cells, forces[beyond])
     if np.isnan(near).any():
         a, b = forces[beyond][0].tolist()

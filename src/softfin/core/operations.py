@@ -99,7 +99,7 @@ jax_operations = cache(JaxOperations)
 """The operations with JAX, imported when first used."""
 
 
-def operations_of(*values: Any) -> Operations:
+def select_operations(*values: Any) -> Operations:
     """Return NumPy's operations where all values are Python's or NumPy's, else JAX's."""
     for value in values:
         if not isinstance(value, (float, int, np.ndarray, np.generic, tuple)):

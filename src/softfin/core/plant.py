@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
-from softfin.core.action_clock import MOST_TICKS, rows_of, ticks_of
+from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks, valid_rows
 from softfin.core.errors import CommandError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
@@ -186,10 +186,10 @@ def repeat(
         after, output = again(state)
         return jax.tree.map(partial(jnp.where, index < ticks), after, state), output
 
-    return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
+    return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
 
 
-def mean_of(rows: Array, ticks: Ticks) -> Array:
+def masked_mean(rows: Array, ticks: Ticks) -> Array:
     """Mean over those of an action's rows ``(34, ...)`` that count."""
     counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
     return jnp.where(counts, rows, 0).sum(axis=0) / ticks
@@ -200,7 +200,7 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
     for 3 actions."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
-    held = (actions, jnp.asarray(ticks_of(count)))
+    held = (actions, jnp.asarray(action_ticks(count)))
     state, reading = jax.lax.scan(lambda state, now: hold_action(plant, state, *now), state, held)
     return state, jax.tree.map(lambda x: counted(x, count), reading)
 
@@ -208,4 +208,4 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
 def counted(rows: Array, actions: int) -> Array:
     """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as
     ``(ticks, ...)``."""
-    return rows.reshape(-1, *rows.shape[2:])[np.asarray(rows_of(actions))]
+    return rows.reshape(-1, *rows.shape[2:])[np.asarray(valid_rows(actions))]

@@ -60,7 +60,7 @@ def identity(plant: Plant, computed: bool = False) -> str:
     return f"{name} {_digest(arrays, program)} (jax {jax.__version__})"
 
 
-def is_of(stated: str | None, plant: Plant) -> bool:
+def matches_identity(stated: str | None, plant: Plant) -> bool:
     """Whether the identity that a file states, of this version or an earlier one, is that of a
     plant."""
     return stated in (identity(plant), identity(plant, computed=True))

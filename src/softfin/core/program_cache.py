@@ -1,4 +1,4 @@
-"""Where JAX keeps compiled programs between runs: settings of JAX's own persistent cache.
+"""Settings of JAX's own persistent cache, which keeps compiled programs between runs.
 
 The settings are environment variables that JAX reads when it is imported, so no import of softfin
 changes JAX. Only softfin's programs call `use_program_cache`. Variables that are already set win.

@@ -82,10 +82,10 @@ class Log(NamedTuple):
     reading: Reading
 
 
-MOST_ANGLE_RAD = 2 * np.pi
+MAX_ANGLE_RAD = 2 * np.pi
 """A fin turns at most once round, either way."""
 
-MOST_VELOCITY_RAD_S = 50.0
+MAX_VELOCITY_RAD_S = 50.0
 """Eight turns a second: no fin in water comes near it."""
 
 REST_TOLERANCE_RAD = 0.03
@@ -100,9 +100,9 @@ REST_FIX = (
 and ends."""
 
 ALLOWED_LIMITS = (
-    f"a fin's are finite, with -{MOST_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
-    f"{MOST_ANGLE_RAD:.3f} rad and "
-    f"0 <= velocity_min < velocity_max <= {MOST_VELOCITY_RAD_S:g} rad/s"
+    f"a fin's are finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
+    f"{MAX_ANGLE_RAD:.3f} rad and "
+    f"0 <= velocity_min < velocity_max <= {MAX_VELOCITY_RAD_S:g} rad/s"
 )
 
 
@@ -152,9 +152,7 @@ class Limits(NamedTuple):
         named = self.to_dict()
         for name, value in named.items():
             low, high = (
-                (0, MOST_VELOCITY_RAD_S)
-                if "velocity" in name
-                else (-MOST_ANGLE_RAD, MOST_ANGLE_RAD)
+                (0, MAX_VELOCITY_RAD_S) if "velocity" in name else (-MAX_ANGLE_RAD, MAX_ANGLE_RAD)
             )
             # Not a number is not within anything.
             if not low <= value <= high:
@@ -176,7 +174,7 @@ class Limits(NamedTuple):
         return None
 
 
-def command_of(limits: Limits, action: Any) -> Command:
+def action_to_command(limits: Limits, action: Any) -> Command:
     """Map an action in [-1, 1]^2, two numbers or an array of any library, onto the limits."""
     angle = (action[0] + 1) / 2
     velocity = (action[1] + 1) / 2

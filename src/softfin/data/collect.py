@@ -17,7 +17,7 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.data.excitation import ExcitationConfig
 from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
@@ -58,8 +58,8 @@ def collect_logs(
     plant's name, goes into ``dataset.json``.
     """
     plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
-    keys = [key_of(config.seed, f"collect/train/{index}") for index in range(config.logs)]
-    keys += [key_of(config.seed, f"collect/test/{index}") for index in range(config.test_logs)]
+    keys = [named_key(config.seed, f"collect/train/{index}") for index in range(config.logs)]
+    keys += [named_key(config.seed, f"collect/test/{index}") for index in range(config.test_logs)]
     total_rows = len(plants) * config.rows
     finished_rows = 0
 

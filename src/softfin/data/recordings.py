@@ -15,7 +15,7 @@ from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
-from softfin.data.importing.clocks import NamedLog, Part, logs_of
+from softfin.data.importing.clocks import NamedLog, Part, build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
 from softfin.data.issues import Issue
@@ -90,7 +90,7 @@ def open_logs(
         else:
             recordings = read_table(file, name, parts[name], config)
         for recording in recordings:
-            some, found = logs_of(recording, config)
+            some, found = build_logs(recording, config)
             logs += some
             issues += found
         if progress is not None:

@@ -19,7 +19,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE, interval
 from softfin.evaluation.experiment import (
     MIN_SECONDS,
@@ -37,7 +37,7 @@ from softfin.evaluation.scores import (
     SurrogateUncertainty,
     judged_force,
     score,
-    uncertainty_of,
+    score_uncertainty,
 )
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
@@ -64,7 +64,7 @@ class ExperimentsConfig(Configuration):
     def keys(self) -> Key[Array, "seeds"]:
         """The keys with which every repetition starts a plant."""
         return jnp.stack(
-            [key_of(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
+            [named_key(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
         )
 
 
@@ -215,7 +215,7 @@ def score_experiments(
     recording = independent(recording)
     first = recording.first()
     repetitions = recording.reading.angle.shape[1]
-    return Evaluation(config, score(recording), repetitions, first, uncertainty_of(plant, first))
+    return Evaluation(config, score(recording), repetitions, first, score_uncertainty(plant, first))
 
 
 def together(each: Sequence[Evaluation]) -> Evaluation:

@@ -14,10 +14,17 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
 from softfin.control.controller import Controller, ControllerState, Measured
-from softfin.core.action_clock import ACTION_TICKS, MOST_TICKS, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS, action_ticks
 from softfin.core.compilation import jit
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, State, Ticks, counted, hold_action_with_true_force, mean_of
+from softfin.core.plant import (
+    Plant,
+    State,
+    Ticks,
+    counted,
+    hold_action_with_true_force,
+    masked_mean,
+)
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
@@ -96,7 +103,7 @@ def run(
     series = np.broadcast_to(
         asked[:, None] if asked.ndim == 2 else asked, (len(asked), seconds * RATE_HZ, 2)
     )
-    starts = np.cumsum([0, *ticks_of(seconds * len(ACTION_TICKS))])[:-1]
+    starts = np.cumsum([0, *action_ticks(seconds * len(ACTION_TICKS))])[:-1]
     recorded = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
     return ExperimentRecording(references, *recorded)
 
@@ -181,14 +188,14 @@ def _program(
         memory, command = controller.act(memory, measured, reference)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
         measured = Measured(
-            jnp.asarray(reading.angle)[ticks - 1], mean_of(jnp.asarray(reading.force), ticks)
+            jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
         )
-        held = jax.tree.map(lambda x: jnp.full(MOST_TICKS, x, jnp.float32), command)
+        held = jax.tree.map(lambda x: jnp.full(MAX_ACTION_TICKS, x, jnp.float32), command)
         return (memory, state, measured), (held, reading, true_force)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> Recorded:
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
-        _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(ticks_of(actions))))
+        _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(action_ticks(actions))))
         recorded: Recorded = jax.tree.map(lambda x: counted(x, actions), kept)
         return recorded
 

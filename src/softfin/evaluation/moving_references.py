@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.controller import Controller
-from softfin.control.references import nearest_trackable, reachable_of
+from softfin.control.references import nearest_trackable, reachable_set
 from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import interval, moving_error
 from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, independent
-from softfin.evaluation.range_errors import range_of
+from softfin.evaluation.range_errors import controller_range
 from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
@@ -53,7 +53,7 @@ the paper's range:
 """
 
 
-def signals_of(
+def moving_signals(
     kind: MovingReference, cell: Cell, reachable: Reachable | None = None
 ) -> tuple[Signal, ...]:
     """The default signals of a kind within a range; forces that the fin cannot make are moved to
@@ -228,10 +228,10 @@ def plan_moving(
     strict: bool = False,
 ) -> list[MovingPlan]:
     """The default signals of each kind, and a recorded one, as `MovingPlan.of` finds them."""
-    cell = range_of(controller)
-    reachable = reachable_of(controller)
+    cell = controller_range(controller)
+    reachable = reachable_set(controller)
     groups = [
-        (signals_of(kind, cell, reachable), SIGNALS[kind][2]) for kind in dict.fromkeys(kinds)
+        (moving_signals(kind, cell, reachable), SIGNALS[kind][2]) for kind in dict.fromkeys(kinds)
     ]
     if recorded is not None:
         groups.append(((recorded,), max(recorded.seconds, MIN_SECONDS)))

@@ -13,10 +13,10 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from softfin.control.controller import Controller
-from softfin.control.references import cells_of, reachable_of
+from softfin.control.references import controller_cells, reachable_set
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES
-from softfin.core.randomness import generator_of
+from softfin.core.randomness import named_generator
 from softfin.evaluation.experiment import EvaluationTarget, independent, run
 from softfin.evaluation.scores import score
 from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
@@ -71,10 +71,10 @@ class ErrorMap(NamedTuple):
         }
 
 
-def range_of(controller: Controller) -> Cell:
+def controller_range(controller: Controller) -> Cell:
     """The bounding box of a controller's cells; the paper's range for one that has none and covers
     everything."""
-    return bounding_box(cells_of(controller) or (PAPER_RANGE,))
+    return bounding_box(controller_cells(controller) or (PAPER_RANGE,))
 
 
 def errors_at(
@@ -96,8 +96,8 @@ def map_errors(
 ) -> ErrorMap:
     """Errors over a lattice of the controller's range; raises CoverageError where no reference of
     it can be tracked."""
-    cell = range_of(controller)
-    reachable = reachable_of(controller)
+    cell = controller_range(controller)
+    reachable = reachable_set(controller)
     outline = None if reachable is None else reachable.corners()
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
         raise CoverageError(
@@ -139,9 +139,9 @@ def random_errors(
 
     The 95th percentile is over the references.
     """
-    cells = cells_of(controller) or (PAPER_RANGE,)
+    cells = controller_cells(controller) or (PAPER_RANGE,)
     references = draw_references(
-        cells, reachable_of(controller), count, generator_of(seed, "evaluate/random")
+        cells, reachable_set(controller), count, named_generator(seed, "evaluate/random")
     )
     errors = errors_at(controller, plant, references, seconds, key)
     axes = {

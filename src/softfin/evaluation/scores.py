@@ -17,7 +17,7 @@ recorded, and r the reference, which is averaged over the same samples where it 
 Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at
 most 2.0 s.
 
-How far scores in a surrogate can be trusted is `uncertainty_of`: an ensemble is run over the
+How far scores in a surrogate can be trusted is `score_uncertainty`: an ensemble is run over the
 recorded commands once more, for its distance from its data and its intervals; other plants have
 neither.
 """
@@ -31,7 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.action_clock import ACTION_TICKS, WINDOW, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, WINDOW, action_ticks
 from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, RATE_HZ, Command
@@ -100,12 +100,12 @@ def judged_force(recording: ExperimentRecording) -> str:
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
     """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds
     to it."""
-    ends = np.cumsum(ticks_of(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
+    ends = np.cumsum(action_ticks(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
 
 
-def steps_of(reference: Force) -> list[tuple[int, int]]:
+def list_steps(reference: Force) -> list[tuple[int, int]]:
     """(first tick, one past the last) after each step between two forces that are both held for 2 s
     or more."""
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
@@ -129,7 +129,7 @@ def step_responses(force: Force, reference: Force) -> list[dict[str, Any]]:
     """
     average = moving_average(force)
     asked = np.asarray(reference, np.float64)
-    return [_response(average, asked, first, stop) for first, stop in steps_of(reference)]
+    return [_response(average, asked, first, stop) for first, stop in list_steps(reference)]
 
 
 def _response(
@@ -191,7 +191,7 @@ class SurrogateUncertainty(NamedTuple):
         return text if fraction > RARELY else None
 
 
-def uncertainty_of(
+def score_uncertainty(
     plant: EvaluationTarget, recording: ExperimentRecording
 ) -> SurrogateUncertainty | None:
     """Return the uncertainty in the first repetition of every reference; None for a plant that

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, PlantError, one_line
 from softfin.core.plant import Plant
-from softfin.core.plant_identity import identity, is_of
+from softfin.core.plant_identity import identity, matches_identity
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
@@ -202,7 +202,9 @@ def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
     """
     loaded = load_map(path)
     limits = [float(x) for x in plant.limits]
-    if not is_of(loaded.plant_identity, plant) or not np.allclose(loaded.limits, limits, atol=1e-3):
+    if not matches_identity(loaded.plant_identity, plant) or not np.allclose(
+        loaded.limits, limits, atol=1e-3
+    ):
         raise ArtifactError(
             f"{path}: a map of another plant ({loaded.plant_identity}) or for other limits than "
             f"{name} ({identity(plant)}) has now; map this one: softfin map {name} --out DIR"

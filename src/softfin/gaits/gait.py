@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.action_clock import CYCLE_ACTIONS
-from softfin.core.operations import Number, Operations, operations_of
+from softfin.core.operations import Number, Operations, select_operations
 from softfin.core.quantities import AnyArray
 from softfin.gaits.reachable import Cell, Force, Reachable
 
@@ -58,7 +58,7 @@ class GaitTable(NamedTuple):
     def gait(self, reference: Any, operations: Operations | None = None) -> Any:
         """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of
         its edge."""
-        ops = operations or operations_of(reference, self.actions)
+        ops = operations or select_operations(reference, self.actions)
         rows = self.actions.shape[1]
         table = ops.constant(self.actions.reshape(-1, CYCLE_ACTIONS, 2))
         x, i = self._place(ops, reference[0], 0)

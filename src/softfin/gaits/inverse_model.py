@@ -46,7 +46,7 @@ class InverseConfig(Configuration):
         )
 
 
-def amplitude_of(
+def find_amplitude(
     force_n: Float[np.ndarray, "n"], frequency_hz: float, constant: float
 ) -> Float[np.ndarray, "n"]:
     """Return the amplitude for the size of each force [rad]; pi where no amplitude gives as

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from pydantic import model_validator
 
 from softfin.core.configuration import Configuration
-from softfin.core.operations import operations_of
+from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray
 
 Force: TypeAlias = tuple[float | int, float | int]
@@ -134,7 +134,7 @@ class Reachable(NamedTuple):
     def project(self, force: Any) -> Any:
         """Return each force, or where the line from it to the centre meets the edge; NumPy arrays
         or JAX's."""
-        ops = operations_of(force, self.radius)
+        ops = select_operations(force, self.radius)
         count = self.radius.shape[-1]
         xp = ops.xp
         ways = ops.constant(directions(count))
@@ -166,7 +166,7 @@ class Reachable(NamedTuple):
         at = np.asarray(force, float)
         corners = self.corners().astype(float)
         points = _on_sides(corners, at, 0, 1)
-        near = np.take_along_axis(points, _nearest_of(points, at)[..., None, None], axis=-2)[
+        near = np.take_along_axis(points, _find_nearest(points, at)[..., None, None], axis=-2)[
             ..., 0, :
         ]
         return np.where(
@@ -197,9 +197,9 @@ class Reachable(NamedTuple):
             axis=1,
         )
         return np.asarray(
-            np.take_along_axis(candidates, _nearest_of(candidates, forces)[:, None, None], axis=1)[
-                :, 0
-            ]
+            np.take_along_axis(
+                candidates, _find_nearest(candidates, forces)[:, None, None], axis=1
+            )[:, 0]
         )
 
     def _on_cell(
@@ -269,7 +269,7 @@ def _on_sides(
     return np.asarray(corners + np.clip(along, enter, leave)[..., None] * side)
 
 
-def _nearest_of(points: Points, force: Points) -> Any:
+def _find_nearest(points: Points, force: Points) -> Any:
     """Return the index of the nearest of ``(..., points, 2)`` to each force; points that are NaN
     come last."""
     distance = np.linalg.norm(points - force[..., None, :], axis=-1)

@@ -29,7 +29,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.gaits.gait import GaitSearchResult, GaitTable
 from softfin.gaits.simulate import (
     AMPLITUDES,
@@ -40,8 +40,8 @@ from softfin.gaits.simulate import (
     PreTanh,
     Report,
     Survey,
+    action_to_pre_tanh,
     gait_sensitivity,
-    pre_tanh_of,
     strokes,
 )
 
@@ -139,7 +139,7 @@ def _search(
     """Find gaits for the nodes of a table from the strokes of the survey."""
     # The key is no constant of the module: making it starts JAX, which an import must not.
     shape = table.nodes
-    key = key_of(0, "gaits")
+    key = named_key(0, "gaits")
     target = jnp.asarray(survey.reachable.nearest(table.references().reshape(-1, 2)), jnp.float32)
     nodes = gait_sensitivity(plant, _start(survey, target, shape), config.cycles, key)
     scale: AnyArray = np.ones(len(target), np.float32)
@@ -164,13 +164,13 @@ def _between(
 ) -> tuple[GaitSensitivity, GaitTable]:
     """Add nodes halfway between those of a table, which begin as blends."""
     finer = table.halved()
-    key = key_of(0, "gaits")
+    key = named_key(0, "gaits")
     new = np.ones(finer.nodes, bool)
     new[::2, ::2] = False
     references = finer.references()[new]
     target = jnp.asarray(survey.reachable.nearest(references), jnp.float32)
     blends = np.stack([table.gait(reference) for reference in references])
-    added = gait_sensitivity(plant, pre_tanh_of(blends), config.cycles, key)
+    added = gait_sensitivity(plant, action_to_pre_tanh(blends), config.cycles, key)
     scale: AnyArray = np.ones(len(target), np.float32)
     for _ in range(EXACT):
         moved = _stepped(added, target, scale, (len(target), 1), config, True)
@@ -203,7 +203,7 @@ def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
     places = np.array(list(product(*finer)))
     for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
         interpolated = RegularGridInterpolator((CENTRES, AMPLITUDES), force, method="cubic")(places)
-        pre_tanh = pre_tanh_of(strokes(waveform, velocity, *places.T))
+        pre_tanh = action_to_pre_tanh(strokes(waveform, velocity, *places.T))
         apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
         nearest = np.argmin(apart + LARGE_N * places[:, 1] / AMPLITUDES[-1], axis=1)
         for _ in range(SWEEPS):

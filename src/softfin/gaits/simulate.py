@@ -20,8 +20,8 @@ from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, hold
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AnyArray, command_of
-from softfin.core.randomness import key_of
+from softfin.core.quantities import AnyArray, action_to_command
+from softfin.core.randomness import named_key
 from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
 from softfin.gaits.reachable import Reachable, directions
@@ -81,7 +81,7 @@ def steady_state_force(
 ) -> Float[Array, "ticks 2"]:
     """Forces [N] of a gait that is repeated from rest."""
     actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
-    commands = jax.vmap(lambda action: command_of(plant.limits, action))(actions)
+    commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
     return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
 
 
@@ -97,7 +97,7 @@ class GaitSensitivity(NamedTuple):
     """Sobolev terms (x, y) [N]."""
 
 
-def pre_tanh_of(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
+def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
     """Return the atanh of the actions."""
     return np.asarray(
         np.arctanh(np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)).reshape(
@@ -143,7 +143,7 @@ def missing_gradient(plant: Plant) -> str | None:
 
     Raises PlantError where the plant itself fails.
     """
-    strokes = pre_tanh_of(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
+    strokes = action_to_pre_tanh(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
     # Raises where the plant does not go forward.
     argument = jit_argument(plant)
     try:
@@ -214,7 +214,7 @@ def survey(
 
 @eqx.filter_jit
 def _mean_forces(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Float[Array, "n 2"]:
-    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key_of(0, "survey")).force)(
+    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, named_key(0, "survey")).force)(
         gaits
     )
 
@@ -235,10 +235,10 @@ def _pushed(
     outward = directions(config.directions)
     offset = force - centre
     aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
-    pre_tanh = pre_tanh_of(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
+    pre_tanh = action_to_pre_tanh(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
     forces = [force]
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
-        found = gait_sensitivity(plant, pre_tanh, config.cycles, key_of(0, "survey"))
+        found = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "survey"))
         forces.append(np.asarray(found.out)[:, :2])
         offset = forces[-1] - centre
         side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]

@@ -15,7 +15,7 @@ from softfin.control.policy import GAITS
 from softfin.control.store import write_controller
 from softfin.core.quantities import AXES
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.policy import Policy, memory_of, named
+from softfin.learning.policy import Policy, named, policy_memory
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
@@ -103,7 +103,7 @@ def save_controller(
         else None,
         **learnt,
         "policy": config.policy.model_dump(mode="json"),
-        "memory": memory_of(policies),
+        "memory": policy_memory(policies),
         "scores": _scores(
             config, config.evaluation_references(reachable), trained.evaluation, index
         ),

@@ -20,7 +20,7 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.core.action_clock import ticks_of
+from softfin.core.action_clock import action_ticks
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Ticks
 from softfin.gaits.force_map import MapConfig
@@ -125,7 +125,7 @@ class Gradient:
                 outcome.terms,
             )
 
-        ticks = jnp.asarray(ticks_of(self.config.num_steps))
+        ticks = jnp.asarray(action_ticks(self.config.num_steps))
         env_state, (rewards, terms) = jax.lax.scan(act, env_state, ticks)
         rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding
         loss = -reward.value(terms._replace(error=rounded)).mean()

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray
 
-from softfin.control.policy import LEAST_DEVIATION, PolicyMemory
+from softfin.control.policy import MIN_DEVIATION, PolicyMemory
 
 Memories = TypeVar("Memories", bound=tuple[Any, ...])
 
@@ -94,7 +94,7 @@ class Normalisation(eqx.Module):
 
     mean: Float[Array, "*stack numbers"]
     std: Float[Array, "*stack numbers"]
-    """Standard deviation; it divides as `LEAST_DEVIATION` where it is less."""
+    """Standard deviation; it divides as `MIN_DEVIATION` where it is less."""
     count: Float[Array, "*stack"]
     """Number of vectors that the statistics weigh as."""
 
@@ -132,4 +132,4 @@ class Normalisation(eqx.Module):
     @property
     def scale(self) -> Float[Array, "*stack numbers"]:
         """Divisor of the deviations from the mean."""
-        return jnp.maximum(self.std, LEAST_DEVIATION)
+        return jnp.maximum(self.std, MIN_DEVIATION)

@@ -217,7 +217,7 @@ STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.
 """Names in files that differ from those here: folders of earlier versions have them."""
 
 
-def memory_of(policy: Policy) -> dict[str, int]:
+def policy_memory(policy: Policy) -> dict[str, int]:
     """Memory of one policy or of a stack of them, for JSON: weights and optimiser, without critic
     and rollouts."""
     count = math.prod(policy.log_std.shape[:-1])
@@ -237,7 +237,7 @@ def memory_of(policy: Policy) -> dict[str, int]:
 
 
 def describe_memory(memory: Mapping[str, int]) -> str:
-    """The numbers of `memory_of` in a line of text."""
+    """The numbers of `policy_memory` in a line of text."""
     each, stored, trained = (
         f"{memory[name] / 1e3:.0f} kB"
         for name in ("weights_bytes", "total_weights_bytes", "total_bytes")

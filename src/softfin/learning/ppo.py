@@ -34,7 +34,7 @@ from softfin.task.task import ForceTracking, RewardTerms
 RECENT_UPDATES = 4
 """Rollouts over which values are normalised: values rise as the policy learns."""
 
-MOST_LOG_RATIO = 20.0
+MAX_LOG_RATIO = 20.0
 """Logarithm up to which ratios of probabilities are told apart."""
 
 PerStep = Float[Array, "time environments"]
@@ -206,7 +206,7 @@ class PPO:
         mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
         # Finite, so that a weight of 0 makes it 0.
-        ratio = jnp.exp(jnp.minimum(log_ratio, MOST_LOG_RATIO))
+        ratio = jnp.exp(jnp.minimum(log_ratio, MAX_LOG_RATIO))
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
         gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
         objective = jnp.mean(rollout.weight * gain)

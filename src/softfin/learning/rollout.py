@@ -14,7 +14,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from softfin.control.policy import PolicyMemory
-from softfin.core.action_clock import ACTION_TICKS, ticks_of
+from softfin.core.action_clock import ACTION_TICKS, action_ticks
 from softfin.core.plant import EnsemblePlant, Ticks, counted
 from softfin.core.quantities import AnyArray
 from softfin.core.window import moving_average, moving_error
@@ -197,7 +197,9 @@ def evaluate_policy(
         return (states, memories), (jnp.swapaxes(outcome.forces, 0, 1), distance)
 
     actions = task.config.episode_actions
-    _, (forces, distances) = jax.lax.scan(act, (states, memories), jnp.asarray(ticks_of(actions)))
+    _, (forces, distances) = jax.lax.scan(
+        act, (states, memories), jnp.asarray(action_ticks(actions))
+    )
     series = jnp.swapaxes(counted(forces, actions), 0, 1)
     error = moving_error(series, references[:, None], window)
     average = moving_average(series, window)

@@ -20,7 +20,7 @@ from softfin.core.errors import RunError
 from softfin.core.plant import EnsemblePlant, Plant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command, Limits, Reading
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.gaits.gait import ForceMap, GaitTable
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient
@@ -134,7 +134,7 @@ def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[Agen
 def _evaluate(
     task: TaskConfig, plant: Plant, policies: Policy, references: Array
 ) -> PolicyEvaluation:
-    evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=key_of(0, "score"))
+    evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=named_key(0, "score"))
     return jax.vmap(evaluate)(policies, references)
 
 
@@ -159,7 +159,7 @@ class TrainingRun:
     def start(self) -> RunState:
         """Return new agents, none of which has an evaluation yet."""
         # The key of an agent depends on its seed and cell alone, not on the agents beside it.
-        keys = jnp.stack([key_of(seed, f"train/{cell}") for seed, cell in self.agents])
+        keys = jnp.stack([named_key(seed, f"train/{cell}") for seed, cell in self.agents])
         boxes = stack_references(
             [cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable
         )

@@ -15,11 +15,11 @@ from softfin.core.errors import SoftfinError, one_line
 from softfin.core.program_cache import SOFTFIN_VARIABLE, cache_folder
 from softfin.installation import (
     EXTRAS,
+    extra_requirements,
     how_to_add,
+    installed_version,
     missing_from,
     origin,
-    requirements_of,
-    version_of,
 )
 from softfin.rig.check import CheckResult, check_disk, check_rig
 from softfin.rig.config import load_rig
@@ -94,7 +94,7 @@ def _softfin() -> CheckResult:
     return CheckResult(
         "softfin",
         "well",
-        f"{version_of('softfin')}, {place}{', used in place' if in_place else ''}",
+        f"{installed_version('softfin')}, {place}{', used in place' if in_place else ''}",
     )
 
 
@@ -145,13 +145,13 @@ def _libraries() -> CheckResult:
         return CheckResult(
             "libraries", "wrong", f"not installed: {', '.join(missing)}; install softfin again"
         )
-    return CheckResult("libraries", "well", _versions(requirements_of(None)))
+    return CheckResult("libraries", "well", _versions(extra_requirements(None)))
 
 
 def _extra(extra: str) -> CheckResult:
     missing = missing_from(extra)
-    shared = requirements_of("learn") if extra != "learn" else []
-    names = [name for name in requirements_of(extra) if name not in shared]
+    shared = extra_requirements("learn") if extra != "learn" else []
+    names = [name for name in extra_requirements(extra) if name not in shared]
     if not names:
         return CheckResult(
             f"[{extra}]", "note", "newer than the installation; install softfin again"
@@ -163,11 +163,11 @@ def _extra(extra: str) -> CheckResult:
 
 
 def _versions(names: list[str]) -> str:
-    return ", ".join(f"{name} {version_of(name)}" for name in names)
+    return ", ".join(f"{name} {installed_version(name)}" for name in names)
 
 
 def _devices() -> CheckResult:
-    if version_of("jax") is None:
+    if installed_version("jax") is None:
         return CheckResult(
             "JAX", "note", "not installed: this softfin runs controllers and does not train them"
         )
@@ -184,7 +184,7 @@ def _devices() -> CheckResult:
             f"finds no device ({one_line(error)}); JAX_PLATFORMS=cpu uses the processor",
         )
     kinds = ", ".join(f"{device.platform}:{device.id} {device.device_kind}" for device in devices)
-    kinds += f", jaxlib {version_of('jaxlib')}"
+    kinds += f", jaxlib {installed_version('jaxlib')}"
     if NVIDIA.exists() and devices[0].platform == "cpu" and "JAX_PLATFORMS" not in os.environ:
         advice = (
             "; the NVIDIA GPU is not used: pip install 'jax[cuda12]' brings what JAX needs for it"

@@ -102,7 +102,7 @@ class Machine(Protocol):
         missed .."""
 
 
-def clock_of(machine: Any) -> Clock:
+def machine_clock(machine: Any) -> Clock:
     """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real
     one."""
     clock: Clock = getattr(machine, "clock", REAL)

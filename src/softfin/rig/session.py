@@ -16,7 +16,7 @@ from typing import Literal, NoReturn, TypeAlias
 
 from softfin.core.errors import RunError, SafetyStop, SoftfinError, one_line
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.machine import Machine, Sample, Target, clock_of
+from softfin.rig.machine import Machine, Sample, Target, machine_clock
 from softfin.rig.pace import Pace
 from softfin.rig.safety import Guard, Trip, check_target
 from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
@@ -69,7 +69,7 @@ class Session:
         self.guard = guard
         self.stop_request = stop or StopRequest()
         self.observers = observers
-        self.pace = Pace(clock_of(machine))
+        self.pace = Pace(machine_clock(machine))
         self.recorder: BagRecorder | None = None
         self.state: State = "unconfigured"
         self.target: Target | None = None

@@ -6,8 +6,8 @@ from typing import TypeAlias
 import numpy as np
 
 from softfin.core.action_clock import ACTION_RATE_HZ
-from softfin.core.randomness import generator_of
-from softfin.gaits.inverse_model import InverseConfig, amplitude_of
+from softfin.core.randomness import named_generator
+from softfin.gaits.inverse_model import InverseConfig, find_amplitude
 from softfin.robot.description import RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.phases import NUM_PHASES
@@ -21,7 +21,7 @@ FORCES_N = np.linspace(0, 12, 49)
 """Forces for which the inverse model gives amplitudes [N]."""
 
 
-def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
+def build_drivers(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
     """Return drivers by name, the simplest last.
 
     In `still water`, fins do not make up for what the robot's motion costs them. Independent phases
@@ -34,7 +34,7 @@ def drivers_of(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeD
     analytic = [_analytic(each) for each in gaits]
 
     def independent(seed: int) -> np.ndarray:
-        return generator_of(seed, "robot/phases").integers(0, NUM_PHASES, len(gaits))
+        return named_generator(seed, "robot/phases").integers(0, NUM_PHASES, len(gaits))
 
     return {
         "whole": lambda seed: WrenchDriver(robot, gaits),
@@ -49,7 +49,7 @@ def _analytic(gaits: FinGaits) -> FinGaits:
     """The amplitudes of the inverse model, up to its greatest, with the limits and the ripple of a
     fin's gaits."""
     model = InverseConfig()
-    amplitude = amplitude_of(FORCES_N, STROKE_HZ, model.constant)
+    amplitude = find_amplitude(FORCES_N, STROKE_HZ, model.constant)
     count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))
     amplitude = np.maximum(amplitude[:count], model.amplitude_min_rad)
     ripple = np.stack(

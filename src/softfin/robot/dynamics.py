@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.operations import operations_of
+from softfin.core.operations import select_operations
 from softfin.core.quantities import TICK_S, AnyArray
 from softfin.robot.body_config import GRAVITY_M_S2, BodyConfig
 from softfin.robot.rotation import IDENTITY, cross, matrix, multiply, normalized
@@ -78,7 +78,7 @@ class Dynamics(NamedTuple):
 
     def relative_twist(self, state: BodyState, current: Vector) -> SixVector:
         """Return the twist relative to a steady current (x, y, z) in world axes [m/s]."""
-        xp = operations_of(*state, current).xp
+        xp = select_operations(*state, current).xp
         twist: SixVector = xp.concatenate(
             [state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]]
         )
@@ -86,14 +86,14 @@ class Dynamics(NamedTuple):
 
     def drag(self, twist: SixVector) -> SixVector:
         """Return the wrench of the water's drag at a twist relative to the water."""
-        speeds: SixVector = operations_of(twist).xp.abs(twist)
+        speeds: SixVector = select_operations(twist).xp.abs(twist)
         return -(self.drag_linear + self.drag_quadratic * speeds) * twist
 
     def restoring(self, attitude: Float[AnyArray, "4"]) -> SixVector:
         """Return the wrench of weight and buoyancy."""
         up = matrix(attitude)[2]
         lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
-        wrench: SixVector = operations_of(up).xp.concatenate(
+        wrench: SixVector = select_operations(up).xp.concatenate(
             [(self.buoyancy - self.weight) * up, cross(lever, up)]
         )
         return wrench
@@ -113,7 +113,7 @@ class Dynamics(NamedTuple):
         turn = twist[3:]
         linear = momentum[:3]
         angular = momentum[3:]
-        wrench: SixVector = operations_of(twist).xp.concatenate(
+        wrench: SixVector = select_operations(twist).xp.concatenate(
             [cross(linear, turn), cross(angular, turn) + cross(linear, velocity)]
         )
         return wrench
@@ -131,7 +131,7 @@ class Dynamics(NamedTuple):
         """Hold a wrench of the fins for a step of time (Runge and Kutta's of fourth order)."""
 
         def rates(state: BodyState) -> BodyState:
-            xp = operations_of(*state, wrench, current).xp
+            xp = select_operations(*state, wrench, current).xp
             turn = state.twist[3:]
             # Seen from the body, a steady current turns.
             seen = cross(current @ matrix(state.attitude), turn)

@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from softfin.core.action_clock import CYCLE_ACTIONS, MOST_TICKS, WINDOW, rows_of
+from softfin.core.action_clock import CYCLE_ACTIONS, MAX_ACTION_TICKS, WINDOW, valid_rows
 from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, TICK_S, Command
-from softfin.core.randomness import generator_of
-from softfin.robot.baselines import MakeDriver, drivers_of
+from softfin.core.randomness import named_generator
+from softfin.robot.baselines import MakeDriver, build_drivers
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
@@ -29,7 +29,7 @@ from softfin.tank import Tank
 
 Report = Callable[[float, str], None]
 
-LEAST_COUNTED_S = MOST_TICKS * TICK_S
+MIN_COUNTED_S = MAX_ACTION_TICKS * TICK_S
 """Least time of a trial whose errors count [s]: an action, of which half may be lost by rounding to
 whole actions."""
 
@@ -80,9 +80,9 @@ class RobotEvaluateConfig(Configuration):
                 continue
             name, seconds = ("hold_s", self.hold_s) if task == "hold" else ("path_s", self.path_s)
             # A push comes within two of them.
-            least = self.settled_s * (3 if task == "hold" else 1) + LEAST_COUNTED_S
+            least = self.settled_s * (3 if task == "hold" else 1) + MIN_COUNTED_S
             if self.dead:
-                least = max(least, (self.settled_s + LEAST_COUNTED_S) / (1 - LATEST_DEATH))
+                least = max(least, (self.settled_s + MIN_COUNTED_S) / (1 - LATEST_DEATH))
             if seconds < least:
                 raise ValueError(
                     f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
@@ -106,9 +106,9 @@ def evaluate_robot(
 ) -> RobotEvaluation:
     """Evaluate a robot with these tanks as fins, in simulation."""
     report(0.0, "gaits of the fins")
-    gaits = gaits_of(tanks)
+    gaits = find_all_gaits(tanks)
     simulation = RobotSimulation(robot, tanks)
-    drivers = drivers_of(robot, gaits)
+    drivers = build_drivers(robot, gaits)
     figures: dict[str, Any] = {
         "robot": robot.name,
         "reach_n": [round(each.reach, 3) for each in gaits],
@@ -155,7 +155,7 @@ def evaluate_robot(
     return RobotEvaluation(figures, records)
 
 
-def gaits_of(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
+def find_all_gaits(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
     """Find the gaits of each fin; fins that are the same object share them."""
     found = {id(tank): find_fin_gaits(tank) for tank in {id(tank): tank for tank in tanks}.values()}
     return tuple(found[id(tank)] for tank in tanks)
@@ -169,7 +169,7 @@ def trial(
     seed: int,
 ) -> tuple[Record, dict[str, Any]]:
     """Run one trial of a task, and score it."""
-    random = generator_of(seed, f"robot/{task}")
+    random = named_generator(seed, f"robot/{task}")
     seconds = float(config.hold_s if task == "hold" else config.path_s)
     speed = config.lissajous_m_s if task == "lissajous" else config.lemniscate_m_s
     path = hold() if task == "hold" else (lissajous if task == "lissajous" else lemniscate)(speed)
@@ -233,7 +233,7 @@ def draw_wrenches(
 ) -> Float[np.ndarray, "n 6"]:
     """Draw wrenches within a part of the reach: of forces so much smaller, each in a direction of
     its own."""
-    random = generator_of(config.seed, "robot/wrenches")
+    random = named_generator(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
     size = (
         config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
@@ -291,4 +291,4 @@ def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.nda
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them
     )
     wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(single), float)
-    return wrenches.reshape(len(orders), -1, 6)[:, np.array(rows_of(WRENCH_ACTIONS))]
+    return wrenches.reshape(len(orders), -1, 6)[:, np.array(valid_rows(WRENCH_ACTIONS))]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from softfin.core.action_clock import ACTION_RATE_HZ
-from softfin.core.operations import operations_of
+from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray, Command, Limits
 
 MOVING = 0.85
@@ -42,11 +42,11 @@ class FinGaits(NamedTuple):
         """Greatest mean force [N]."""
         return float(self.force[-1])
 
-    def amplitude_of(self, force_n: float) -> float:
+    def find_amplitude(self, force_n: float) -> float:
         """Return the amplitude of a mean force [rad]."""
         return float(np.interp(force_n, self.force, self.amplitude))
 
-    def ripple_of(self, force_n: Float[np.ndarray, "fins"]) -> Complex[np.ndarray, "fins 2"]:
+    def stroke_ripple(self, force_n: Float[np.ndarray, "fins"]) -> Complex[np.ndarray, "fins 2"]:
         """Return the ripple of mean forces."""
         return np.stack([np.interp(force_n, self.force, part) for part in self.ripple.T], axis=1)
 
@@ -55,7 +55,7 @@ class FinGaits(NamedTuple):
     ) -> Float[AnyArray, "2"]:
         """Return what a mean force loses where the fin moves through the water [N]; both in the
         fin's axes [N, m/s]."""
-        xp = operations_of(force, velocity).xp
+        xp = select_operations(force, velocity).xp
         squared = force @ force + SMALL_N**2
         part = (velocity @ force) / squared * force
         along, across = (
@@ -64,7 +64,7 @@ class FinGaits(NamedTuple):
         lost: Float[AnyArray, 2] = along * part + across * (velocity - part)
         return lost
 
-    def velocity_of(self, way_rad: float) -> float:
+    def stroke_velocity(self, way_rad: float) -> float:
         """Return the velocity at which a fin arrives within its action, or the nearest that the
         drive has."""
         wanted = way_rad * ACTION_RATE_HZ / MOVING
@@ -110,6 +110,6 @@ def stroke(
         # At angle a the fin's thrust points along (cos a, -sin a); the shorter way round leads
         # there.
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
-    target = direction + side * gaits.amplitude_of(size)
-    velocity = gaits.velocity_of(abs(target - state.target))
+    target = direction + side * gaits.find_amplitude(size)
+    velocity = gaits.stroke_velocity(abs(target - state.target))
     return DriverState(direction, target), fin_command(target, velocity)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.action_clock import ACTION_RATE_HZ, CYCLE_ACTIONS, WINDOW, ticks_of
+from softfin.core.action_clock import ACTION_RATE_HZ, CYCLE_ACTIONS, WINDOW, action_ticks
 from softfin.core.errors import PlantError
 from softfin.core.quantities import RATE_HZ, Command
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.robot.fin_driver import MOVING, FinGaits
 from softfin.tank import Tank, TankState
 from softfin.tank.fin import Mount
@@ -71,7 +71,8 @@ def _strokes(
     mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
     sides = np.repeat(
-        [1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS), ticks_of(CYCLE_ACTIONS * HELD_WINDOWS)
+        [1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS),
+        action_ticks(CYCLE_ACTIONS * HELD_WINDOWS),
     )
 
     def each(amplitude: Float[Array, ""]) -> tuple[Float[Array, "ticks 2"], Float[Array, "ticks"]]:
@@ -83,7 +84,7 @@ def _strokes(
             state, _, load = tank.tick(state, Command(amplitude * side, velocity), mount)
             return state, load
 
-        load = jax.lax.scan(tick, tank.init(key_of(0, "gaits")), jnp.asarray(sides))[1]
+        load = jax.lax.scan(tick, tank.init(named_key(0, "gaits")), jnp.asarray(sides))[1]
         return load.force[-WINDOW:], load.torque[-WINDOW:]
 
     return jax.vmap(each)(amplitudes)

@@ -23,7 +23,7 @@ from softfin.core.errors import RunError
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import Dynamics, SixVector
-from softfin.robot.paths import PathPoint, error_of, twist_of
+from softfin.robot.paths import PathPoint, path_error, path_twist
 from softfin.robot.rotation import cross, from_euler, matrix, multiply, normalized
 
 ACTION_S = 1 / ACTION_RATE_HZ
@@ -104,7 +104,7 @@ SURGE_MEMORY_S = 20.0
 nose: 0.2 to 0.5 N in a current of 5 cm/s, as much as a single estimate is off; the mean is off by a
 third of that."""
 
-MOST_DAMPING = 8 / ACTION_S
+MAX_DAMPING = 8 / ACTION_S
 """Damping beyond which a filter would see no motion in an action [1/s]."""
 
 STEADY = 600
@@ -148,7 +148,7 @@ class MotionController:
             [[config.position_noise_m, config.velocity_noise_m_s]] * 3
             + [[config.attitude_noise_rad, config.rate_noise_rad_s]] * 3
         )
-        self._damping_rate = np.minimum(self.dynamics.drag_linear / inertia, MOST_DAMPING)
+        self._damping_rate = np.minimum(self.dynamics.drag_linear / inertia, MAX_DAMPING)
         self._filter = AxisFilter.of(config, self._stiffness, self._damping_rate, noise)
         self._surge_noise_n = float(inertia[0] * self._filter.deviation[0])
 
@@ -197,7 +197,7 @@ class MotionController:
         # Near one another, so that their mean is theirs but for its length.
         attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
         measured = np.stack(
-            [error_of(middle, position, attitude), twist - twist_of(middle)], axis=1
+            [path_error(middle, position, attitude), twist - path_twist(middle)], axis=1
         )
         f = self._filter
         acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
@@ -263,7 +263,7 @@ class MotionController:
     def needed(self, target: PathPoint) -> SixVector:
         """Return the wrench that keeps the body on the path in still water, upright."""
         axes = matrix(target.attitude)
-        twist = twist_of(target)
+        twist = path_twist(target)
         velocity = twist[:3]
         turn = twist[3:]
         acceleration = np.concatenate(

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from pydantic import NonNegativeFloat, PositiveFloat
 
 from softfin.core.configuration import Configuration
-from softfin.core.operations import operations_of
+from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray
 from softfin.robot.dynamics import BodyState
 from softfin.robot.rotation import multiply
@@ -44,7 +44,7 @@ class NoiseConfig(Configuration):
 def estimated(body: BodyState, noise: Float[AnyArray, "*rows 12"]) -> tuple[Any, Any, Any]:
     """Return position, attitude and twist with noise, for one state or for rows of them."""
     half = noise[..., 3:6] / 2
-    xp = operations_of(*body, noise).xp
+    xp = select_operations(*body, noise).xp
     turn = xp.concatenate([xp.ones_like(half[..., :1]), half], axis=-1)
     turn = turn / xp.linalg.norm(turn, axis=-1, keepdims=True)
     attitude = multiply(body.attitude.T, turn.T).T

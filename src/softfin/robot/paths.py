@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.operations import operations_of
+from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray
 from softfin.robot.rotation import from_euler, inverse, matrix, multiply, to_vector
 
@@ -32,20 +32,20 @@ class PathPoint(NamedTuple):
     """Angular acceleration [rad/s2]."""
 
 
-def twist_of(target: PathPoint) -> SixVector:
+def path_twist(target: PathPoint) -> SixVector:
     """Return the twist of a body on the path, in its own axes [m/s, rad/s]."""
     axes = matrix(target.attitude)
-    twist: SixVector = operations_of(axes).xp.concatenate(
+    twist: SixVector = select_operations(axes).xp.concatenate(
         [target.velocity @ axes, target.turn @ axes]
     )
     return twist
 
 
-def error_of(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]) -> SixVector:
+def path_error(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]) -> SixVector:
     """Return the place relative to the path's, in the path's axes [m], and the vector of the turn
     from it [rad]."""
     moved = (position - target.position) @ matrix(target.attitude)
-    error: SixVector = operations_of(position, attitude, *target).xp.concatenate(
+    error: SixVector = select_operations(position, attitude, *target).xp.concatenate(
         [moved, to_vector(multiply(inverse(target.attitude), attitude))]
     )
     return error

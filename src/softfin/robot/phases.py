@@ -29,12 +29,12 @@ body, but hardly move it."""
 Phases = Int[np.ndarray, "fins"]
 
 
-def delay_of(phase: int) -> int:
+def phase_delay(phase: int) -> int:
     """Return the ticks by which a fin's strokes lag the action's beginning."""
     return phase % 3 * DELAY_TICKS
 
 
-def side_of(phase: int, action: int) -> int:
+def stroke_side(phase: int, action: int) -> int:
     """Return the side, 1 or -1, to which a fin strokes in an action, counted from 0."""
     return 1 if (phase // 3 + action) % 2 == 0 else -1
 

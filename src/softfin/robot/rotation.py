@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from softfin.core.operations import Array, operations_of
+from softfin.core.operations import Array, select_operations
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 """Body axes along world axes."""
 
 
 def _namespace(*arrays: Array) -> Any:
-    return operations_of(*arrays).xp
+    return select_operations(*arrays).xp
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.action_clock import MOST_TICKS, ticks_of
+from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks
 from softfin.core.quantities import Command
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import BodyState, Dynamics
@@ -98,7 +98,7 @@ class RobotSimulation:
                 lambda new, old: jnp.where(index < ticks, new, old), after, state
             ), row
 
-        return jax.lax.scan(one, state, jnp.arange(MOST_TICKS))
+        return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
 
     def held(self, orders: Orders) -> Float[Array, "actions ticks 6"]:
         """Return the wrench of the fins on a body that is held, from rest, under the orders
@@ -118,10 +118,10 @@ class RobotSimulation:
                     lambda new, old: jnp.where(index < ticks, new, old), after, fins
                 ), self._wrench(loads)
 
-            return jax.lax.scan(one, fins, jnp.arange(MOST_TICKS))
+            return jax.lax.scan(one, fins, jnp.arange(MAX_ACTION_TICKS))
 
         return jax.lax.scan(
-            action, start.fins, (orders, jnp.asarray(ticks_of(len(orders.delays))))
+            action, start.fins, (orders, jnp.asarray(action_ticks(len(orders.delays))))
         )[1]
 
     def _wrench(self, loads: Load) -> Float[Array, "6"]:

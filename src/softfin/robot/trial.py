@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from softfin.core.action_clock import ACTION_RATE_HZ, ticks_of
+from softfin.core.action_clock import ACTION_RATE_HZ, action_ticks
 from softfin.core.quantities import TICK_S, Command
-from softfin.core.randomness import generator_of
+from softfin.core.randomness import named_generator
 from softfin.robot.body_config import Three
 from softfin.robot.dynamics import BodyState
 from softfin.robot.fin_driver import fin_command
 from softfin.robot.motion_control import SEEN_ACTIONS, MotionController
 from softfin.robot.noise import NoiseConfig, estimated
-from softfin.robot.paths import Path, twist_of
+from softfin.robot.paths import Path, path_twist
 from softfin.robot.simulation import Ambient, Orders, RobotSimulation
 from softfin.robot.wrench_driver import WrenchDriver
 
@@ -83,7 +83,7 @@ def run_trial(
     trouble = disturbances or Disturbances()
     noise = noise or NoiseConfig()
     controller = MotionController(simulation.robot)
-    random = generator_of(seed, "robot/noise")
+    random = named_generator(seed, "robot/noise")
     start = path(0.0)
     state = simulation.init(
         jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6))
@@ -92,7 +92,7 @@ def run_trial(
     (kept, new) = noise.decay(TICK_S)
     control = controller.init()
     driving = driver.init()
-    before = commands_of([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
+    before = stack_commands([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
     rows = []
     asked = []
     expected = []
@@ -102,7 +102,7 @@ def run_trial(
         (np.asarray(start.position)[None], np.asarray(start.attitude)[None], np.zeros((1, 6)))
     ]
     time = 0.0
-    for ticks in ticks_of(round(seconds * ACTION_RATE_HZ)):
+    for ticks in action_ticks(round(seconds * ACTION_RATE_HZ)):
         if (
             trouble.dead_fin is not None
             and time >= trouble.dead_at_s
@@ -114,9 +114,9 @@ def run_trial(
         middle = time - (len(last[0]) - 1) * TICK_S / 2
         ahead = path(time + ticks * TICK_S / 2)
         control, wrench = controller.act(control, last, path(middle), path(time), ahead)
-        driving, driven = driver.act(driving, wrench, np.asarray(twist_of(ahead)))
+        driving, driven = driver.act(driving, wrench, np.asarray(path_twist(ahead)))
         control = controller.acknowledge(control, driven.wrench, ahead)
-        commands = commands_of(driven.commands)
+        commands = stack_commands(driven.commands)
         orders = Orders(before, commands, jnp.asarray(driven.delays))
         before = commands
         for fin in driver.dead:
@@ -166,7 +166,7 @@ def _stopped(orders: Orders, fin: int) -> Orders:
     return orders._replace(before=before, now=now)
 
 
-def commands_of(commands: Sequence[Command]) -> Command:
+def stack_commands(commands: Sequence[Command]) -> Command:
     """Return the commands of all fins as one, fields ``(fins,)``."""
     return Command(*(jnp.asarray(x, jnp.float32) for x in zip(*commands, strict=True)))
 

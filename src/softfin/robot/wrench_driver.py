@@ -19,7 +19,7 @@ from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, stroke
-from softfin.robot.phases import Phases, choose_phases, delay_of, side_of, wrench_ripple
+from softfin.robot.phases import Phases, choose_phases, phase_delay, stroke_side, wrench_ripple
 
 STILL = np.zeros(6)
 """Twist of a body that does not move."""
@@ -133,13 +133,13 @@ class WrenchDriver:
                 fins.append(state.fins[fin])
                 commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
-            side = side_of(int(phases[fin]), state.action)
+            side = stroke_side(int(phases[fin]), state.action)
             force = forces[fin] + gaits.lost(forces[fin], velocities[fin])
             moved, command = stroke(gaits, state.fins[fin], force, side)
             fins.append(moved)
             commands.append(command)
         after = WrenchDriverState(forces, brace, state.action + 1, phases, tuple(fins))
-        delays = tuple(delay_of(int(phase)) for phase in phases)
+        delays = tuple(phase_delay(int(phase)) for phase in phases)
         return after, FinOrders(tuple(commands), delays, forces, together, given_up)
 
     def _choose_phases(self, state: WrenchDriverState, forces: Forces, alive: list[int]) -> Phases:
@@ -147,7 +147,7 @@ class WrenchDriver:
             return state.phases if self._phases is None else self._phases
         sizes = np.hypot(*forces.T)
         ripple = np.concatenate(
-            [self.gaits[fin].ripple_of(sizes[fin : fin + 1]) for fin in range(len(sizes))]
+            [self.gaits[fin].stroke_ripple(sizes[fin : fin + 1]) for fin in range(len(sizes))]
         )
         directions = np.arctan2(-forces[:, 1], forces[:, 0])
         wrench = wrench_ripple(self.allocator.matrix, self._mounts.shafts, directions, ripple)

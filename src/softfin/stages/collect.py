@@ -5,7 +5,7 @@ from pathlib import Path
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
@@ -32,7 +32,8 @@ def collect(
     test_plants: list[Plant] = [simulated] * config.test_logs
     if isinstance(simulated, Tank):
         keys = [
-            key_of(config.seed, f"collect/conditions/{index}") for index in range(config.test_logs)
+            named_key(config.seed, f"collect/conditions/{index}")
+            for index in range(config.test_logs)
         ]
         test_plants = [sample_tank(simulated, key) for key in keys]
     metadata = {

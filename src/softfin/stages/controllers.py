@@ -21,7 +21,7 @@ from softfin.learning.controllers import save_controller, write_learning
 from softfin.learning.ray_training import check_cluster, train_on_ray
 from softfin.learning.train import train as train_in_process
 from softfin.storage import artifact as artifacts
-from softfin.storage.registry import find_plant, name_of
+from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.channels import learnt_from
 from softfin.task.references import PAPER_RANGE
@@ -85,7 +85,7 @@ def find_gaits(
         config = config or MapConfig(box=PAPER_RANGE)
         found = _map_forces(moving, config, partial(progress, "gaits"))
     elif config is None:
-        loaded = load_force_map(force_map, moving, name_of(plant))
+        loaded = load_force_map(force_map, moving, plant_name(plant))
         found = loaded.force_map
         config = loaded.config
     else:
@@ -107,7 +107,9 @@ def find_gaits(
 
 def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[str, Any]:
     made_with = {} if force_map is None else {"map": str(force_map)}
-    return artifacts.provenance(plant=name_of(plant), plant_identity=identity(moving), **made_with)
+    return artifacts.provenance(
+        plant=plant_name(plant), plant_identity=identity(moving), **made_with
+    )
 
 
 def train(
@@ -144,7 +146,11 @@ def train(
     moving = find_plant(plant)
     if config is None:
         config, reason = choose_preset(moving)
-    can = None if force_map is None else load_force_map(force_map, moving, name_of(plant)).force_map
+    can = (
+        None
+        if force_map is None
+        else load_force_map(force_map, moving, plant_name(plant)).force_map
+    )
     origin = _origin(plant, moving, force_map)
     learnt = learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"

@@ -19,11 +19,11 @@ from softfin.evaluation.baselines.baselines import (
 from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
 from softfin.evaluation.evaluate import evaluate as _evaluate
 from softfin.evaluation.experiment import EvaluationTarget
-from softfin.evaluation.view.files import ticks_of
-from softfin.evaluation.view.view import ViewConfig, draw, footage_of, title_of
+from softfin.evaluation.view.files import shown_ticks
+from softfin.evaluation.view.view import ViewConfig, draw, record_footage, view_title
 from softfin.storage import artifact as artifacts
 from softfin.storage.paths import check_view
-from softfin.storage.registry import find_plant, name_of
+from softfin.storage.registry import find_plant, plant_name
 from softfin.tank import DomainRandomization, RandomizedTank, Tank
 
 
@@ -57,7 +57,7 @@ def evaluate(
             )
         # At 0 the sensor's noise is the tank's own, too.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)
-    evaluation = evaluation_of(controller, moving, config or EvaluateConfig(), str(plant))
+    evaluation = evaluate_controller(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
         return evaluation.summary()
     kind = artifacts.load_description(controller, "controller")["controller"]
@@ -70,7 +70,7 @@ def evaluate(
     return write_evaluation(evaluation, out, metadata, overwrite)
 
 
-def evaluation_of(
+def evaluate_controller(
     controller: Path, plant: EvaluationTarget, config: EvaluateConfig, named: str
 ) -> Evaluation:
     """A controller's experiments on a plant, not yet written."""
@@ -113,8 +113,8 @@ def baselines(
     result = {
         **artifacts.head("baselines"),
         **evaluate_baselines(moving, search_in, config, partial(progress, "baselines")),
-        "plant": name_of(plant),
-        "searched_in": name_of(plant if surrogate is None else surrogate),
+        "plant": plant_name(plant),
+        "searched_in": plant_name(plant if surrogate is None else surrogate),
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=config.seed),
     }
@@ -150,16 +150,16 @@ def view(
         reference, *following = (force for force, _ in pairs)
         config = config.merged({"next_references": following}, "view")
         warnings = [warning for _, warning in pairs if warning is not None]
-        check_limits(holding.limits, Limits(*moving.limits), controller, name_of(plant))
-    title = title_of(name_of(plant), config, reference)
+        check_limits(holding.limits, Limits(*moving.limits), controller, plant_name(plant))
+    title = view_title(plant_name(plant), config, reference)
     progress("view", 0.0, "")
-    footage = footage_of(moving, config, holding, reference)
+    footage = record_footage(moving, config, holding, reference)
     draw(footage, out, title, config, lambda done: progress("view", done, ""))
     return {
         "view": str(out),
         "title": title,
         "seconds": config.seconds,
-        "frames": len(ticks_of(len(footage.shape), config.frames_per_second))
+        "frames": len(shown_ticks(len(footage.shape), config.frames_per_second))
         if out.suffix == ".gif"
         else None,
         "mean_force_n": [round(float(force), 4) for force in footage.force.mean(axis=0)],

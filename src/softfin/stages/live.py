@@ -23,7 +23,7 @@ from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig
 from softfin.data.importing.clocks import held, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
@@ -89,7 +89,7 @@ def collect_live(
     changed.
     """
     artifacts.check_vacant(out, overwrite or resume)
-    bags = bags_of(out)
+    bags = find_bags(out)
     metadata: dict[str, Any] = {
         "configuration": config.model_dump(mode="json"),
         "fin": robot.fin,
@@ -180,7 +180,7 @@ def evaluate_live(
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
     acting: Controller = loaded if config.trim is None else DisturbanceObserver(loaded, config.trim)
     guard = Guard(robot.safety, robot.machine.limits, loaded.artifact.training_range)
-    bag = bags_of(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
+    bag = find_bags(out) / f"session-{datetime.now().astimezone():%Y%m%d-%H%M%S}.mcap"
     with Session(robot.machine, guard, stop=stop) as session:
         confirm(robot)
         session.stop_on_signals()
@@ -262,7 +262,7 @@ def longest_gap(robot: RobotSetup) -> float:
     return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
 
 
-def bags_of(out: Path) -> Path:
+def find_bags(out: Path) -> Path:
     """Return the folder of recordings beside an output."""
     return out.absolute().with_name(f"{out.absolute().name}-bags")
 
@@ -402,7 +402,7 @@ def _record(
     Return it with the force at rest before it [N], which its force does not contain.
     """
     part, number = name.split("-")
-    _, key = jax.random.split(key_of(config.seed, f"collect/{part}/{int(number)}"))
+    _, key = jax.random.split(named_key(config.seed, f"collect/{part}/{int(number)}"))
     # What a plant would get: one command a tick, and one more to begin with.
     sampled = config.excitation(key, config.rows + 1, robot.machine.limits)
     commands = [Target(*command) for command in np.stack(sampled, axis=1).astype(float).tolist()]

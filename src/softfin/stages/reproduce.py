@@ -26,7 +26,7 @@ from softfin.evaluation.report import prediction_figure, write_report
 from softfin.learning.controllers import learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.controllers import find_gaits, map_forces, train
-from softfin.stages.evaluation import evaluation_of
+from softfin.stages.evaluation import evaluate_controller
 from softfin.stages.explore import explore, is_shown
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.stages.surrogates import fit
@@ -334,7 +334,7 @@ class _Reproduction:
             for seed in self.seeds:
                 path = self.controller(kind, seed)
                 config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
-                each.append(evaluation_of(path, target, config, plant))
+                each.append(evaluate_controller(path, target, config, plant))
             # Not after every seed: the first one is waited for, the others share its program.
             progress(folder, place / len(self.config.kinds), kind)
             whole = together(each)

@@ -9,10 +9,10 @@ import jax
 
 from softfin.core.errors import ConfigurationError
 from softfin.core.progress import Progress, silent
-from softfin.robot.baselines import drivers_of
+from softfin.robot.baselines import build_drivers
 from softfin.robot.check import check_robot
 from softfin.robot.description import RobotConfig, load_robot
-from softfin.robot.evaluate import RobotEvaluateConfig, evaluate_robot, gaits_of, trial
+from softfin.robot.evaluate import RobotEvaluateConfig, evaluate_robot, find_all_gaits, trial
 from softfin.robot.figures import draw_trials
 from softfin.robot.simulation import RobotSimulation
 from softfin.robot.view.page import write_page
@@ -31,7 +31,7 @@ def check(robot: str) -> dict[str, Any]:
     """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML
     file."""
     config = load_robot(robot)
-    return check_robot(config, gaits_of(tanks_of(config)))
+    return check_robot(config, find_all_gaits(build_tanks(config)))
 
 
 def evaluate(
@@ -48,7 +48,7 @@ def evaluate(
     config = config or RobotEvaluateConfig()
     body = load_robot(robot)
     found = evaluate_robot(
-        body, tanks_of(body), config, lambda done, note: progress("robot", done, note)
+        body, build_tanks(body), config, lambda done, note: progress("robot", done, note)
     )
     result = {
         **artifacts.head("robot"),
@@ -88,11 +88,11 @@ def view(
         raise ConfigurationError(f"{task}: there are pages of {', '.join(TITLES)}")
     artifacts.check_file(out, overwrite)
     body = load_robot(robot)
-    tanks = tanks_of(body)
+    tanks = build_tanks(body)
     progress("robot", 0.0, "gaits of the fins")
-    gaits = gaits_of(tanks)
+    gaits = find_all_gaits(tanks)
     progress("robot", 0.3, task)
-    driver = drivers_of(body, gaits)["whole"]
+    driver = build_drivers(body, gaits)["whole"]
     record, row = trial(RobotSimulation(body, tanks), driver, task, config, config.seed)
     write_page(out, body, record, _title(body, task, config.dead))
     progress("robot", 1.0, "")
@@ -103,7 +103,7 @@ def _title(robot: RobotConfig, task: str, dead: bool) -> str:
     return f"{robot.name} {TITLES[task]}" + (" when a fin dies" if dead else "")
 
 
-def tanks_of(robot: RobotConfig) -> list[Tank]:
+def build_tanks(robot: RobotConfig) -> list[Tank]:
     """Build the tank of each fin; fins of one name share one. Raises ConfigurationError for other
     plants."""
     built: dict[str, Tank] = {}

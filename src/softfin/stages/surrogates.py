@@ -13,7 +13,7 @@ from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
-from softfin.storage.registry import find_plant, name_of
+from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate, save_surrogate
 from softfin.surrogate import import_keras as _import_keras
@@ -150,7 +150,7 @@ def compare(
         raise ArtifactError(
             f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}"
         )
-    floor = None if noise_floor is None else (name_of(noise_floor), find_plant(noise_floor))
+    floor = None if noise_floor is None else (plant_name(noise_floor), find_plant(noise_floor))
     comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
     summary = {
         **artifacts.head("comparison"),
@@ -188,7 +188,7 @@ def calibrate(
         run_directory.finish()
         return artifacts.load_description(out, "calibration")
     calibration = _calibrate(config, train, test, seed, run_directory, progress)
-    origin = artifacts.provenance(seed=seed, data=name_of(data), **source)
+    origin = artifacts.provenance(seed=seed, data=plant_name(data), **source)
     written = {"configuration": metadata["configuration"], "provenance": origin}
     summary = calibration.write(out, written, run_directory.keep_log, overwrite)
     run_directory.finish()

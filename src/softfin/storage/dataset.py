@@ -66,7 +66,7 @@ class Dataset:
             raise ArtifactError(
                 f"{path}: holds no training logs; put Parquet logs into {path / 'train'}"
             )
-        return cls(path, train, test, description, _hash_of(found))
+        return cls(path, train, test, description, _hash_file(found))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
         """Read logs one by one; raises LogError for one that cannot be used for training."""
@@ -92,7 +92,7 @@ def write_dataset(
         description = {
             "rate_hz": RATE_HZ,
             **metadata,
-            "data_hash": _hash_of(hashes),
+            "data_hash": _hash_file(hashes),
             "files": hashes,
         }
         artifacts.write_description(folder, "dataset", description)
@@ -117,7 +117,7 @@ def _hash_files(path: Path) -> dict[str, str]:
     return hashes
 
 
-def _hash_of(hashes: dict[str, str]) -> str:
+def _hash_file(hashes: dict[str, str]) -> str:
     return hashlib.sha256(
         "".join(f"{name} {digest}\n" for name, digest in hashes.items()).encode()
     ).hexdigest()

@@ -88,7 +88,7 @@ def find_plant(name: "str | Plant") -> "Plant":
     return plant
 
 
-def name_of(plant: object) -> str:
+def plant_name(plant: object) -> str:
     """Return the name that a user gave to a plant, or the name of its class."""
     return str(plant) if isinstance(plant, str | Path) else type(plant).__name__
 

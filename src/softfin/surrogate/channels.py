@@ -100,13 +100,13 @@ class Scaling(Configuration):
 
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
         """Some columns of a log, scaled, float32."""
-        columns = columns_of([log])
+        columns = to_columns([log])
         return np.stack([self.scaled(name, columns[name]) for name in names], axis=1).astype(
             np.float32
         )
 
 
-def columns_of(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
+def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
     """The columns of logs, one log after the other, by the names of the channels."""
     each = [
         (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
@@ -119,7 +119,7 @@ def columns_of(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
     """Least and greatest value of some channels in logs; of the readings it is the training range
     of a surrogate."""
-    columns = columns_of(logs)
+    columns = to_columns(logs)
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
 
 

@@ -18,7 +18,7 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, Command
 from softfin.tank.fin import Shaft
-from softfin.tank.sensor import arrays_of, to_multiple
+from softfin.tank.sensor import config_arrays, to_multiple
 
 DEAD_TICKS = 20
 """Longest dead time, in ticks of 10 ms."""
@@ -94,7 +94,7 @@ class Drive(eqx.Module):
             self.torque_limit,
             self.backlash,
             self.encoder_step,
-        ) = arrays_of(config, without=("slowest_rad_s", "fastest_rad_s"))
+        ) = config_arrays(config, without=("slowest_rad_s", "fastest_rad_s"))
 
     def rest(self) -> DriveState:
         """Return the state at rest at angle 0, commanded to stay there."""

@@ -66,7 +66,7 @@ class WaterConfig(Configuration):
 REFERENCE_STROKE = 5.0
 """Keulegan-Carpenter number at which the drag coefficient is stated."""
 
-LEAST_STROKE = 0.5
+MIN_STROKE = 0.5
 """Keulegan-Carpenter number below which drag grows no more."""
 
 SLOWEST_FRICTION_M_S = 0.01
@@ -165,8 +165,7 @@ class Water(eqx.Module):
         """Return what the fin moves in while the flow is such."""
         # 2 pi amplitude / span, for the amplitude of a sine with that mean square.
         number = (
-            jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + LEAST_STROKE**2)
-            / REFERENCE_STROKE
+            jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + MIN_STROKE**2) / REFERENCE_STROKE
         )
         drag = self.drag * number**-self.drag_exponent
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))

@@ -25,7 +25,9 @@ MIN_TIME_CONSTANT_S = 1e-6
 """Shortest time constant [s] in computations; it keeps derivatives finite where one is zero."""
 
 
-def arrays_of(config: Configuration, without: Collection[str] = ()) -> Iterator[Float[Array, ""]]:
+def config_arrays(
+    config: Configuration, without: Collection[str] = ()
+) -> Iterator[Float[Array, ""]]:
     """Yield the numbers of a configuration as arrays, in the order of its fields."""
     return (
         jnp.asarray(value, float)
@@ -125,7 +127,7 @@ class Sensor(eqx.Module):
             self.resolution,
             self.range,
             self.zero_time,
-        ) = arrays_of(config)
+        ) = config_arrays(config)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
         """Return the state at rest after zeroing; the drift starts at a value from its stationary

@@ -89,7 +89,7 @@ class CellsFile(Configuration):
     answers these."""
 
 
-def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
+def parse_cells(text: str, within: Cell) -> tuple[Cell, ...]:
     """The cells of a text; a lattice fills `within`, the others have places of their own.
 
     Raises:
@@ -106,7 +106,7 @@ def cells_of(text: str, within: Cell) -> tuple[Cell, ...]:
     return values.cells
 
 
-def range_of(text: str) -> Cell:
+def parse_range(text: str) -> Cell:
     """The box of ``X0,Y0,X1,Y1`` [N]; raises ConfigurationError for any other text."""
     x0, y0, x1, y1 = read_range(text)
     return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")

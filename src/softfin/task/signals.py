@@ -35,7 +35,7 @@ CLOCK_S = 1e-6
 REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newton", "force_y_n": "newton"}
 """Columns that are read, and their units."""
 
-LONGEST_S = 3600.0
+MAX_SIGNAL_S = 3600.0
 """Longest reference that is followed [s]; a longer one is in another unit."""
 
 MAX_REFERENCE_ROWS = 360_000
@@ -222,10 +222,10 @@ def read_reference_file(path: Path) -> Recorded:
     recorded = Recorded.build(
         {"time_s": values[:, 0].tolist(), "force_n": values[:, 1:].tolist()}, source
     )
-    if recorded.seconds > LONGEST_S:
+    if recorded.seconds > MAX_SIGNAL_S:
         raise ConfigurationError(
             f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s; at most "
-            f"{LONGEST_S:g} s are followed: are these milliseconds? Then divide them by 1000; else "
-            "cut the file"
+            f"{MAX_SIGNAL_S:g} s are followed: are these milliseconds? Then divide them by 1000; "
+            "else cut the file"
         )
     return recorded

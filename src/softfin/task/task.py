@@ -19,11 +19,11 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
 from softfin.control.policy import Observation
-from softfin.core.action_clock import MOST_TICKS
+from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.configuration import Configuration
 from softfin.core.operations import jax_operations
 from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
-from softfin.core.quantities import Command, Limits, command_of
+from softfin.core.quantities import Command, Limits, action_to_command
 from softfin.core.window import sobolev, window_error, window_mean
 from softfin.task.references import References
 
@@ -188,10 +188,10 @@ class ForceTracking:
         config = self.config.reward
         sensing = self.config.sensing
         plant, reading = hold_action(
-            self.plant, state.plant, command_of(self.plant.limits, action), ticks
+            self.plant, state.plant, action_to_command(self.plant.limits, action), ticks
         )
         past_references = _last(
-            state.past_references, jnp.tile(state.reference, (MOST_TICKS, 1)), ticks
+            state.past_references, jnp.tile(state.reference, (MAX_ACTION_TICKS, 1)), ticks
         )
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
@@ -265,7 +265,7 @@ def observation(
     return jnp.asarray(part.observe(jax_operations(), now, actions.reshape(-1), age) / part.units())
 
 
-def action_of(limits: Limits, command: Command) -> Action:
+def command_to_action(limits: Limits, command: Command) -> Action:
     """The action of a command: the plant's limits onto [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
     velocity = (command.velocity - limits.velocity_min) / (
@@ -276,7 +276,7 @@ def action_of(limits: Limits, command: Command) -> Action:
 
 def rest_actions(config: TaskConfig, limits: Limits) -> Float[Array, "remembered 2"]:
     """Past actions of a fin that has long been held at rest."""
-    return jnp.tile(action_of(limits, rest_command(limits)), (config.past_actions + 1, 1))
+    return jnp.tile(command_to_action(limits, rest_command(limits)), (config.past_actions + 1, 1))
 
 
 def remember(actions: Float[Array, "remembered 2"], action: Action) -> Float[Array, "remembered 2"]:

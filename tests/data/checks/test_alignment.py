@@ -4,12 +4,12 @@ import pytest
 from softfin.data.checks.alignment import command_lag, force_lag, frame_correlations
 from softfin.data.importing.importing import FORCE_FRAMES
 from softfin.tank import Tank, TankConfig
-from tests.data.faulty import columns_of, recorded, tank_logs
+from tests.data.faulty import recorded, tank_logs, to_columns
 
 
 @pytest.fixture(scope="module")
 def log():
-    columns = columns_of(tank_logs()[0])
+    columns = to_columns(tank_logs()[0])
     force = np.stack([columns["force_x_n"], columns["force_y_n"]], axis=1)
     return columns["command_angle_rad"], columns["angle_rad"], force
 
@@ -46,7 +46,7 @@ def test_a_slow_drive_that_is_always_on_its_way_has_the_same_dead_time():
             ]
         )
     )
-    columns = columns_of(recorded(slow, 1, 6000)[0])
+    columns = to_columns(recorded(slow, 1, 6000)[0])
     assert command_lag(columns["command_angle_rad"], columns["angle_rad"]) == pytest.approx(
         29, abs=6
     )

@@ -8,20 +8,20 @@ from softfin.tank import IDEAL, Tank, TankConfig
 from tests.data.faulty import (
     ROWS,
     Columns,
-    columns_of,
     cut,
     delayed,
     log_of,
     named,
     recorded,
     tank_logs,
+    to_columns,
 )
 
 
 def inspected(change=None, config: ImportConfig | None = None) -> Inspection:
     logs = tank_logs(2)
     if change is not None:
-        columns = [columns_of(log) for log in logs]
+        columns = [to_columns(log) for log in logs]
         for one in columns:
             change(one)
         logs = [log_of(one) for one in columns]
@@ -76,7 +76,7 @@ def test_nothing_is_wrong_with_logs_of_the_published_fin(published_logs):
 
 @pytest.mark.parametrize("ticks", [5, -8])
 def test_a_lagging_force_is_found_in_the_published_fin_too(published_logs, ticks):
-    columns = [columns_of(log) for log in published_logs]
+    columns = [to_columns(log) for log in published_logs]
     for one in columns:
         for name in ("force_x_n", "force_y_n"):
             one[name] = delayed(one[name], ticks)
@@ -116,7 +116,7 @@ def test_a_velocity_that_was_told_is_not_taken_for_degrees():
 
 
 def test_short_logs_are_checked_together():
-    columns = [columns_of(cut(log, 0, 800)) for log in tank_logs(4)]
+    columns = [to_columns(cut(log, 0, 800)) for log in tank_logs(4)]
     for one in columns:
         mirrored_command(one)
     inspection = inspect(named(*map(log_of, columns)))
@@ -307,7 +307,7 @@ def test_a_fault_is_not_taken_for_others(fault):
 
 
 def test_a_velocity_of_zeros_is_an_error_in_one_log_of_several_and_not_on_a_fin_at_rest():
-    faulty, still = (columns_of(log) for log in tank_logs(2))
+    faulty, still = (to_columns(log) for log in tank_logs(2))
     still_velocity(faulty)
     issue = next(
         one for one in inspect(named(*tank_logs(2), log_of(faulty))).issues if one.name != "columns"
@@ -362,8 +362,8 @@ def test_fixes_go_on_from_the_options_that_were_given():
 
 def test_one_log_with_another_clock_and_another_offset_stands_out():
     logs = tank_logs(4)
-    late = columns_of(logs[3])
-    shifted = columns_of(logs[2])
+    late = to_columns(logs[3])
+    shifted = to_columns(logs[2])
     late_force(late)
     shifted["force_y_n"] += 0.9
     found = grave(inspect(named(logs[0], logs[1], log_of(shifted), log_of(late))))
@@ -373,7 +373,7 @@ def test_one_log_with_another_clock_and_another_offset_stands_out():
 def test_commands_that_leave_their_range_empty_are_reported():
     tied = []
     for log in tank_logs(5):
-        columns = columns_of(log)
+        columns = to_columns(log)
         columns["command_velocity_rad_s"] = 3 + columns["command_angle_rad"]
         tied.append(log_of(columns))
     assert "coverage" in grave(inspect(named(*tied, test=0)))

@@ -5,13 +5,13 @@ import numpy as np
 
 from softfin.data.checks.inspection import inspect
 from softfin.data.checks.report import inspection_figure, write_inspection
-from tests.data.faulty import columns_of, log_of, named, tank_logs
+from tests.data.faulty import log_of, named, tank_logs, to_columns
 
 
 def faulty():
     logs = []
     for log in tank_logs(2):
-        columns = columns_of(log)
+        columns = to_columns(log)
         columns["force_x_n"][3000] += 40
         columns["force_y_n"] *= -1
         logs.append(log_of(columns))

@@ -2,26 +2,26 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import LogError
-from softfin.data.importing.clocks import Recording, Track, logs_of
+from softfin.data.importing.clocks import Recording, Track, build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.storage.log_file import encode_log
-from tests.data.faulty import columns_of, tank_logs
+from tests.data.faulty import tank_logs, to_columns
 
 NAMES = ("command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y")
 
 
 def track(rows=1000, **changes) -> Track:
-    columns = list(columns_of(tank_logs()[0]).values())
+    columns = list(to_columns(tank_logs()[0]).values())
     channels = {name: values[:rows].copy() for name, values in zip(NAMES, columns[1:], strict=True)}
     return Track(columns[0][:rows].copy(), channels)
 
 
-def rows_of(one: Track, keep) -> Track:
+def valid_rows(one: Track, keep) -> Track:
     return Track(one.time[keep], {name: values[keep] for name, values in one.channels.items()})
 
 
 def logs(*tracks: Track, **options):
-    return logs_of(Recording("run", "train", tracks), ImportConfig.build(options))
+    return build_logs(Recording("run", "train", tracks), ImportConfig.build(options))
 
 
 def kinds(issues) -> list[str]:
@@ -106,7 +106,7 @@ def test_a_lost_count_and_degrees_are_no_wrapped_encoder():
 
 def test_a_long_gap_splits_and_is_never_bridged():
     keep = np.r_[0:400, 430:1000]
-    pieces, issues = logs(rows_of(track(), keep))
+    pieces, issues = logs(valid_rows(track(), keep))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 570]
     assert [piece.name for piece in pieces] == ["run, piece 1 of 2", "run, piece 2 of 2"]
     assert pieces[1].log.reading.time[0] == pytest.approx(4.30)
@@ -119,7 +119,7 @@ def test_a_long_gap_splits_and_is_never_bridged():
 
 def test_a_short_gap_is_bridged_by_interpolation():
     one = track()
-    (log,), issues = logs(rows_of(one, np.r_[0:400, 403:1000]))
+    (log,), issues = logs(valid_rows(one, np.r_[0:400, 403:1000]))
     assert len(log.log.reading.time) == 1000
     assert not issues
     angle = one.channels["angle"]
@@ -132,10 +132,10 @@ def test_a_short_gap_is_bridged_by_interpolation():
 
 
 def test_pieces_that_are_too_short_are_left_out_and_counted():
-    pieces, issues = logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]))
+    pieces, issues = logs(valid_rows(track(), np.r_[0:400, 430:500, 530:1000]))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 470]
     assert "1 piece between gaps, shorter than 2 s, left out: 0.69 s" in issues[-1].message
-    assert len(logs(rows_of(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
+    assert len(logs(valid_rows(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
 
 
 def test_rows_without_a_value_are_errors_and_split_where_there_are_many():
@@ -186,7 +186,7 @@ def test_a_fast_source_is_resampled_and_that_is_noted():
 
 
 def test_a_slow_source_is_a_warning():
-    (log,), issues = logs(rows_of(track(), slice(0, None, 2)))
+    (log,), issues = logs(valid_rows(track(), slice(0, None, 2)))
     assert [(one.severity, one.name) for one in issues] == [("warning", "slow rate")]
     assert len(log.log.reading.time) == 999
 

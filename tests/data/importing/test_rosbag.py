@@ -5,17 +5,17 @@ import pytest
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from softfin.core.errors import LogError
-from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.clocks import build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.storage.bag.zero import zero_event
 from tests.data.bags import START_S, array, joint, text, topics_of, wrench, write_bag
-from tests.data.faulty import columns_of, tank_logs
+from tests.data.faulty import tank_logs, to_columns
 
 
 @pytest.fixture(scope="module")
 def columns():
-    return columns_of(tank_logs()[0])
+    return to_columns(tank_logs()[0])
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def bag(tmp_path_factory, columns):
 def opened(path, **options):
     config = ImportConfig.build(options)
     recording = read_bag(path, path.name, "train", config)
-    logs, issues = logs_of(recording, config)
+    logs, issues = build_logs(recording, config)
     return logs, issues
 
 

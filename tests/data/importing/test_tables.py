@@ -7,7 +7,7 @@ import pytest
 from softfin.core.errors import LogError
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
-from tests.data.faulty import columns_of, tank_logs
+from tests.data.faulty import tank_logs, to_columns
 
 AUTHORS = {
     "command_angle_rad": "command angle",
@@ -24,7 +24,7 @@ MAPPED = (
 
 @pytest.fixture(scope="module")
 def columns():
-    return columns_of(tank_logs()[0])
+    return to_columns(tank_logs()[0])
 
 
 def write_csv(path, columns, delimiter=","):

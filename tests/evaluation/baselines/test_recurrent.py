@@ -7,7 +7,7 @@ import pytest
 from benchmarks.recurrent import run_recurrent, train_recurrent
 
 from softfin.core.errors import ConfigurationError
-from softfin.core.quantities import PAPER_LIMITS, command_of
+from softfin.core.quantities import PAPER_LIMITS, action_to_command
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import run
 from softfin.task.references import PAPER_RANGE
@@ -40,7 +40,7 @@ class Same(eqx.Module):
         action = jnp.tanh(
             GAINS @ observation(TASK, measured.angle, reference, actions, age) + jnp.cos(age)
         )
-        return (remember(actions, action), age + 1), command_of(PAPER_LIMITS, action)
+        return (remember(actions, action), age + 1), action_to_command(PAPER_LIMITS, action)
 
     def check(self, reference):
         """Covers everything."""

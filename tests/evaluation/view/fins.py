@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.quantities import Command, Reading
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.evaluation.view.footage import Footage, film
 from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from tests.plants import AnalyticFin, FinState
@@ -50,4 +50,4 @@ def beating(
     """Asked for a reference all the time."""
     commands: Command = stroke_gait(StrokeGaitConfig(), plant.limits, ticks)
     asked = None if reference is None else np.tile(np.float32(reference), (ticks, 1))
-    return film(plant, key_of(0, "test"), commands, asked)
+    return film(plant, named_key(0, "test"), commands, asked)

@@ -5,8 +5,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from softfin.evaluation.view.files import ticks_of, write_gif, write_png
-from softfin.evaluation.view.footage import scale_of
+from softfin.evaluation.view.files import shown_ticks, write_gif, write_png
+from softfin.evaluation.view.footage import choose_scale
 from softfin.evaluation.view.picture import BLUE, FIN, Picture
 from tests.evaluation.view.fins import BendingFin, OffsetSensor, beating
 
@@ -47,7 +47,7 @@ def test_a_footage_that_grows_is_drawn_up_to_now_with_nothing_ahead():
             length_m=whole.length_m, shape_known=True, thickness=whole.thickness, average=average
         )
 
-    growing = Picture(first(1), "a fin", DPI, growing=(scale_of(whole), 2.2))
+    growing = Picture(first(1), "a fin", DPI, growing=(choose_scale(whole), 2.2))
     known = Picture(whole, "a fin", DPI)
     for ticks in (1, 50, 210):
         growing.footage = first(ticks)
@@ -73,7 +73,7 @@ def test_the_fin_is_drawn_where_its_shape_is_to_the_left_of_the_shaft(picture):
 def test_the_arrow_of_the_force_is_as_long_as_its_scale_says(picture):
     force = picture.footage.reading.force
     tick = int(np.abs(force[:, 0]).argmax())
-    scale = scale_of(picture.footage)
+    scale = choose_scale(picture.footage)
     axes = picture.figure.get_axes()[0]
     per_metre = axes.bbox.width / np.ptp(axes.get_xlim())
     assert axes.bbox.height / np.ptp(axes.get_ylim()) == pytest.approx(per_metre, rel=1e-6)
@@ -127,12 +127,12 @@ def test_reference_and_mean_share_a_longer_scale_and_the_reference_moves_with_it
 
 
 def test_without_a_reference_force_and_mean_have_one_scale():
-    scale = scale_of(beating(BendingFin(), 220))
+    scale = choose_scale(beating(BendingFin(), 220))
     assert scale.metres_per_mean_newton == scale.metres_per_newton
 
 
 def test_every_shape_and_arrow_is_within_what_is_seen(picture):
-    scale = scale_of(picture.footage)
+    scale = choose_scale(picture.footage)
     footage = picture.footage
     arrows = [
         footage.reading.force * scale.metres_per_newton,
@@ -181,7 +181,7 @@ def test_a_png_is_the_last_frame(picture, tmp_path):
 @pytest.mark.parametrize("rate", [10, 20, 25, 50])
 def test_the_last_tick_is_always_shown(rate):
     for ticks in (10, 99, 100, 101):
-        shown = ticks_of(ticks, rate)
+        shown = shown_ticks(ticks, rate)
         assert shown[-1] == ticks - 1
         assert len(shown) == -(-ticks * rate // 100)
 

@@ -7,8 +7,8 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.errors import PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
-from softfin.core.randomness import key_of
-from softfin.evaluation.view.footage import film, greatest_of
+from softfin.core.randomness import named_key
+from softfin.evaluation.view.footage import film, max_sizes
 from softfin.evaluation.view.view import StrokeGaitConfig, stroke_gait
 from softfin.tank import Tank, TankConfig
 from softfin.tank.fin import FinConfig
@@ -20,7 +20,7 @@ def test_the_readings_are_those_of_the_plant_rolled_with_the_same_commands():
     fin = BendingFin()
     footage = beating(fin, 250)
     commands = jax.tree.map(jnp.asarray, footage.command)
-    _, reading = roll(fin, fin.init(key_of(0, "test")), commands)
+    _, reading = roll(fin, fin.init(named_key(0, "test")), commands)
     np.testing.assert_allclose(footage.reading.force, reading.force, atol=1e-4)
     np.testing.assert_allclose(footage.average[0], reading.force[:WINDOW].mean(axis=0), atol=1e-4)
     assert len(footage.average) == 250 - WINDOW + 1
@@ -50,7 +50,7 @@ def test_the_tip_of_a_stiff_fin_in_the_tank_is_where_the_shaft_points():
     fin = FinConfig(youngs_modulus_pa=1e10, plates=3)
     tank = Tank(TankConfig(fin=fin))
     commands = stroke_gait(StrokeGaitConfig(centre_rad=0.4), tank.limits, 60)
-    footage = film(tank, key_of(0, "test"), commands)
+    footage = film(tank, named_key(0, "test"), commands)
     angle = footage.reading.angle
     assert np.ptp(angle) > 0.2
     pointing = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
@@ -96,7 +96,7 @@ def test_the_true_force_is_drawn_where_the_plant_knows_it():
     )
     np.testing.assert_allclose(footage.force, truth.force, atol=1e-5)
     np.testing.assert_allclose(footage.average, truth.average, atol=1e-5)
-    np.testing.assert_allclose(greatest_of(footage), greatest_of(truth), atol=1e-4)
+    np.testing.assert_allclose(max_sizes(footage), max_sizes(truth), atol=1e-4)
     assert truth.true_force is None
     np.testing.assert_array_equal(truth.force, truth.reading.force)
 
@@ -109,4 +109,4 @@ def test_a_shape_that_is_none_is_named():
     with pytest.raises(
         PlantError, match=r"Flat: shape\(state\) has shape \(3,\); it must be \(points, 2\)"
     ):
-        film(Flat(), key_of(0, "test"), Command(np.zeros(5, np.float32), np.ones(5, np.float32)))
+        film(Flat(), named_key(0, "test"), Command(np.zeros(5, np.float32), np.ones(5, np.float32)))

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.evaluation.view.footage import greatest_of, round_down, scale_of
+from softfin.evaluation.view.footage import choose_scale, max_sizes, round_down
 from tests.evaluation.view.fins import LENGTH_M, BendingFin, beating
 
 
@@ -18,12 +18,12 @@ def test_a_number_is_rounded_down_to_the_last_of_1_2_5(value):
 def test_the_greatest_are_those_of_force_and_reference_or_mean():
     footage = beating(BendingFin(), 220, reference=(20.0, -1.0))
     force = np.linalg.norm(footage.reading.force, axis=1).max()
-    np.testing.assert_allclose(greatest_of(footage), [force, np.hypot(20, 1)], rtol=1e-6)
+    np.testing.assert_allclose(max_sizes(footage), [force, np.hypot(20, 1)], rtol=1e-6)
 
 
 def test_the_scale_of_a_growing_footage_holds_every_shape_and_arrow():
     footage = beating(BendingFin(), 220, reference=(2.0, -1.0))
-    scale = scale_of(footage, greatest_of(footage) + 0.1, (-1.6, 1.6))
+    scale = choose_scale(footage, max_sizes(footage) + 0.1, (-1.6, 1.6))
     assert scale.length_m == pytest.approx(LENGTH_M)
     arrows = [
         footage.reading.force * scale.metres_per_newton,

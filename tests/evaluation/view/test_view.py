@@ -9,14 +9,14 @@ from softfin.cli import main
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import CommandError, ConfigurationError, CoverageError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.evaluation import experiment
 from softfin.evaluation.view.view import (
     StrokeGaitConfig,
     ViewConfig,
-    footage_of,
+    record_footage,
     stroke_gait,
-    title_of,
+    view_title,
 )
 from softfin.gaits.reachable import Cell, Reachable
 from tests.evaluation.view.fins import BendingFin, OffsetSensor
@@ -36,8 +36,8 @@ def fails(capsys, *words):
 def test_under_a_controller_the_fin_moves_as_in_the_experiment_and_the_reference_is_kept():
     fin = BendingFin()
     config = ViewConfig(seconds=1.5)
-    footage = footage_of(fin, config, Flapper(), (1.0, -1.0))
-    key = key_of(0, "view/plant")[None]
+    footage = record_footage(fin, config, Flapper(), (1.0, -1.0))
+    key = named_key(0, "view/plant")[None]
     recording = experiment.run(Flapper(), fin, jnp.asarray([[1.0, -1.0]]), 2, key)
     np.testing.assert_array_equal(footage.command.angle, recording.command.angle[0, 0, :150])
     np.testing.assert_allclose(
@@ -60,12 +60,12 @@ class Pointer(Flapper):
 
 def test_references_follow_one_another_for_equal_parts_of_the_time():
     config = ViewConfig(seconds=6, next_references=((2.0, 0.0), (3.0, 1.0)))
-    footage = footage_of(BendingFin(), config, Pointer(), (1.0, -1.0))
+    footage = record_footage(BendingFin(), config, Pointer(), (1.0, -1.0))
     np.testing.assert_array_equal(
         footage.reference[[0, 199, 200, 399, 400, 599], 0], [1, 1, 2, 2, 3, 3]
     )
     np.testing.assert_allclose(footage.command.angle, 0.1 * footage.reference[:, 0], rtol=1e-6)
-    title = title_of("tank", config, (1.0, -1.0))
+    title = view_title("tank", config, (1.0, -1.0))
     assert (
         title
         == "A soft fin in the virtual tank, asked for (1, \u22121), then (2, 0), then (3, 1) N"
@@ -74,13 +74,15 @@ def test_references_follow_one_another_for_equal_parts_of_the_time():
 
 def test_a_later_reference_that_the_controller_does_not_cover_is_refused():
     with pytest.raises(CoverageError, match="not covered"):
-        footage_of(BendingFin(), ViewConfig(next_references=((6.0, 0.0),)), Pointer(), (1.0, -1.0))
+        record_footage(
+            BendingFin(), ViewConfig(next_references=((6.0, 0.0),)), Pointer(), (1.0, -1.0)
+        )
 
 
 def test_random_commands_depend_on_the_seed_and_stay_within_the_limits():
     fin = BendingFin()
     angles = [
-        footage_of(fin, ViewConfig(seconds=3, random=True, seed=seed)).command.angle
+        record_footage(fin, ViewConfig(seconds=3, random=True, seed=seed)).command.angle
         for seed in (0, 0, 1)
     ]
     np.testing.assert_array_equal(angles[0], angles[1])

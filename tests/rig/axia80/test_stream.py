@@ -86,27 +86,27 @@ def test_the_rate_of_the_stream_is_measured():
 def test_a_packet_that_was_held_up_moves_no_time():
     clock = StreamClock(1000.0)
     newest = streamed(clock, 1000.0, 1, late=lambda tick: 0.02 if tick > 95 else 0.0)
-    assert clock.time_of(newest) == pytest.approx(100 + newest / 1000, abs=1e-3)
+    assert clock.estimate_time(newest) == pytest.approx(100 + newest / 1000, abs=1e-3)
 
 
 def test_a_stream_that_stays_late_is_followed():
     clock = StreamClock(1000.0)
     newest = streamed(clock, 1000.0, 5, late=lambda tick: 0.02 if tick > 300 else 0.0)
-    assert clock.time_of(newest) == pytest.approx(100.02 + newest / 1000, abs=1e-3)
+    assert clock.estimate_time(newest) == pytest.approx(100.02 + newest / 1000, abs=1e-3)
 
 
 def test_a_pause_is_not_bridged():
     clock = StreamClock(1000.0)
     newest = streamed(clock, 1000.0, 1)
     clock.stamp(newest + 1, 105.0)
-    assert clock.time_of(newest + 1) == 105.0
+    assert clock.estimate_time(newest + 1) == 105.0
 
 
 def test_before_its_rate_is_measured_a_stream_has_the_one_expected():
     clock = StreamClock(976.0)
     assert clock.measured_s == 0
     clock.stamp(5, 200.0)
-    assert clock.time_of(5) == 200.0
+    assert clock.estimate_time(5) == 200.0
     assert clock.rate_hz == 976.0
 
 

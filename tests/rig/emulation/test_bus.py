@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.rig.emulation.bus import HOST, SocketcandServer, line_of, parse
+from softfin.rig.emulation.bus import HOST, SocketcandServer, format_frame, parse
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.epos2.config import BusConfig
 from tests.patience import HANG_S, wait_until
@@ -172,7 +172,7 @@ def test_a_frame_comes_back_from_the_line_that_pythoncan_makes_of_it(
     parsed = parse(" ".join(socketcand.convert_can_message_to_ascii_message(message).split()))
     assert parsed is not None
     assert (parsed.arbitration_id, bytes(parsed.data)) == (cob_id, data)
-    read = socketcand.convert_ascii_message_to_can_message(line_of(message))
+    read = socketcand.convert_ascii_message_to_can_message(format_frame(message))
     assert (read.arbitration_id, bytes(read.data)) == (cob_id, data)
 
 

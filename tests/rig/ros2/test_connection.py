@@ -12,10 +12,10 @@ from softfin.rig.ros2.connection import (
     StampClock,
     Subscription,
     decode,
-    joint_of,
-    reference_of,
-    stamp_of,
-    wrench_of,
+    read_joint,
+    read_reference_message,
+    read_stamp,
+    read_wrench,
 )
 from softfin.storage.bag.messages import cdr
 from tests.rig.ros2_memory import JOINT, WRENCH, MemoryTransport, Messages
@@ -28,15 +28,15 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 def test_a_joint_comes_back_as_it_went(angle, velocity, stamp, frame):
     frame = frame.replace("\0", "")
     message = decode(cdr(JOINT, stamp, (angle, velocity), frame), JOINT)
-    assert joint_of(message, "fin") == (angle, velocity)
-    assert stamp_of(message) == stamp
+    assert read_joint(message, "fin") == (angle, velocity)
+    assert read_stamp(message) == stamp
     assert message.header.frame_id == frame
 
 
 @given(st.tuples(*[numbers] * 6))
 def test_a_wrench_comes_back_as_it_went(wrench):
     message = decode(cdr(WRENCH, 1, wrench, ""), WRENCH)
-    assert wrench_of(message) == wrench
+    assert read_wrench(message) == wrench
 
 
 @given(st.binary(max_size=300), st.sampled_from([JOINT, WRENCH, VECTOR, BOOL]))
@@ -55,25 +55,25 @@ def test_a_joint_among_others_is_found_by_its_name():
     message.name = ["a", "fin"]
     message.position = np.array([0.0, 3.0])
     message.velocity = np.zeros(0)
-    assert joint_of(message, "fin") == (3.0, None)
+    assert read_joint(message, "fin") == (3.0, None)
     with pytest.raises(ValueError, match=r"no joint 'tail' in it; it has 'a', 'fin'"):
-        joint_of(message, "tail")
+        read_joint(message, "tail")
     message.position = np.zeros(1)
     with pytest.raises(ValueError, match="2 names, 1 positions"):
-        joint_of(message, "fin")
+        read_joint(message, "fin")
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
 def test_what_is_no_number_is_refused(bad):
     with pytest.raises(ValueError, match="velocity is"):
-        joint_of(MESSAGES.joint(1, "", "fin", 0.0, bad), "fin")
+        read_joint(MESSAGES.joint(1, "", "fin", 0.0, bad), "fin")
     for index in range(6):
         wrench = [0.0] * 6
         wrench[index] = bad
         with pytest.raises(ValueError, match=r"(force|torque) [xyz] is"):
-            wrench_of(MESSAGES.wrench(1, "", tuple(wrench)))
+            read_wrench(MESSAGES.wrench(1, "", tuple(wrench)))
     with pytest.raises(ValueError, match="y is"):
-        reference_of(MESSAGES.wrench(1, "", (0.0, bad, 0.0, 0.0, 0.0, 0.0)), "fin_mount")
+        read_reference_message(MESSAGES.wrench(1, "", (0.0, bad, 0.0, 0.0, 0.0, 0.0)), "fin_mount")
 
 
 def test_references_are_of_both_types_and_of_our_frame():
@@ -81,10 +81,10 @@ def test_references_are_of_both_types_and_of_our_frame():
     vector = MESSAGES.make(
         VECTOR, MESSAGES.header(1, ""), MESSAGES.make("geometry_msgs/msg/Vector3", 3.0, 4.0, 0.0)
     )
-    assert reference_of(wrench, "fin_mount") == (1.0, -2.0)
-    assert reference_of(vector, "fin_mount") == (3.0, 4.0)
+    assert read_reference_message(wrench, "fin_mount") == (1.0, -2.0)
+    assert read_reference_message(vector, "fin_mount") == (3.0, 4.0)
     with pytest.raises(ValueError, match="in the frame 'fin_mount'; this node's is 'base'"):
-        reference_of(wrench, "base")
+        read_reference_message(wrench, "base")
 
 
 START = 1_700_000_000 * 10**9
@@ -132,7 +132,11 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     transport = MemoryTransport()
     messages = Messages()
     subscription = Subscription(
-        transport, "/joint", JOINT, lambda message: joint_of(message, "fin"), quality="best_effort"
+        transport,
+        "/joint",
+        JOINT,
+        lambda message: read_joint(message, "fin"),
+        quality="best_effort",
     )
     assert transport.asked == {"/joint": [(JOINT, "best_effort")]}
     transport.put("/joint", messages.joint(START, "", "fin", 1.0, 2.0), 5.0)
@@ -157,9 +161,9 @@ def test_damaged_messages_are_told_or_refused_and_nothing_else():
     transport = MemoryTransport()
     vector = messages.make("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0)
     kinds = {
-        JOINT: lambda message: joint_of(message, "fin"),
-        WRENCH: wrench_of,
-        VECTOR: lambda message: reference_of(message, "fin_mount"),
+        JOINT: lambda message: read_joint(message, "fin"),
+        WRENCH: read_wrench,
+        VECTOR: lambda message: read_reference_message(message, "fin_mount"),
         BOOL: lambda message: (message.data,),
     }
     whole = {

@@ -9,7 +9,7 @@ import pytest
 
 from softfin.core.errors import ConfigurationError, DeviceError, RigError
 from softfin.rig.ros2.config import TransportConfig
-from softfin.rig.ros2.connection import BOOL, VECTOR, joint_of, wrench_of
+from softfin.rig.ros2.connection import BOOL, VECTOR, read_joint, read_wrench
 from softfin.rig.ros2.plant import open_transport
 from tests import needs
 
@@ -150,11 +150,11 @@ def test_another_process_reads_what_the_node_says_and_is_heard(tmp_path):
         for name, data in json.loads((tmp_path / "seen.json").read_text()).items()
     }
     joint = messages.decode(seen["joint_states"], JOINT)
-    assert joint_of(joint, "fin") == (0.25, -0.5)
+    assert read_joint(joint, "fin") == (0.25, -0.5)
     wrench = messages.decode(seen["wrench"], WRENCH)
-    assert wrench_of(wrench) == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+    assert read_wrench(wrench) == (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     assert abs(joint.header.stamp.sec - time.time()) < 120
-    assert joint_of(messages.decode(seen["command"], JOINT), "fin")[1] == 2.0
+    assert read_joint(messages.decode(seen["command"], JOINT), "fin")[1] == 2.0
     assert messages.encode(wrench) == seen["wrench"]
 
 

@@ -13,7 +13,7 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from softfin.core.errors import ArtifactError, LogError, SoftfinError
-from softfin.data.importing.clocks import logs_of
+from softfin.data.importing.clocks import build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.rig.simulated_clock import SimulatedClock
@@ -310,7 +310,7 @@ def test_no_mutation_of_a_bag_does_more_than_raise_one_line(tmp_path):
         for one in (path, out):
             if one.exists():
                 complaint = refusal(
-                    lambda one=one: logs_of(read_bag(one, one.name, "train", config), config)
+                    lambda one=one: build_logs(read_bag(one, one.name, "train", config), config)
                 )
                 assert complaint is None or complaint.isprintable(), seed
                 counts["read", complaint is None] += 1

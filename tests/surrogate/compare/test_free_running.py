@@ -8,12 +8,12 @@ from softfin.core.plant import roll
 from softfin.core.quantities import Log
 from softfin.data.excitation import ExcitationConfig
 from softfin.data.simulate import simulate
-from softfin.surrogate.compare.scores import free_run, run_from_rest, segments_of, take
+from softfin.surrogate.compare.scores import free_run, plan_segments, run_from_rest, take
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate import small
 
 
-def rows_of(log, begin, end):
+def valid_rows(log, begin, end):
     return Log(*jax.tree.map(lambda x: x[begin:end], log))
 
 
@@ -23,8 +23,8 @@ def test_a_warm_free_running_surrogate_predicts_what_its_nets_do_over_the_log():
     start = small.WINDOW
     _, reading = roll(
         plant,
-        plant.warm(rows_of(log, 0, start)),
-        jax.tree.map(jnp.asarray, rows_of(log, start - 1, -1)[0]),
+        plant.warm(valid_rows(log, 0, start)),
+        jax.tree.map(jnp.asarray, valid_rows(log, start - 1, -1)[0]),
     )
     np.testing.assert_allclose(reading.angle, plant.predict_angle(log), atol=1e-5)
     np.testing.assert_allclose(
@@ -36,7 +36,9 @@ def test_warm_counts_on_from_the_time_of_the_last_row():
     plant = small.surrogate()
     log = small.log(rows=60)
     _, reading = plant.advance(
-        plant.warm(rows_of(log, 0, 50)), jax.tree.map(lambda x: jnp.asarray(x[49]), log.command), 1
+        plant.warm(valid_rows(log, 0, 50)),
+        jax.tree.map(lambda x: jnp.asarray(x[49]), log.command),
+        1,
     )
     assert float(reading.time[0]) == pytest.approx(float(log.reading.time[50]))
 
@@ -55,12 +57,12 @@ def test_only_the_last_rows_of_a_history_matter():
     plant = small.surrogate()
     log = small.log(rows=100)
     long = plant.warm(log)
-    short = plant.warm(rows_of(log, 100 - plant.memory, 100))
+    short = plant.warm(valid_rows(log, 100 - plant.memory, 100))
     assert all(np.array_equal(a, b) for a, b in zip(long, short, strict=True))
     with pytest.raises(
         LogError, match="11 rows of history; a surrogate that sees 12 samples is warm after as many"
     ):
-        plant.warm(rows_of(log, 0, 11))
+        plant.warm(valid_rows(log, 0, 11))
 
 
 def test_parameters_are_the_leaves_of_both_nets():
@@ -71,7 +73,7 @@ def test_parameters_are_the_leaves_of_both_nets():
 
 
 def test_segments_lie_end_to_end_and_whole_in_each_log():
-    assert segments_of([100, 65], ticks=20, first=12) == [
+    assert plan_segments([100, 65], ticks=20, first=12) == [
         *((0, row) for row in (12, 32, 52, 72)),
         *((1, row) for row in (12, 32)),
     ]
@@ -82,21 +84,21 @@ def test_a_log_shorter_than_the_horizon_is_named_with_what_it_needs():
         LogError,
         match=r"test log 1: 111 rows; 12 to begin with and a horizon of 1 s need 112; .*--hor",
     ):
-        segments_of([500, 111], ticks=100, first=12)
-    assert segments_of([112], ticks=100, first=12) == [(0, 12)]
+        plan_segments([500, 111], ticks=100, first=12)
+    assert plan_segments([112], ticks=100, first=12) == [(0, 12)]
 
 
 def test_segments_in_batches_are_those_rolled_one_by_one():
     plant = small.surrogate()
     logs = [small.log(rows=150, seed=1), small.log(rows=90, seed=2)]
-    where = segments_of([150, 90], ticks=25, first=20)
+    where = plan_segments([150, 90], ticks=25, first=20)
     # Eight segments in batches of at most three: the last one is filled up.
     reading, members = free_run(plant, logs, where, ticks=25)
     assert members is None
     assert reading.force.shape == (len(where), 25, 2) == (7, 25, 2)
     for index, (log, row) in enumerate(where):
-        commands = jax.tree.map(jnp.asarray, rows_of(logs[log], row - 1, row + 24).command)
-        _, alone = roll(plant, plant.warm(rows_of(logs[log], 0, row)), commands)
+        commands = jax.tree.map(jnp.asarray, valid_rows(logs[log], row - 1, row + 24).command)
+        _, alone = roll(plant, plant.warm(valid_rows(logs[log], 0, row)), commands)
         for one, other in zip(alone, reading, strict=True):
             np.testing.assert_allclose(one, other[index], rtol=1e-4, atol=1e-4)
 
@@ -116,7 +118,7 @@ def test_rows_that_are_taken_are_those_of_the_log():
 def test_a_plant_from_rest_repeats_its_own_logs_whatever_their_lengths(fin):
     keys = list(jax.random.split(jax.random.key(0), 2))
     whole = list(simulate([fin] * 2, keys, 400, ExcitationConfig(), 2, lambda rows: None))
-    logs = [whole[0], rows_of(whole[1], 0, 250)]
+    logs = [whole[0], valid_rows(whole[1], 0, 250)]
     readings = run_from_rest(fin, logs, jax.random.key(5))
     for reading, log in zip(readings, logs, strict=True):
         assert reading.angle.shape == log.reading.angle.shape

@@ -23,7 +23,7 @@ from softfin.surrogate.streaming.ensemble import (
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
 from softfin.surrogate.streaming.profile import Profile
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 
 SCALES = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
 DRIVE = DriveNetConfig(units=3, hidden=4)
@@ -112,7 +112,7 @@ def followed(profile, commands):
     """The motion of a drive at rest that follows its profile: of row k what command k - 1 leads
     to."""
     still = Motion(jnp.zeros(()), jnp.zeros(()))
-    waiting = Command(jnp.zeros(LONGEST_DELAY), jnp.ones(LONGEST_DELAY))
+    waiting = Command(jnp.zeros(MAX_DELAY), jnp.ones(MAX_DELAY))
 
     def step(state, command):
         return profile.step(state, command)[0], profile.motion(state)
@@ -165,7 +165,7 @@ def motion(rows, seed=0):
     return Motion(jnp.asarray(angle, jnp.float32), jnp.asarray(velocity, jnp.float32))
 
 
-def rows_of(record, begin, end):
+def valid_rows(record, begin, end):
     return jax.tree.map(lambda x: x[begin:end], record)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 from softfin.core.quantities import Command
 from softfin.surrogate.streaming.ensemble import motions
 from softfin.surrogate.streaming.nets import products
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion
 from tests.surrogate.streaming import small
 
 COMMANDS = Command(*map(jnp.asarray, small.commands(120, seed=1)))
 BEFORE = Motion(jnp.float32(0.2), jnp.float32(0.5))
-WAITING = Command(jnp.linspace(-0.5, 0.5, LONGEST_DELAY), jnp.full(LONGEST_DELAY, 2.0))
+WAITING = Command(jnp.linspace(-0.5, 0.5, MAX_DELAY), jnp.full(MAX_DELAY, 2.0))
 run = eqx.filter_jit(motions)
 
 
@@ -38,7 +38,7 @@ def test_a_net_that_follows_says_the_profile_before_it_has_learnt():
         lambda net: net.core, net, replace_fn=lambda core: jax.tree.map(jnp.zeros_like, core)
     )
     still = Motion(jnp.float32(0.0), jnp.float32(0.0))
-    waiting = Command(jnp.zeros(LONGEST_DELAY), jnp.ones(LONGEST_DELAY))
+    waiting = Command(jnp.zeros(MAX_DELAY), jnp.ones(MAX_DELAY))
     said = run(silent, still, waiting, COMMANDS)
     profile = small.followed(net.profile, COMMANDS)
     np.testing.assert_allclose(said.angle[:-1], profile.angle, atol=1e-6)

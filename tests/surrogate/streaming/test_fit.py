@@ -3,13 +3,13 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import LogError, RunError
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.storage.run_directory import LOG, RunDirectory, read_log
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.ensemble import ensemble, single
 from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.streaming.profile import Profile
-from softfin.surrogate.streaming.segments import scales_of
+from softfin.surrogate.streaming.segments import measure_scales
 from tests.surrogate.streaming import small
 
 CONFIG = small.CONFIG
@@ -78,8 +78,8 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
 
 def test_every_weight_learns_but_the_profile_which_is_what_the_logs_say(whole):
     surrogate, _, _ = whole
-    scales = scales_of(LOGS[:-1])
-    fresh = ensemble(2, CONFIG.drive, CONFIG.force, scales, key_of(0, "fit/weights"))
+    scales = measure_scales(LOGS[:-1])
+    fresh = ensemble(2, CONFIG.drive, CONFIG.force, scales, named_key(0, "fit/weights"))
     before, after = (
         dict(jax.tree_util.tree_leaves_with_path(nets)) for nets in (fresh, surrogate.members)
     )
@@ -139,7 +139,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
             ".--set ticks=N",
         ),
         (
-            [*LOGS[:2], small.rows_of(LOGS[2], 0, 209)],
+            [*LOGS[:2], small.valid_rows(LOGS[2], 0, 209)],
             [],
             r"none of 1 held-out logs has 210 rows: .* behind burn_in = 10 need as many; record "
             r"longer",

@@ -30,7 +30,7 @@ def test_each_member_is_predicted_by_itself(together):
     before = small.rows_of_first(LOGS[1])
     waiting = jax.tree.map(lambda x: np.full(20, x[0], np.float32), LOGS[1].command)
     alone = eqx.filter_jit(motions)(
-        second.drive, before, waiting, small.rows_of(LOGS[1].command, 0, -1)
+        second.drive, before, waiting, small.valid_rows(LOGS[1].command, 0, -1)
     )
     np.testing.assert_allclose(together[1].motion.angle[1], alone.angle, atol=1e-5)
     assert np.abs(together[1].force[0] - together[1].force[1]).max() > 0.1

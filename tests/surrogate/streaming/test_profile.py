@@ -5,7 +5,7 @@ import pytest
 
 from softfin.core.quantities import TICK_S, Command
 from softfin.surrogate.streaming.profile import Profile
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion
 from softfin.tank.drive import Drive, DriveConfig
 from tests.surrogate.streaming import small
 
@@ -75,12 +75,12 @@ def test_a_lag_puts_the_shaft_behind_by_its_velocity():
 
 
 def test_a_profile_in_motion_begins_where_the_shaft_is_and_with_what_was_commanded_before():
-    profile = Profile(lag=0.03, delay=LONGEST_DELAY)
+    profile = Profile(lag=0.03, delay=MAX_DELAY)
     now = Motion(jnp.float32(0.4), jnp.float32(1.5))
-    state = profile.start(now, Command(jnp.full(LONGEST_DELAY, 0.9), jnp.full(LONGEST_DELAY, 1.5)))
+    state = profile.start(now, Command(jnp.full(MAX_DELAY, 0.9), jnp.full(MAX_DELAY, 1.5)))
     for one, other in zip(profile.motion(state), now, strict=True):
         assert float(one) == pytest.approx(float(other), abs=1e-6)
-    for _ in range(LONGEST_DELAY):
+    for _ in range(MAX_DELAY):
         state, obeyed = profile.step(state, Command(jnp.float32(-1.0), jnp.float32(3.0)))
         assert float(obeyed.angle) == pytest.approx(0.9)
     _, obeyed = profile.step(state, Command(jnp.float32(-1.0), jnp.float32(3.0)))

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from softfin.core.errors import LogError
 from softfin.core.quantities import Command, Log, Reading
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Table, scales_of
+from softfin.surrogate.streaming.segments import MAX_DELAY, Table, measure_scales
 from tests.surrogate.streaming import small
 
 
@@ -19,21 +19,21 @@ def numbered(rows, log):
 @settings(max_examples=15, deadline=None)
 @given(rows=st.lists(st.integers(20, 120), min_size=1, max_size=4), ticks=st.integers(2, 60))
 def test_segments_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
-    fitting = [count for count in rows if count >= ticks + LONGEST_DELAY + 1]
+    fitting = [count for count in rows if count >= ticks + MAX_DELAY + 1]
     logs = [numbered(count, i) for i, count in enumerate(rows)]
     if not fitting:
         with pytest.raises(
-            LogError, match=f"has {max(rows)} rows; {ticks + LONGEST_DELAY + 1} are needed"
+            LogError, match=f"has {max(rows)} rows; {ticks + MAX_DELAY + 1} are needed"
         ):
             Table.of(logs, ticks)
         return
     table = Table.of(logs, ticks)
-    assert table.starts.size == sum(count - ticks - LONGEST_DELAY for count in fitting)
+    assert table.starts.size == sum(count - ticks - MAX_DELAY for count in fitting)
     column = np.asarray(table.motion.angle)
     starts = np.asarray(table.starts)
-    first = column[starts - LONGEST_DELAY]
+    first = column[starts - MAX_DELAY]
     last = column[starts + ticks]
-    np.testing.assert_array_equal(last - first, LONGEST_DELAY + ticks)
+    np.testing.assert_array_equal(last - first, MAX_DELAY + ticks)
 
 
 def test_a_segment_holds_commands_and_what_the_row_behind_each_shows_of_them():
@@ -44,13 +44,13 @@ def test_a_segment_holds_commands_and_what_the_row_behind_each_shows_of_them():
     np.testing.assert_array_equal(segment.motion.velocity, at[:, None] + np.arange(11))
     np.testing.assert_array_equal(segment.force[..., 1], at[:, None] + np.arange(1, 11))
     np.testing.assert_array_equal(
-        segment.waiting.velocity, at[:, None] - np.arange(1, LONGEST_DELAY + 1)
+        segment.waiting.velocity, at[:, None] - np.arange(1, MAX_DELAY + 1)
     )
 
 
 def test_scales_are_the_spreads_of_the_logs_and_no_change_reaches_over_their_ends():
     logs = [small.recorded(300, seed=seed) for seed in range(3)]
-    scales = scales_of(logs)
+    scales = measure_scales(logs)
     force = np.concatenate([log.reading.force for log in logs])
     assert scales.angle_rad == pytest.approx(
         np.concatenate([log.reading.angle for log in logs]).std(), rel=1e-5
@@ -60,7 +60,7 @@ def test_scales_are_the_spreads_of_the_logs_and_no_change_reaches_over_their_end
         log._replace(reading=log.reading._replace(velocity=log.reading.velocity + i))
         for i, log in enumerate(logs)
     ]
-    assert scales_of(shifted).change_rad_s == pytest.approx(scales.change_rad_s, rel=1e-4)
+    assert measure_scales(shifted).change_rad_s == pytest.approx(scales.change_rad_s, rel=1e-4)
 
 
 @pytest.mark.parametrize("column", ["angle", "velocity", "force"])
@@ -68,4 +68,4 @@ def test_a_column_that_never_changes_is_named(column):
     log = small.recorded(100)
     still = log.reading._replace(**{column: np.zeros_like(getattr(log.reading, column))})
     with pytest.raises(LogError, match=f"{column} never changes in the training logs"):
-        scales_of([log._replace(reading=still)])
+        measure_scales([log._replace(reading=still)])

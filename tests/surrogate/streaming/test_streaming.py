@@ -9,7 +9,7 @@ from softfin.core.quantities import Command
 from softfin.surrogate import StreamingSurrogate
 from softfin.surrogate.streaming.ensemble import parameters, single
 from softfin.surrogate.streaming.nets import products
-from softfin.surrogate.streaming.segments import LONGEST_DELAY
+from softfin.surrogate.streaming.segments import MAX_DELAY
 from softfin.testing import check_plant
 from tests.surrogate.streaming import small
 
@@ -81,20 +81,20 @@ LOG = small.recorded(400, seed=5)
 
 
 def test_warm_is_where_following_the_log_from_there_on_comes_to():
-    begin = PAST - PLANT.memory + LONGEST_DELAY
+    begin = PAST - PLANT.memory + MAX_DELAY
     # Held before that row, as `predict_logs` takes it to have been.
     held = Command(*(np.where(np.arange(400) < begin, part[begin], part) for part in LOG.command))
     log = LOG._replace(command=held)
-    ahead = jax.tree.map(jnp.asarray, small.rows_of(held, PAST - 1, 399))
-    _, reading = roll(PLANT, PLANT.warm(small.rows_of(log, 0, PAST)), ahead)
-    (said,) = small.predict_logs(PLANT.members, [small.rows_of(log, begin, None)])
+    ahead = jax.tree.map(jnp.asarray, small.valid_rows(held, PAST - 1, 399))
+    _, reading = roll(PLANT, PLANT.warm(small.valid_rows(log, 0, PAST)), ahead)
+    (said,) = small.predict_logs(PLANT.members, [small.valid_rows(log, begin, None)])
     np.testing.assert_allclose(reading.angle, said.motion.angle.mean(axis=0)[-40:], atol=1e-5)
     np.testing.assert_allclose(reading.force, said.force.mean(axis=0)[-40:], atol=1e-4)
 
 
 def test_warm_counts_on_from_the_time_of_the_last_row_and_sees_only_its_memory(advance):
     long = PLANT.warm(LOG)
-    short = PLANT.warm(small.rows_of(LOG, 400 - PLANT.memory, None))
+    short = PLANT.warm(small.valid_rows(LOG, 400 - PLANT.memory, None))
     assert all(
         np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (long, short)), strict=True)
     )
@@ -110,7 +110,7 @@ def test_warm_takes_a_unix_clock_and_counts_within_its_day(advance):
 
 def test_a_short_history_is_refused():
     with pytest.raises(LogError, match="history: 299 rows; 300 are needed"):
-        PLANT.warm(small.rows_of(LOG, 101, None))
+        PLANT.warm(small.valid_rows(LOG, 101, None))
 
 
 def test_the_cost_of_a_tick_is_that_of_the_products_of_all_members():

@@ -12,7 +12,7 @@ from softfin.tank.calibration.config import (
     Parameter,
     RecordingConfig,
     every_range,
-    parameters_of,
+    list_parameters,
 )
 from softfin.tank.calibration.model import Space
 
@@ -62,11 +62,11 @@ def test_units_come_from_names(name, unit):
 
 def test_all_that_is_free_by_default_exists_and_starts_within_its_range():
     for config in CALIBRATE_PRESETS.values():
-        found = parameters_of(config.parameters)
+        found = list_parameters(config.parameters)
         assert found
         assert (Space(found, config.tank, config.recording).start >= 0).all()
     assert {
-        parameter.name for parameter in parameters_of(CALIBRATE_PRESETS["full"].parameters)
+        parameter.name for parameter in list_parameters(CALIBRATE_PRESETS["full"].parameters)
     } == set(FREE)
 
 
@@ -82,13 +82,13 @@ def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by
     dotted = CalibrateConfig().merged(
         {"parameters": {"fin.span_m": [0.05, 0.2], "fin": {"length_m": None}}}, "file"
     )
-    names = {parameter.name for parameter in parameters_of(dotted.parameters)}
+    names = {parameter.name for parameter in list_parameters(dotted.parameters)}
     assert "fin.span_m" in names
     assert "fin.length_m" not in names
     changed = CalibrateConfig().changed(
         ["parameters.fin.density_kg_m3=[900, 1300]", "parameters.drive.lag_s=null"]
     )
-    names = {parameter.name for parameter in parameters_of(changed.parameters)}
+    names = {parameter.name for parameter in list_parameters(changed.parameters)}
     assert "fin.density_kg_m3" in names
     assert "drive.lag_s" not in names
 
@@ -107,7 +107,7 @@ def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by
 def test_an_unknown_parameter_or_a_range_out_of_order_is_refused(ranges, message):
     config = CalibrateConfig(parameters=ranges)
     with pytest.raises(ConfigurationError, match=message):
-        parameters_of(config.parameters)
+        list_parameters(config.parameters)
 
 
 def test_a_range_without_its_start_is_refused_and_says_what_to_set():

@@ -30,11 +30,11 @@ RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
 FOLLOWING_TICKS = 15
 """Number of ticks after which an angle goes the way of its command."""
 
-SHORTEST_S = 10
+MIN_ALIGNED_S = 10
 """Length of a recording from which the force's lag and axes are computed [s]."""
 
 
-def rate_of(values: Series) -> Series:
+def measure_rate(values: Series) -> Series:
     """Rate of change a second, smoothed over 50 ms."""
     return np.asarray(np.gradient(smoothed(values), TICK_S))
 
@@ -80,7 +80,7 @@ def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | Non
     or the motion explains less than a tenth of the force.
     """
     ticks = SEARCHED_TICKS
-    if len(angle) < SHORTEST_S * RATE_HZ:
+    if len(angle) < MIN_ALIGNED_S * RATE_HZ:
         return None
     _, along, rate, acceleration = _motion(angle)
     # Added mass, drag, thrust and damping, along both axes as the fin turns.
@@ -144,5 +144,5 @@ def _motion(
     """Directions across the fin and along it, its rate [rad/s] and its acceleration [rad/s^2]."""
     cos = np.cos(smoothed(angle))
     sin = np.sin(smoothed(angle))
-    rate = rate_of(angle)
-    return np.stack([sin, cos]), np.stack([cos, -sin]), rate, rate_of(rate)
+    rate = measure_rate(angle)
+    return np.stack([sin, cos]), np.stack([cos, -sin]), rate, measure_rate(rate)

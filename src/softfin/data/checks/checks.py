@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softfin.core.quantities import AXES, MOST_ANGLE_RAD, RATE_HZ, REST_FIX, TICK_S, command_limits
-from softfin.data.checks.alignment import SHORTEST_S, rate_of
+from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, REST_FIX, TICK_S, command_limits
+from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.statistics import (
     REST_RATE_RAD_S,
     Columns,
@@ -147,7 +147,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
     columns = log.columns
     # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target
     # moves.
-    moving = np.abs(rate_of(columns.angle)) > 0.2
+    moving = np.abs(measure_rate(columns.angle)) > 0.2
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in CHANNEL_UNITS.items():
         driven, cause = (
@@ -197,7 +197,7 @@ def check_velocity(log: CheckedLog) -> Iterator[Issue]:
         # Many publishers of joint states leave the velocity at 0.
         # The rate of one sample in a hundred may be a spike's; an angle may change steadily, too.
         velocity = log.columns.velocity[0]
-        if np.percentile(np.abs(rate_of(log.calm.angle) - velocity), 99) > REST_RATE_RAD_S:
+        if np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99) > REST_RATE_RAD_S:
             message = f"the velocity is {velocity:.3g} rad/s throughout while the angle changes"
             fix = "--columns velocity=- derives it from the angle"
             yield log.issue("error", "constant velocity", "velocity", message, fix)
@@ -238,7 +238,7 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
     following = log.statistics.following
     command = log.calm.command_angle
     column = "command_angle"
-    if len(command) < SHORTEST_S * RATE_HZ:
+    if len(command) < MIN_ALIGNED_S * RATE_HZ:
         return
     if np.ptp(command) == 0:
         fix = "map the column of the commanded angle; nothing is learnt from a log without commands"
@@ -353,7 +353,7 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
     if training:
         limits = command_limits(training)
         # Larger ones are not in radians, which is another issue.
-        is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MOST_ANGLE_RAD
+        is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
         if is_in_radians and limits.angle_min < limits.angle_max and not limits.contains_rest:
             message = (
                 f"the commanded angles are {limits.angle_min:.3g} to {limits.angle_max:.3g} rad, "

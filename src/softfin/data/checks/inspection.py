@@ -8,7 +8,7 @@ import numpy as np
 
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
-from softfin.data.checks.alignment import SHORTEST_S
+from softfin.data.checks.alignment import MIN_ALIGNED_S
 from softfin.data.checks.checks import (
     LOG_CHECKS,
     CheckedLog,
@@ -22,8 +22,8 @@ from softfin.data.checks.statistics import (
     Columns,
     LogStatistics,
     channels_in_degrees,
-    columns_of,
     measure,
+    to_columns,
     without_spikes,
 )
 from softfin.data.importing.clocks import NamedLog
@@ -83,7 +83,7 @@ def inspect(
     comparable: list[LogStatistics] = []
     for index, named in enumerate(logs):
         # Channels are repaired where one fault would hide the next.
-        raw = columns_of(named.log)
+        raw = to_columns(named.log)
         in_degrees = channels_in_degrees(raw, config.velocity_rad_s is not None)
         columns = raw._replace(
             **{channel: np.radians(getattr(raw, channel)) for channel in in_degrees}
@@ -106,7 +106,7 @@ def inspect(
             found += [issue for check in LOG_CHECKS for issue in check(log)]
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
-    if len(comparable) > 1 and all(one.rows < SHORTEST_S * RATE_HZ for one in comparable):
+    if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
         # Short logs end to end: the seams are few beside the steps within.
         joined = Columns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
         together = measure(

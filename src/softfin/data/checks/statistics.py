@@ -10,21 +10,21 @@ from jaxtyping import Bool
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.data.checks.alignment import (
     FOLLOWING_TICKS,
-    SHORTEST_S,
+    MIN_ALIGNED_S,
     Series,
     command_lag,
     force_lag,
     frame_correlations,
-    rate_of,
+    measure_rate,
 )
 from softfin.data.importing.clocks import NamedLog, Part
 
-MOST_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
+MAX_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
 """Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6
 turns a second. The size of a measured velocity proves nothing: the published networks' own jumps
 reach 145 rad/s."""
 
-MOST_DEGREES = 360.0
+MAX_DEGREES = 360.0
 """Size beyond which an angle is not in degrees either, but in a drive's counts."""
 
 REST_RATE_RAD_S = 0.05
@@ -64,7 +64,7 @@ class LogStatistics:
     force_std_n: tuple[float, ...]
 
 
-def columns_of(log: Log) -> Columns:
+def to_columns(log: Log) -> Columns:
     """Take the channels of a log."""
     command, reading = log
     series = (
@@ -81,7 +81,7 @@ def channels_in_counts(columns: Columns) -> list[str]:
     """Find angles in counts of an encoder."""
     names = ("command_angle", "angle")
     return [
-        name for name in names if np.percentile(np.abs(getattr(columns, name)), 99) > MOST_DEGREES
+        name for name in names if np.percentile(np.abs(getattr(columns, name)), 99) > MAX_DEGREES
     ]
 
 
@@ -91,7 +91,7 @@ def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:
     # The size of one sample in a hundred may be a spike's.
     found = [
         name
-        for name, most in MOST_RADIANS.items()
+        for name, most in MAX_RADIANS.items()
         if np.percentile(np.abs(getattr(columns, name)), 99) > most
     ]
     if "angle" in found and 0.5 < velocity_slope(columns)[1] < 2:
@@ -122,7 +122,7 @@ def without_spikes(values: Series) -> Series:
     networks' own jumps reach 0.8 times; its second difference has a robust z of 8, since there are
     no spikes in a series that is rough anyway.
     """
-    if len(values) < SHORTEST_S * RATE_HZ:
+    if len(values) < MIN_ALIGNED_S * RATE_HZ:
         return values
     middle = np.median(
         np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1
@@ -149,7 +149,7 @@ def measure(columns: Columns, named: NamedLog) -> LogStatistics:
     lag = force_lag(columns.angle, force)
     following = 0.0
     frames = None
-    if rows >= SHORTEST_S * RATE_HZ:
+    if rows >= MIN_ALIGNED_S * RATE_HZ:
         frames = frame_correlations(columns.angle, force, lag or 0.0)
         earlier = columns.command_angle[:-FOLLOWING_TICKS]
         later = columns.angle[FOLLOWING_TICKS:]
@@ -159,7 +159,7 @@ def measure(columns: Columns, named: NamedLog) -> LogStatistics:
             else 0.0
         )
     settled = np.zeros(rows, bool)
-    for start, end in true_runs(np.abs(rate_of(columns.angle)) < REST_RATE_RAD_S):
+    for start, end in true_runs(np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S):
         # Half a second later the water is still, too.
         settled[start + RATE_HZ // 2 : end] = True
     return LogStatistics(

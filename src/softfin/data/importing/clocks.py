@@ -81,7 +81,7 @@ class NamedLog(NamedTuple):
     """Time of the recording's clock at the log's time 0 [s]."""
 
 
-def logs_of(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
+def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
     """Make the logs at 100 Hz of a recording; raises LogError where it has no usable clock."""
     logs: list[NamedLog] = []
     issues = list(recording.issues)

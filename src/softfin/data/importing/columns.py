@@ -81,12 +81,12 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
             "command_velocity": "; --velocity 3.1 takes its place, if all commands had that "
             "velocity [rad/s]",
         }
-        options = ",".join(f"{channel}=NAME" for channel in missing)
+        mapping = ",".join(f"{channel}=NAME" for channel in missing)
         hints = "".join(others.get(channel, "") for channel in missing)
         raise LogError(
             f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known "
             f"words and units ({', '.join(UNITS[KINDS[missing[0]]])}) that means it; name it: "
-            f"--columns {options}{hints}"
+            f"--columns {mapping}{hints}"
         )
     columns = {}
     for channel in CHANNELS:

@@ -22,15 +22,15 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.core.action_clock import CYCLE_ACTIONS, ticks_of
+from softfin.core.action_clock import CYCLE_ACTIONS, action_ticks
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RunError
 from softfin.core.plant import Plant, roll_with_true_force
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, TICK_S, AnyArray, Command, Limits, Reading
-from softfin.core.randomness import generator_of, key_of
+from softfin.core.randomness import named_generator, named_key
 from softfin.core.window import moving_error
-from softfin.gaits.inverse_model import InverseConfig, amplitude_of
+from softfin.gaits.inverse_model import InverseConfig, find_amplitude
 
 Forces = Float[np.ndarray, "cases ticks 2"]
 References = Float[np.ndarray, "references 2"]
@@ -96,7 +96,7 @@ def inverse(
     """
     wanted = np.arctan2(-force[:, 1], force[:, 0])
     centre = np.clip(wanted, limits.angle_min, limits.angle_max)
-    exact = amplitude_of(np.linalg.norm(force, axis=1), frequency, constant)
+    exact = find_amplitude(np.linalg.norm(force, axis=1), frequency, constant)
     amplitude = np.clip(exact, config.amplitude_min_rad, config.amplitude_max_rad)
     limited = [
         {
@@ -159,7 +159,7 @@ def run_commands(
 def repeated(gaits: Command, seconds: int) -> Command:
     """Hold gaits of six actions on the 33/33/34 clock, again and again: one command a tick."""
     actions = np.arange(CYCLE_ACTIONS * seconds) % CYCLE_ACTIONS
-    rows = np.repeat(actions, ticks_of(len(actions)))[: seconds * RATE_HZ]
+    rows = np.repeat(actions, action_ticks(len(actions)))[: seconds * RATE_HZ]
     return Command(*(np.asarray(part)[..., rows].astype(np.float32) for part in gaits))
 
 
@@ -188,7 +188,7 @@ class OpenLoopSearch(NamedTuple):
             *(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands)
         )
         plant = jit_argument(self.plant)
-        keys = key_of(self.seed, "baselines/search")[None]
+        keys = named_key(self.seed, "baselines/search")[None]
         parts = (Command(*(part[i : i + size] for part in padded)) for i in range(0, count, size))
         return np.concatenate(
             [np.asarray(run_commands(plant, part, keys)[0].force[:, 0]) for part in parts]
@@ -242,7 +242,7 @@ class OpenLoopSearch(NamedTuple):
         """Find the gait of least error for each reference, ``(references, 6)``, of the same few
         random ones."""
         limits = self.limits
-        generator = generator_of(self.seed, "baselines/gaits")
+        generator = named_generator(self.seed, "baselines/gaits")
         shape = (self.config.gaits, CYCLE_ACTIONS)
         gaits = Command(
             generator.uniform(limits.angle_min, limits.angle_max, shape),

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from softfin.core.action_clock import WINDOW
 from softfin.core.canvas import with_canvas
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.evaluation.view.footage import Footage, scale_of
+from softfin.evaluation.view.footage import Footage, choose_scale
 from softfin.evaluation.view.picture import TRAIL_TICKS, Picture
 from softfin.storage import artifact as artifacts
 
@@ -26,7 +26,7 @@ SHAPE_UNIT_M = 1e-4
 """Unit of a page's shapes, which are whole numbers: a fifth of a pixel, in few bytes."""
 
 
-def ticks_of(ticks: int, frames_per_second: int) -> range:
+def shown_ticks(ticks: int, frames_per_second: int) -> range:
     """Return the ticks that are shown, in real time, the last one among them."""
     step = RATE_HZ // frames_per_second
     return range((ticks - 1) % step, ticks, step)
@@ -35,7 +35,7 @@ def ticks_of(ticks: int, frames_per_second: int) -> range:
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
     """Write all frames, in a loop. All of them share a palette, so that what stays costs no
     bytes."""
-    ticks = ticks_of(len(picture.footage.shape), frames_per_second)
+    ticks = shown_ticks(len(picture.footage.shape), frames_per_second)
     palette = PIL.Image.fromarray(picture.frame(-1)).quantize()
 
     def quantized_frames() -> Iterator[PIL.Image.Image]:
@@ -103,7 +103,7 @@ def to_dict(footage: Footage) -> dict[str, Any]:
         "points": points,
         "window": WINDOW,
         "trail": TRAIL_TICKS,
-        "scale": scale_of(footage)._asdict(),
+        "scale": choose_scale(footage)._asdict(),
         **{
             name: [round(float(value), digits) for value in values]
             for name, (values, digits) in series.items()

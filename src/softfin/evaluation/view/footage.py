@@ -156,7 +156,7 @@ class Scale(NamedTuple):
     """Axis of the angle's trace [rad]."""
 
 
-def greatest_of(footage: Footage) -> Float[np.ndarray, "2"]:
+def max_sizes(footage: Footage) -> Float[np.ndarray, "2"]:
     """Return the sizes of the greatest force, and reference or mean force [N]; 0 where it has
     none."""
     means = np.concatenate(
@@ -165,7 +165,7 @@ def greatest_of(footage: Footage) -> Float[np.ndarray, "2"]:
     return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.force, means)], float)
 
 
-def scale_of(
+def choose_scale(
     footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: Range | None = None
 ) -> Scale:
     """Return the scale by which fin and arrows stay in the picture at every tick.
@@ -178,7 +178,7 @@ def scale_of(
     asked = NONE if footage.reference is None else np.unique(footage.reference, axis=0)
     shown = np.concatenate([force, asked])
     angles = np.concatenate([footage.reading.angle, footage.command.angle])
-    force_n, mean_n = (greatest_of(footage) if greatest is None else greatest).tolist()
+    force_n, mean_n = (max_sizes(footage) if greatest is None else greatest).tolist()
     axis = (-force_n, force_n)
     if greatest is None:
         axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))

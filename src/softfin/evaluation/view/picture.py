@@ -18,16 +18,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from scipy.interpolate import CubicHermiteSpline
 
-from softfin.core.action_clock import MOST_TICKS, WINDOW
+from softfin.core.action_clock import MAX_ACTION_TICKS, WINDOW
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, Command, Limits
 from softfin.evaluation.view.footage import (
     Footage,
     Range,
     Scale,
+    choose_scale,
     develop,
-    greatest_of,
-    scale_of,
+    max_sizes,
     shoot,
 )
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled
@@ -69,7 +69,7 @@ class Picture:
         # As Any: what a footage may lack is drawn only where it is there.
         self.footage: Any = footage
         self._growing = growing is not None
-        self.scale, self._seconds = growing or (scale_of(footage), len(footage.shape) * TICK_S)
+        self.scale, self._seconds = growing or (choose_scale(footage), len(footage.shape) * TICK_S)
         # Artists that move, each with how it is set to a tick.
         self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
@@ -287,7 +287,7 @@ class EpisodeFilm:
         self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]
     ) -> Any:
         # One compiled program, for the longest: a tick does not depend on those that follow.
-        commands = Command(*(jnp.full(MOST_TICKS, field, jnp.float32) for field in command))
+        commands = Command(*(jnp.full(MAX_ACTION_TICKS, field, jnp.float32) for field in command))
         rolled = jax.tree.map(
             lambda x: np.asarray(x)[:ticks], (commands, self._shoot(state, commands))
         )
@@ -298,12 +298,12 @@ class EpisodeFilm:
         parts = self._actions or [self._rest]
         command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
         footage = develop(self._plant, command, shots, reference)
-        greatest = greatest_of(footage)
+        greatest = max_sizes(footage)
         outgrown = greatest > self._greatest
         if self._picture is None or outgrown.any():
             # Twice as much as is needed, so that the scale seldom changes.
             self._greatest = np.where(outgrown, 2 * greatest, self._greatest)
-            scale = scale_of(
+            scale = choose_scale(
                 footage, self._greatest, (self._limits.angle_min, self._limits.angle_max)
             )
             where = (

@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from softfin.control.controller import Controller
-from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, ticks_of
+from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, action_ticks
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant, check_commands
 from softfin.core.quantities import RATE_HZ, Command, Limits
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.data.excitation import ExcitationConfig
 from softfin.evaluation import experiment
 from softfin.evaluation.view.files import write_gif, write_page, write_png
@@ -48,7 +48,7 @@ def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command
         limits.velocity_max,
     )
     actions = -(-ticks // min(ACTION_TICKS))
-    sides = np.repeat(np.resize((1.0, -1.0), actions), ticks_of(actions))[:ticks]
+    sides = np.repeat(np.resize((1.0, -1.0), actions), action_ticks(actions))[:ticks]
     angle = config.centre_rad + config.amplitude_rad * sides
     command = Command(
         angle.astype(np.float32), np.full(ticks, config.velocity_rad_s or filling, np.float32)
@@ -79,7 +79,7 @@ class ViewConfig(Configuration):
     of the time."""
 
 
-def footage_of(
+def record_footage(
     plant: Plant,
     config: ViewConfig,
     controller: Controller | None = None,
@@ -91,7 +91,7 @@ def footage_of(
     Raises CoverageError where the controller was not trained for one of those that follow.
     """
     ticks = round(config.seconds * RATE_HZ)
-    key = key_of(config.seed, "view/plant")
+    key = named_key(config.seed, "view/plant")
     limits = Limits(*plant.limits)
     if controller is not None and reference is not None:
         for following in config.next_references:
@@ -111,7 +111,7 @@ def footage_of(
         )
     if config.random:
         return film(
-            plant, key, config.excitation(key_of(config.seed, "view/commands"), ticks, limits)
+            plant, key, config.excitation(named_key(config.seed, "view/commands"), ticks, limits)
         )
     return film(plant, key, stroke_gait(config.gait, limits, ticks))
 
@@ -131,7 +131,7 @@ def draw(
         write_gif(out, picture, config.frames_per_second, report)
 
 
-def title_of(plant: str, config: ViewConfig, reference: Reference | None) -> str:
+def view_title(plant: str, config: ViewConfig, reference: Reference | None) -> str:
     """Describe which fin is shown and what moves it."""
     where = "in the virtual tank" if plant == "tank" else f"in {Path(plant).name}"
     if reference is not None:

@@ -52,7 +52,7 @@ TORQUE_UNITS = {
 """Units of torque in newton metre."""
 
 
-def _factor_of(units: dict[str, float]) -> pydantic.BeforeValidator:
+def _read_factor(units: dict[str, float]) -> pydantic.BeforeValidator:
     factors = {unit.casefold(): value for unit, value in units.items()}
 
     def factor(text: str) -> float:
@@ -73,9 +73,9 @@ class SensorSettings(Configuration):
     """Counts for one unit of force."""
     cfgcpt: float = pydantic.Field(ge=1, le=1e12)
     """Counts for one unit of torque."""
-    scfgfu: Annotated[float, _factor_of(FORCE_UNITS)]
+    scfgfu: Annotated[float, _read_factor(FORCE_UNITS)]
     """Unit of force [N]."""
-    scfgtu: Annotated[float, _factor_of(TORQUE_UNITS)]
+    scfgtu: Annotated[float, _read_factor(TORQUE_UNITS)]
     """Unit of torque [N m]."""
 
     @property

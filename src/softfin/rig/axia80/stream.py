@@ -214,7 +214,7 @@ class StreamClock:
             self._stamps.clear()
         self._stamps.append((place, time))
 
-    def time_of(self, place: int) -> float:
+    def estimate_time(self, place: int) -> float:
         """The monotonic time of a place near the newest ones [s]."""
         return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
 
@@ -303,7 +303,7 @@ class ForceStream:
         """The newest force; the old one during a gap. None before there was any."""
         output = self.filter.output()
         if output is not None:
-            moment = self.times.time_of(self.filter.newest) - self.delay_s
+            moment = self.times.estimate_time(self.filter.newest) - self.delay_s
             # The measured rate still settles; a time that was reported is not taken back.
             latest = moment if self._force is None else max(moment, self._force[0])
             self._force = (latest, rotated(output, self.rotation))

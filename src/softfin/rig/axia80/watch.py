@@ -26,7 +26,7 @@ HELD_UP_S = 1.0
 between them."""
 
 
-LARGEST_STEP_S = 60.0
+MAX_STEP_S = 60.0
 """Step ahead of the count that no record which was held up explains [s]."""
 
 
@@ -88,7 +88,7 @@ class StreamWatch:
         if rate_hz <= 0:
             return True
         missing_s = elapsed_s - samples / rate_hz
-        return -LARGEST_STEP_S <= missing_s <= HELD_UP_S + RATE_ERROR * elapsed_s
+        return -MAX_STEP_S <= missing_s <= HELD_UP_S + RATE_ERROR * elapsed_s
 
     def accept_restart(self) -> None:
         """The sensor's zero was set since: an earlier restart no longer matters."""

@@ -19,7 +19,7 @@ from softfin.rig.config import RigConfig
 from softfin.rig.epos2 import protocol
 from softfin.rig.epos2.config import Units
 from softfin.rig.epos2.connection import CanConnection
-from softfin.rig.epos2.procedures import fault_of
+from softfin.rig.epos2.procedures import read_fault
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
@@ -193,7 +193,7 @@ class DriveWatch:
 
     def fault(self) -> str | None:
         """Return the drive's fault in words; None if it is in none."""
-        return fault_of(self._connection)
+        return read_fault(self._connection)
 
     def watch(self, died: float, angle: float) -> Death:
         """Watch until the fin stands without power, `died` [s] being when its host died and `angle`

@@ -69,8 +69,8 @@ STROKES = 50
 SWINGS = 10
 FOLLOWING_RAD = 0.05
 
-LEAST_MARGIN = 1.2
-MOST_MARGIN = 2.5
+MIN_MARGIN = 1.2
+MAX_MARGIN = 2.5
 ADVISED_MARGIN = 1.5
 """Limits of force, torque and current over the peaks that were measured in water."""
 
@@ -394,10 +394,10 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
             # A rig that does not feel it, such as an emulated one without torque.
             continue
         required = (
-            f"safety.{what} = {limit:g} must be {LEAST_MARGIN} to {MOST_MARGIN} times the peak; "
+            f"safety.{what} = {limit:g} must be {MIN_MARGIN} to {MAX_MARGIN} times the peak; "
             f"set {ADVISED_MARGIN * peak:.2g}"
         )
-        passed = LEAST_MARGIN * peak <= limit <= MOST_MARGIN * peak
+        passed = MIN_MARGIN * peak <= limit <= MAX_MARGIN * peak
         yield measured(f"peak for safety.{what}", peak, required, passed, unit)
 
 

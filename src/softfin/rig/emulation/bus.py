@@ -72,7 +72,7 @@ class _Client(socketserver.BaseRequestHandler):
     def _forward(self, message: can.Message) -> None:
         with contextlib.suppress(OSError):
             if not (message.is_remote_frame or message.is_extended_id):
-                self.request.sendall(line_of(message).encode())
+                self.request.sendall(format_frame(message).encode())
 
     def _lines(self) -> Iterator[str]:
         """Yield what the client sends, cut at each '>'; ends with the client, or with a line that
@@ -96,7 +96,7 @@ def parse(line: str) -> can.Message | None:
     return can.Message(arbitration_id=int(match[1], 16), data=data, is_extended_id=False)
 
 
-def line_of(message: can.Message) -> str:
+def format_frame(message: can.Message) -> str:
     """A frame as a line for a client."""
     return (
         f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} "

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 
-LONGEST_BRAKE_S = 0.5
+MAX_BRAKE_S = 0.5
 """Longest quick stop from the highest velocity; whoever waits for the end of a longer one would
 give it up."""
 
@@ -101,11 +101,11 @@ class Epos2Config(Configuration):
                 "has"
             )
         braking = self.fastest_rad_s / self.quick_stop_rad_s2
-        if braking > LONGEST_BRAKE_S:
+        if braking > MAX_BRAKE_S:
             raise ValueError(
                 f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from "
-                f"fastest_rad_s: at most {LONGEST_BRAKE_S:g} s; give "
-                f"{self.fastest_rad_s / LONGEST_BRAKE_S:.1f} or more"
+                f"fastest_rad_s: at most {MAX_BRAKE_S:g} s; give "
+                f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
             )
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(

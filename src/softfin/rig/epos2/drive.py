@@ -92,7 +92,7 @@ class Epos2(Exchange):
 
         The motor stays without power. The drive must be opened anew before it is enabled.
         """
-        fault = procedures.fault_of(self.connection)
+        fault = procedures.read_fault(self.connection)
         if fault is None:
             return None
         with self.lock:
@@ -106,7 +106,7 @@ class Epos2(Exchange):
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
         for _ in range(round(RESET_TIMEOUT_S / ANSWER_STEP_S)):
-            if procedures.fault_of(self.connection) is None:
+            if procedures.read_fault(self.connection) is None:
                 self.status.emergency = None
                 self.sync_and_read()
                 return fault

@@ -79,7 +79,7 @@ def identify(connection: CanConnection) -> None:
         ) from None
 
 
-def fault_of(connection: CanConnection) -> str | None:
+def read_fault(connection: CanConnection) -> str | None:
     """The fault that the drive is in, asked for; None when it is in none."""
     if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
         return None
@@ -155,7 +155,7 @@ def check(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
 
     Return a note for each object that the drive does not have.
     """
-    if fault := fault_of(connection):
+    if fault := read_fault(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(protocol.STATUSWORD)
     state = protocol.decode(word)

@@ -17,7 +17,7 @@ from mcap.records import Channel, Footer, Message, Schema
 
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.printable import printable
-from softfin.rig.monitor.summary import MOST_CHARACTERS, ROLES, Summary, Trace, summarize
+from softfin.rig.monitor.summary import MAX_CHARACTERS, ROLES, Summary, Trace, summarize
 from softfin.storage.bag.recovery import MAGIC, RawRecord, decode, read_records
 from softfin.storage.formats import check_file_format
 from softfin.storage.paths import check_monitored
@@ -222,4 +222,4 @@ class Follower:
         return "recording" if abs(quiet) < SILENT_RECORDING_S else "silent"
 
     def _shown(self) -> str:
-        return printable(str(self._bag or self.path), most=MOST_CHARACTERS)
+        return printable(str(self._bag or self.path), most=MAX_CHARACTERS)

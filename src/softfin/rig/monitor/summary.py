@@ -15,11 +15,11 @@ from softfin.storage.bag import messages
 from softfin.storage.bag.messages import JOINT_STATE, TYPES, WRENCH_STAMPED, type_store
 from softfin.storage.bag.zero import Force, parse_zero, zeros_at
 
-MOST_ROWS = 30_000
+MAX_ROWS = 30_000
 """Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1
 kHz."""
 
-MOST_CHARACTERS = 300
+MAX_CHARACTERS = 300
 """Characters of an event's text that are shown."""
 
 WINDOW_S = WINDOW * TICK_S
@@ -68,7 +68,7 @@ def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
         if type_name == WRENCH_STAMPED:
             return float(message.wrench.force.x), float(message.wrench.force.y)
         return (
-            printable(message.data, most=MOST_CHARACTERS)
+            printable(message.data, most=MAX_CHARACTERS)
             if role == "event"
             else float(message.data),
         )
@@ -93,7 +93,7 @@ class Trace:
 
     def __init__(self, role: str) -> None:
         self.role = role
-        self.rows: deque[TraceRow] = deque(maxlen=MOST_ROWS)
+        self.rows: deque[TraceRow] = deque(maxlen=MAX_ROWS)
         self.count = self.unreadable = 0
         self.gaps = 0
         """Places where rows at 100 Hz are missing."""
@@ -104,7 +104,7 @@ class Trace:
         self.zeros: Sequence[tuple[float, Force]] = ()
         """Zeros of the force, each with the time at which it was measured [s]; `less_zero`
         subtracts them."""
-        self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MOST_ROWS)
+        self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MAX_ROWS)
 
     def offer(self, time: float, type_name: str, data: bytes) -> None:
         """Count a message, and hold it until `settle`."""

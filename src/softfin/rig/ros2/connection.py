@@ -155,7 +155,7 @@ class Subscription(Generic[Value]):
                 self.refusal = f"{self.topic}: refused: {error}; correct its publisher"
                 continue
             self.refusal = None
-            time = self._clock.time(stamp_of(message) if self._stamped else 0, received)
+            time = self._clock.time(read_stamp(message) if self._stamped else 0, received)
             if time is None:
                 self.not_newer += 1
             else:
@@ -178,13 +178,13 @@ def decode(data: bytes, kind: str) -> Any:
         raise ValueError(f"{len(data)} bytes that are no {kind} ({one_line(error)})") from None
 
 
-def stamp_of(message: Any) -> int:
+def read_stamp(message: Any) -> int:
     """Time since 1970 in its header [ns]; 0 where there is none."""
     header = getattr(message, "header", None)
     return 0 if header is None else int(header.stamp.sec) * SECOND_NS + int(header.stamp.nanosec)
 
 
-def joint_of(message: Any, name: str) -> tuple[float, float | None]:
+def read_joint(message: Any, name: str) -> tuple[float, float | None]:
     """Angle and velocity of the joint of that name; the velocity None where the message has
     none."""
     names = list(message.name)
@@ -202,7 +202,7 @@ def joint_of(message: Any, name: str) -> tuple[float, float | None]:
     return angle, _finite("velocity", message.velocity[index]) if len(message.velocity) else None
 
 
-def wrench_of(message: Any) -> Wrench:
+def read_wrench(message: Any) -> Wrench:
     """Force and torque in the message's own axes."""
     parts = (("force", message.wrench.force), ("torque", message.wrench.torque))
     fx, fy, fz, tx, ty, tz = (
@@ -211,7 +211,7 @@ def wrench_of(message: Any) -> Wrench:
     return fx, fy, fz, tx, ty, tz
 
 
-def reference_of(message: Any, frame: str) -> tuple[float, float]:
+def read_reference_message(message: Any, frame: str) -> tuple[float, float]:
     """The reference force of a WrenchStamped or a Vector3Stamped in our frame, or without one."""
     check_frame(message, frame)
     vector = message.wrench.force if hasattr(message, "wrench") else message.vector

@@ -9,7 +9,7 @@ from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 
 Value = TypeVar("Value")
 
-MOST_REMARKS = 20
+MAX_REMARKS = 20
 """Different remarks that are reported; more are only counted."""
 
 
@@ -22,7 +22,7 @@ class OnceReporter:
 
     def __call__(self, line: str) -> None:
         """Report a line that was not there before; many different ones are dropped."""
-        if line not in self._reported and len(self._reported) < MOST_REMARKS:
+        if line not in self._reported and len(self._reported) < MAX_REMARKS:
             self._reported.add(line)
             self.report(line)
 

@@ -12,7 +12,7 @@ from softfin.core.errors import DeviceError, SoftfinError
 from softfin.rig.loop import ResolveReference
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
-from softfin.rig.ros2.connection import VECTOR, Subscription, Transport, reference_of
+from softfin.rig.ros2.connection import VECTOR, Subscription, Transport, read_reference_message
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.session import Force
 from softfin.rig.stop import StopRequest
@@ -112,7 +112,7 @@ class RosNode:
 
     def _tracked(self, message: object) -> Force:
         """The reference that is tracked for a message; raises ValueError where it is refused."""
-        force = reference_of(message, self.config.frame)
+        force = read_reference_message(message, self.config.frame)
         limit = self.config.reference_limit_n
         if max(map(abs, force)) > limit:
             raise ValueError(

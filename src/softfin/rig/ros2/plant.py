@@ -28,8 +28,8 @@ from softfin.rig.ros2.connection import (
     Quality,
     Subscription,
     Transport,
-    joint_of,
-    wrench_of,
+    read_joint,
+    read_wrench,
 )
 from softfin.rig.safety import check_target
 from softfin.storage.bag.messages import (
@@ -257,12 +257,12 @@ class Ros2Machine:
             joint = subscribe(
                 config.joint_topic,
                 JOINT_STATE,
-                lambda message: joint_of(message, config.joint_name),
+                lambda message: read_joint(message, config.joint_name),
             )
             wrench = subscribe(
                 config.wrench_topic,
                 WRENCH_STAMPED,
-                lambda message: rotated(wrench_of(message), turn),
+                lambda message: rotated(read_wrench(message), turn),
             )
             kind = flipper.type if flipper else JOINT_STATE
             publisher = transport.publish(config.command_topic, kind, COMMAND_DEADLINE_S)

@@ -24,7 +24,7 @@ from softfin.rig.ros2.connection import (
     Subscription,
     Transport,
     check_frame,
-    wrench_of,
+    read_wrench,
 )
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
@@ -269,7 +269,7 @@ class RobotNode:
 
     def _read(self, message: Any) -> Wrench:
         check_frame(message, self.config.vehicle_frame_id)
-        wrench = wrench_of(message)
+        wrench = read_wrench(message)
         if max(map(abs, wrench)) > WRENCH_LIMIT:
             raise ValueError(f"it has a number beyond {WRENCH_LIMIT:g} N or N m")
         return wrench

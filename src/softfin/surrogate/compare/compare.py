@@ -20,16 +20,16 @@ from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Log, Reading
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.core.window import interval, moving_average
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.compare.scores import (
     HorizonScores,
     free_run,
     measured_ranges,
+    plan_segments,
     run_from_rest,
     score_segments,
-    segments_of,
     take,
 )
 from softfin.surrogate.store import AnySurrogate, load_surrogate
@@ -106,7 +106,7 @@ def compare(
     rows = [len(log.reading.time) for log in logs]
     ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
     # The longest first: it is the one that a log may be too short for.
-    parts = [(segments_of(rows, each, first), each) for each in reversed(ticks)][::-1]
+    parts = [(plan_segments(rows, each, first), each) for each in reversed(ticks)][::-1]
     spans = measured_ranges(logs)
     measured = [take(logs, *part) for part in parts]
     of = len(found) * len(parts) + (noise_floor is not None)
@@ -164,7 +164,7 @@ def compare(
     second = None
     if noise_floor is not None:
         name = f"second recording ({noise_floor[0]})"
-        whole = run_from_rest(noise_floor[1], logs, key_of(config.seed, "compare/floor"))
+        whole = run_from_rest(noise_floor[1], logs, named_key(config.seed, "compare/floor"))
         readings = [take(whole, *part) for part in parts]
         each = [
             score_segments(actual, reading, spans)

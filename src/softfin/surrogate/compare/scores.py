@@ -22,7 +22,7 @@ from softfin.core.errors import LogError
 from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
 from softfin.core.quantities import AXES, RATE_HZ, AnyArray, Command, Log, Reading
 from softfin.core.window import moving_average
-from softfin.surrogate.channels import ANGLE, FORCES, columns_of, ranges
+from softfin.surrogate.channels import ANGLE, FORCES, ranges, to_columns
 from softfin.surrogate.store import AnySurrogate
 
 BATCH = 64
@@ -58,7 +58,7 @@ Segment = tuple[int, int]
 """Beginning of a run of rows: log and row."""
 
 
-def segments_of(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
+def plan_segments(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
     """Segments of `ticks` end to end over logs of so many rows, from row `first` on; LogError for a
     short log."""
     for index, count in enumerate(rows):
@@ -178,7 +178,7 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
     scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
     if surrogate.scaling is not None:
         scales = {name: channel.scale for name, channel in surrogate.scaling.channels.items()}
-    measured = [columns_of([log]) for log in logs]
+    measured = [to_columns([log]) for log in logs]
     table = {}
     for name, (channels, series, window, parameters) in surrogate.predictions(logs).items():
         scores = np.array(

@@ -21,7 +21,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
-from softfin.core.randomness import generator_of, key_of
+from softfin.core.randomness import named_generator, named_key
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.channels import COLUMNS, COMMAND_COLUMNS, Scaling
 from softfin.surrogate.paper.network import FORCENET, POSNET, Network, NetworkConfig, gather
@@ -76,7 +76,7 @@ def fit(
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
     learner = PaperLearner(config, updates)
-    state = learner.start(key_of(seed, "fit/weights"))
+    state = learner.start(named_key(seed, "fit/weights"))
     done = {"epoch": 0, "stale": 0}
     if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
@@ -84,10 +84,10 @@ def fit(
     while done["epoch"] < config.epochs and done["stale"] < config.patience:
         epoch = done["epoch"]
         losses = []
-        order = generator_of(seed, f"fit/epoch/{epoch}").permutation(starts)[
+        order = named_generator(seed, f"fit/epoch/{epoch}").permutation(starts)[
             : updates * config.batch
         ]
-        key = key_of(seed, f"fit/dropout/{epoch}")
+        key = named_key(seed, f"fit/dropout/{epoch}")
         for call, batches in enumerate(order.reshape(calls, -1, config.batch), 1):
             state, mse = learner.run(state, table, jnp.asarray(batches), key)
             losses.append(mse)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.action_clock import MOST_TICKS
+from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
@@ -98,7 +98,7 @@ class Surrogate(eqx.Module):
         self, state: SurrogateState, command: Command, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
         """Hold the command for an action, as one batch of the longest."""
-        return self._held(state, command, MOST_TICKS, ticks)
+        return self._held(state, command, MAX_ACTION_TICKS, ticks)
 
     def _held(
         self, state: SurrogateState, command: Command, rows: int, ticks: Ticks

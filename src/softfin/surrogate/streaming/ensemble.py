@@ -35,7 +35,7 @@ from softfin.surrogate.streaming.nets import (
     ForceNetConfig,
     ForceState,
 )
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 
 COVERAGE = 0.9
 """Share of the mean forces that an interval should hold."""
@@ -67,7 +67,7 @@ class Member(eqx.Module):
     force: ForceNet
 
     def start(self, motion: Motion, waiting: Command) -> MemberState:
-        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
         return MemberState(self.drive.start(motion, waiting), self.force.start(motion))
 
     def step(
@@ -129,7 +129,7 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     def predict(some: Sequence[Log]) -> Any:
         # What was commanded before a log is not recorded: its first command has long been given.
         command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
-        waiting = Command(*(np.repeat(x[:, :1], LONGEST_DELAY, axis=1) for x in command))
+        waiting = Command(*(np.repeat(x[:, :1], MAX_DELAY, axis=1) for x in command))
         before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
         return _motions(drives, before, waiting, Command(*(x[:, :-1] for x in command)))
 

@@ -24,7 +24,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log, Reading, command_limits
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate.streaming.ensemble import (
     Member,
@@ -43,7 +43,7 @@ from softfin.surrogate.streaming.segments import (
     Scales,
     SegmentBatch,
     Table,
-    scales_of,
+    measure_scales,
     slices,
 )
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
@@ -213,7 +213,9 @@ def fit_streaming(
     is one."""
     training, holding, scales, table = split_streaming(logs, config)
     start = jit("none")(ensemble)
-    members = start(config.members, config.drive, config.force, scales, key_of(seed, "fit/weights"))
+    members = start(
+        config.members, config.drive, config.force, scales, named_key(seed, "fit/weights")
+    )
     updates = {"drive": config.drive_updates, "force": config.force_updates}
     losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
     learners = {
@@ -236,7 +238,7 @@ def fit_streaming(
     def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
         """Do all updates of one kind of network; return the best by `errors` on held-out logs,
         ``(members, rows)``."""
-        key = key_of(seed, f"fit/{name}")
+        key = named_key(seed, f"fit/{name}")
         (call, round_of) = _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
         while done[name] < updates[name]:
@@ -299,7 +301,7 @@ def split_streaming(
             f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over "
             f"{WINDOW} samples behind burn_in = {config.burn_in} need as many; record longer"
         )
-    return training, holding, scales_of(training), Table.of(training, config.ticks)
+    return training, holding, measure_scales(training), Table.of(training, config.ticks)
 
 
 def _calls(updates: int) -> tuple[int, int]:

@@ -145,7 +145,7 @@ class FollowingNet(eqx.Module):
         self.scales = scales
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
-        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
         return FollowingState(
             jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion
         )

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
-from softfin.core.randomness import cma_es, generator_of
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, SegmentBatch, Table
+from softfin.core.randomness import cma_es, named_generator
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch, Table
 from softfin.tank.drive import delayed, next_velocity
 
 STEPS_PER_TICK = 2
@@ -54,7 +54,7 @@ class Profile(eqx.Module):
     zero: Float[Array, ""] = _coefficient(0.0)
     """Angle that is read where 0 was commanded [rad]."""
     delay: Float[Array, ""] = _coefficient(0.0)
-    """Ticks from a command to the first that obeys it, at most `LONGEST_DELAY` [10 ms]."""
+    """Ticks from a command to the first that obeys it, at most `MAX_DELAY` [10 ms]."""
     velocity_factor: Float[Array, ""] = _coefficient(1.0)
     """Ratio of the profile's velocity to the commanded velocity [-]."""
     velocity_limit: Float[Array, ""] = _coefficient(100.0)
@@ -65,7 +65,7 @@ class Profile(eqx.Module):
     """Angle that the shaft is behind its profile over its velocity [s]."""
 
     def start(self, motion: Motion, waiting: Command) -> ProfileState:
-        """State in motion, with the commands of the last `LONGEST_DELAY` ticks, newest first."""
+        """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
         return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
 
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
@@ -93,7 +93,7 @@ class Profile(eqx.Module):
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     """Find the coefficients, and the mean absolute error of the angle [rad] that they leave."""
-    ticks = min(TICKS, max(len(log.reading.time) for log in logs) - LONGEST_DELAY - 1)
+    ticks = min(TICKS, max(len(log.reading.time) for log in logs) - MAX_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
     speed = max(np.abs(log.reading.velocity).max() for log in logs)
@@ -104,7 +104,7 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
         # A drive that does what it is told two or three ticks later, no faster than in the logs.
         # The error has a minimum at many delays: one search in five ends in a wrong one.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
-        random = generator_of(seed, f"identify/{start}")
+        random = named_generator(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
         search = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
         while not search.stop():
@@ -127,7 +127,7 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     return Profile(
         jnp.exp(0.1 * gain),
         0.05 * zero,
-        jnp.minimum(jnp.abs(delay), LONGEST_DELAY),
+        jnp.minimum(jnp.abs(delay), MAX_DELAY),
         jnp.exp(0.2 * factor),
         jnp.exp(0.2 * limit),
         jnp.exp(acceleration),

@@ -14,7 +14,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.quantities import AnyArray, Command, Log
 
-LONGEST_DELAY = 20
+MAX_DELAY = 20
 """Longest delay from a command to the motion that obeys it [ticks]."""
 
 
@@ -38,7 +38,7 @@ class Scales(Configuration):
     """Standard deviation of the shaft's angle [rad]."""
 
 
-def scales_of(logs: Sequence[Log]) -> Scales:
+def measure_scales(logs: Sequence[Log]) -> Scales:
     """Scales of the training logs; raises LogError where nothing moves."""
     angle, velocity, force = (
         [np.asarray(getattr(log.reading, name), np.float64) for log in logs]
@@ -63,7 +63,7 @@ class SegmentBatch(NamedTuple):
     """Segments of logs, ``(batch, ticks)``: commands of rows k, and the force of rows k + 1."""
 
     waiting: Command
-    """Commands before the first row, newest first, ``(batch, LONGEST_DELAY)``."""
+    """Commands before the first row, newest first, ``(batch, MAX_DELAY)``."""
     commands: Command
     motion: Motion
     """Motion from the first row on, ``(batch, 1 + ticks)``."""
@@ -87,14 +87,14 @@ class Table(NamedTuple):
         rows = [len(log.reading.time) for log in logs]
         first = np.cumsum([0, *rows[:-1]])
         starts = [
-            offset + np.arange(LONGEST_DELAY, count - ticks)
+            offset + np.arange(MAX_DELAY, count - ticks)
             for offset, count in zip(first, rows, strict=True)
         ]
         choices = np.concatenate(starts).astype(np.int32)
         if not choices.size:
             raise LogError(
                 f"the longest of {len(logs)} training logs has {max(rows)} rows; "
-                f"{ticks + LONGEST_DELAY + 1} are "
+                f"{ticks + MAX_DELAY + 1} are "
                 "needed in one piece; record longer, or make the segments shorter (--set ticks=N)"
             )
         columns = [
@@ -111,7 +111,7 @@ class Table(NamedTuple):
         """Draw segments at random."""
         starts = self.starts[jax.random.randint(key, (batch,), 0, self.starts.size)]
         command, motion, force = slices((self.command, self.motion, self.force), starts, ticks + 1)
-        waiting = slices(self.command, starts - LONGEST_DELAY, LONGEST_DELAY)
+        waiting = slices(self.command, starts - MAX_DELAY, MAX_DELAY)
         return SegmentBatch(
             waiting=jax.tree.map(lambda x: x[:, ::-1], waiting),
             commands=jax.tree.map(lambda x: x[:, :-1], command),

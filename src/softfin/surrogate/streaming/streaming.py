@@ -34,7 +34,7 @@ from softfin.surrogate.streaming.ensemble import (
     single,
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, products
-from softfin.surrogate.streaming.segments import LONGEST_DELAY, Motion, Scales
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 from softfin.surrogate.training import named, restored
 
 SETTLED = 3000
@@ -80,7 +80,7 @@ class StreamingSurrogate(eqx.Module):
         self.familiarity = familiarity
         command = rest_command(limits)
         waiting, passed = (
-            Command(*(jnp.full(n, value) for value in command)) for n in (LONGEST_DELAY, SETTLED)
+            Command(*(jnp.full(n, value) for value in command)) for n in (MAX_DELAY, SETTLED)
         )
         self.rest = _after(members, Motion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
 
@@ -104,10 +104,10 @@ class StreamingSurrogate(eqx.Module):
         command, reading = jax.tree.map(
             lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
         )
-        motion = Motion(reading.angle[LONGEST_DELAY], reading.velocity[LONGEST_DELAY])
-        waiting = Command(*(part[:LONGEST_DELAY][::-1] for part in command))
+        motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
+        waiting = Command(*(part[:MAX_DELAY][::-1] for part in command))
         # The last row's command shows in the row that comes next.
-        passed = Command(*(part[LONGEST_DELAY:-1] for part in command))
+        passed = Command(*(part[MAX_DELAY:-1] for part in command))
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
 

@@ -24,7 +24,7 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
-from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, parameters_of
+from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, list_parameters
 from softfin.tank.calibration.model import FITTED_CHANNELS, Segments, Space, cut, read, stacked
 from softfin.tank.calibration.search import Losses, determination, misfits, polish, search
 
@@ -90,7 +90,7 @@ def prepared(
 ) -> tuple[Space, Segments, Segments]:
     """Return what is searched, what it is fitted to and what it is judged on; raises where either
     is not usable."""
-    parameters = parameters_of(config.parameters)
+    parameters = list_parameters(config.parameters)
     if not parameters:
         raise ConfigurationError(
             "parameters: all are null; give at least one a range, such as fin.span_m: [0.03, 0.2]"

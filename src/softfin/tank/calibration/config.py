@@ -145,7 +145,7 @@ def every_range(free: Mapping[str, Range] = FREE) -> Ranges:
     }
 
 
-def parameters_of(ranges: Ranges) -> list[Parameter]:
+def list_parameters(ranges: Ranges) -> list[Parameter]:
     """Return the free parameters; raises ConfigurationError for an unknown name or a range that is
     not ascending."""
     allowed = [f"{group}.{name}" for group, names in every_range().items() for name in names]

@@ -22,14 +22,14 @@ from softfin.core.errors import ArtifactError, ConfigurationError, LogError
 from softfin.core.plant import Plant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import RATE_HZ, Command, Limits, Log
-from softfin.core.randomness import key_of
+from softfin.core.randomness import named_key
 from softfin.data.simulate import simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank, TankConfig
 from softfin.tank.calibration.config import CalibrateConfig, Parameter, Point, RecordingConfig
-from softfin.tank.sensor import arrays_of
+from softfin.tank.sensor import config_arrays
 
 FITTED_CHANNELS = ("angle", "force_x", "force_y")
 
@@ -133,7 +133,7 @@ def _of_plant(
     within = cast(Plant, SimpleNamespace(init=plant.init, advance=plant.advance, limits=limits))
 
     def excited(part: str, count: int) -> list[Log]:
-        keys = [key_of(seed, f"calibrate/{part}/{index}") for index in range(count)]
+        keys = [named_key(seed, f"calibrate/{part}/{index}") for index in range(count)]
         rows = round(config.segment_s * RATE_HZ) + 1
         return list(
             simulate([within] * count, keys, rows, config.excitation, count, lambda done: None)
@@ -165,7 +165,7 @@ class Model(NamedTuple):
     @classmethod
     def build(cls, tank: TankConfig, recording: RecordingConfig) -> "Model":
         """Return the model of a quiet tank."""
-        arrays = dict(zip(RecordingConfig.model_fields, arrays_of(recording), strict=True))
+        arrays = dict(zip(RecordingConfig.model_fields, config_arrays(recording), strict=True))
         return cls(Tank(tank.merged(QUIET, "calibration")), arrays)
 
     def read(self, command: Command) -> Float[Array, "ticks channels"]:

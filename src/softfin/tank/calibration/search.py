@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from softfin.core.errors import RunError
-from softfin.core.randomness import cma_es, generator_of
+from softfin.core.randomness import cma_es, named_generator
 from softfin.tank.calibration.config import Parameter, Point
 from softfin.tank.calibration.model import Errors
 
@@ -57,7 +57,7 @@ def search(
     `report` is called with the generations done and all losses so far. Raises RunError where no
     tank of a generation has finite readings.
     """
-    random = generator_of(seed, "calibrate/search")
+    random = named_generator(seed, "calibrate/search")
     strategy = cma_es(
         np.clip(start, 1e-3, 1 - 1e-3), step, random, popsize=losses.shape[1], bounds=[0.0, 1.0]
     )
