@@ -228,6 +228,7 @@ def test_every_benchmark_is_a_part():
         "compilation",
         "measure",
         "nets",
+        "recurrent",
         "workers",
     }
 
