@@ -28,7 +28,6 @@ OUT = ("--out", "new")
 SLIPS: list[tuple[list[str], str]] = [
     (["collect", *OUT, "--plant", "pool"], "plant pool: unknown (does not exist); give tank, "),
     (["collect", *OUT, "--plant", "no_such_module:plant"], "No module named 'no_such_module'"),
-    (["collect", *OUT, "--surrogate", "no"], "no: no such folder; it should be a surrogate"),
     (
         ["collect", *OUT, "--config", "no.yaml"],
         "no.yaml: cannot be read (No such file or directory)",

@@ -36,7 +36,7 @@ def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Repo
     """Write all frames, in a loop. All of them share a palette, so that what stays costs no
     bytes."""
     ticks = shown_ticks(len(picture.footage.shape), frames_per_second)
-    palette = PIL.Image.fromarray(picture.frame(-1)).quantize()
+    palette = PIL.Image.fromarray(picture.frame(-1)).quantize(method=PIL.Image.Quantize.MAXCOVERAGE)
 
     def quantized_frames() -> Iterator[PIL.Image.Image]:
         for count, tick in enumerate(ticks, start=1):
