@@ -14,7 +14,7 @@ OUT ?= runs/demo
 PRESET ?= demo
 PYTHONS ?= $(PYTHON)
 
-.PHONY: setup demo day test test-quick test-long test-ray mutants wheel test-wheel lint structure docs bench results results-quick figures clean
+.PHONY: setup demo day test test-quick test-long test-ray mutants wheel test-wheel lint docs bench results results-quick figures clean
 
 setup: .venv/.ready ## make the environment
 
@@ -56,15 +56,13 @@ wheel: $(filter .tools/bin/uv,$(UV)) ## wheel and source distribution, in dist/,
 test-wheel: setup wheel ## the wheel in empty environments outside this folder; PYTHONS="python3.11 python3.13"
 	UV="$(UV)" SOFTFIN_WHEEL=dist SOFTFIN_PYTHONS="$(PYTHONS)" $(RUN) pytest -rs tests/test_wheel.py
 
-lint: setup ## style, types, the order of imports, the words
+lint: setup ## style, types, the order of imports, the words, the size and shape of the code
 	$(RUN) ruff check .
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 	$(RUN) lint-imports
 	$(RUN) python tools/words.py
-
-structure: setup ## rooms, lines and the counts by which the structure is judged
-	$(RUN) python tools/structure.py
+	$(RUN) python tools/style.py
 
 docs: setup ## the site of the documentation, in build/docs; warnings are errors; DEMO=DIR goes on with a tiny demo there
 	$(if $(DEMO),SOFTFIN_DEMO="$(abspath $(DEMO))") $(RUN) --group docs sphinx-build --jobs 2 --fail-on-warning --keep-going --quiet docs build/docs

@@ -173,15 +173,16 @@ def run_part(
     except (LookupError, OSError, TypeError, ValueError) as error:
         raise PartError(f"the files of its steps are not as expected: {error!r}") from error
     if folder == FOLDER:
-        for target, source in part.pictures.items():
-            subprocess.run(
-                [sys.executable, "docs/figure.py", runner.work / source, target],
-                cwd=ROOT,
-                check=True,
-            )
+        _draw_pictures(part, runner.work)
     write(name, assemble(part, figures, records, runner.tiny), folder)
     say(f"{name}: {folder / name}.json written")
     return None
+
+
+def _draw_pictures(part: Part, work: Path) -> None:
+    for target, source in part.pictures.items():
+        command = [sys.executable, "docs/figure.py", work / source, target]
+        subprocess.run(command, cwd=ROOT, check=True)
 
 
 def select_steps(part: Part, seed: str) -> list[Step]:

@@ -122,21 +122,11 @@ def _run(name: str, words: list[str]) -> None:
     debug = "--debug" in words
     try:
         from softfin.cli import options
-        from softfin.core.errors import SoftfinError, one_line
     except ModuleNotFoundError as error:
         if debug or (missing := what_is_missing(error)) is None:
             raise
         _exit(f"softfin {name}: {missing}", 2)
-    # XLA's notes on how it compiles would hide the lines of a command.
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy
-    # does in 0.1 s of processor time on one thread took 9 s, and a minute. They count when NumPy is
-    # imported, which is below.
-    if "OMP_NUM_THREADS" not in os.environ:
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # JAX makes millions of small objects while it traces; to look them through so often is a sixth
-    # of that time.
-    gc.set_threshold(50_000, 20, 10)
+    _configure_process()
     arguments: Any = None
     try:
         arguments = import_arguments(name)
@@ -159,22 +149,36 @@ def _run(name: str, words: list[str]) -> None:
     except Exception as error:
         if debug:
             raise
-        if isinstance(error, SoftfinError):
-            _exit(f"softfin {name}: {error}", error.exit_code)
-        if (
-            isinstance(error, ModuleNotFoundError)
-            and (missing := what_is_missing(error)) is not None
-        ):
-            _exit(f"softfin {name}: {missing}", 2)
-        if isinstance(error, OSError):
-            _exit(
-                f"softfin {name}: {error.filename or 'system'}: {error.strerror or error}", STOPPED
-            )
-        _exit(
-            f"softfin {name}: {type(error).__name__}: {one_line(error)} "
-            "(this should not happen; --debug shows where)",
-            STOPPED,
-        )
+        message, code = _describe_error(error)
+        _exit(f"softfin {name}: {message}", code)
+
+
+def _configure_process() -> None:
+    """Set what NumPy, JAX and XLA read when they are imported."""
+    # XLA's notes on how it compiles would hide the lines of a command.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy
+    # does in 0.1 s of processor time on one thread took 9 s, and a minute.
+    if "OMP_NUM_THREADS" not in os.environ:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # JAX makes millions of small objects while it traces; to look them through so often is a sixth
+    # of that time.
+    gc.set_threshold(50_000, 20, 10)
+
+
+def _describe_error(error: Exception) -> tuple[str, int]:
+    """Return an error in one line and its exit code."""
+    from softfin.core.errors import SoftfinError, one_line
+    from softfin.installation import what_is_missing
+
+    if isinstance(error, SoftfinError):
+        return str(error), error.exit_code
+    if isinstance(error, ModuleNotFoundError) and (missing := what_is_missing(error)) is not None:
+        return missing, 2
+    if isinstance(error, OSError):
+        return f"{error.filename or 'system'}: {error.strerror or error}", STOPPED
+    text = f"{type(error).__name__}: {one_line(error)}"
+    return f"{text} (this should not happen; --debug shows where)", STOPPED
 
 
 def _usage() -> str:

@@ -12,7 +12,7 @@ import re
 import shutil
 import textwrap
 import types
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -181,27 +181,36 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
                 )
             take(place, word)
             continue
-        written, sign, text = word.partition("=")
-        field = named.get(written.replace("_", "-"))
-        if field is None:
-            nearest = _nearest(written, named, "; --help lists the options")
-            raise ConfigurationError(f"{written}: unknown option{nearest}")
+        field, text = _read_option(word, named, rest)
         if field.kind is bool:
-            if sign:
-                raise ConfigurationError(
-                    f"{word}: this option takes no value; write {field.name}, or leave it out"
-                )
             values[field.field] = True
-            continue
-        if not sign:
-            if not rest or rest[0].startswith("--") or rest[0] == "-h":
-                raise ConfigurationError(f"{field.name}: the value is missing; write {field.usage}")
-            text = rest.pop(0)
-        take(field, text)
+        else:
+            take(field, text)
     missing = [field.usage for field in fields if field.required and field.field not in values]
     if missing:
         raise ConfigurationError(f"{', '.join(missing)}: required, and missing; --help tells more")
     return command.build(values, "options")
+
+
+def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tuple[Field, str]:
+    """Return the option that a word names, and its value, which may be the next word of the
+    rest."""
+    written, sign, text = word.partition("=")
+    field = named.get(written.replace("_", "-"))
+    if field is None:
+        nearest = _nearest(written, named, "; --help lists the options")
+        raise ConfigurationError(f"{written}: unknown option{nearest}")
+    if field.kind is bool:
+        if sign:
+            raise ConfigurationError(
+                f"{word}: this option takes no value; write {field.name}, or leave it out"
+            )
+        return field, ""
+    if sign:
+        return field, text
+    if not rest or rest[0].startswith("--") or rest[0] == "-h":
+        raise ConfigurationError(f"{field.name}: the value is missing; write {field.usage}")
+    return field, rest.pop(0)
 
 
 def check(command: Any) -> None:

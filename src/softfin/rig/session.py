@@ -162,30 +162,10 @@ class Session:
         now = self.pace.clock()
         if self._watchdog is not None:
             self._watchdog.feed(now)
-        # A person's stop first: nothing else explains why the fin stopped.
-        trip = self.stop_request.trip or self.trip
-        if trip is None and self.recorder is not None and self.recorder.failure is not None:
-            trip = Trip("recording", self.recorder.failure)
-        slept_s = self.pace.clock.suspended() - self._suspended_s
-        if self.state != "active":
-            self._suspended_s += slept_s
-        elif trip is None:
-            trip = self.guard.check(sample, now, late)
-            if slept_s > SUSPENDED_S:
-                # In place of the fault that the drive reports by then, which follows from it.
-                trip = Trip(
-                    "suspended",
-                    f"the computer was suspended for {slept_s:.1f} s while the fin was active; "
-                    "start softfin by: systemd-inhibit --what=sleep:handle-lid-switch softfin ..",
-                )
+        trip = self._find_trip(sample, now, late)
         if trip is not None:
             self.abort(trip)
-        if self.recorder is not None:
-            before = self.newest
-            if before is None or sample.time > before.time:
-                self.recorder.joint(sample.time, sample.angle, sample.velocity, sample.current)
-            if before is None or sample.force_time > before.force_time:
-                self.recorder.wrench(sample.force_time, sample.wrench)
+        self._record_sample(sample)
         try:
             for observe in self.observers:
                 observe(sample, self.target)
@@ -193,6 +173,38 @@ class Session:
             self.abort(Trip("observer", in_one_line(error, "an observer of the loop failed")))
         self.newest = sample
         return sample
+
+    def _find_trip(self, sample: Sample, now: float, late: float) -> Trip | None:
+        slept_s = self.pace.clock.suspended() - self._suspended_s
+        if self.state != "active":
+            self._suspended_s += slept_s
+        # A person's stop first: nothing else explains why the fin stopped.
+        if trip := self.stop_request.trip or self.trip:
+            return trip
+        if self.recorder is not None and self.recorder.failure is not None:
+            return Trip("recording", self.recorder.failure)
+        if self.state != "active":
+            return None
+        # Always called, because it remembers the samples.
+        trip = self.guard.check(sample, now, late)
+        if slept_s > SUSPENDED_S:
+            # In place of the fault that the drive reports by then, which follows from it.
+            return Trip(
+                "suspended",
+                f"the computer was suspended for {slept_s:.1f} s while the fin was active; start "
+                "softfin by: systemd-inhibit --what=sleep:handle-lid-switch softfin ..",
+            )
+        return trip
+
+    def _record_sample(self, sample: Sample) -> None:
+        """Record what is newer than the sample before."""
+        if self.recorder is None:
+            return
+        before = self.newest
+        if before is None or sample.time > before.time:
+            self.recorder.joint(sample.time, sample.angle, sample.velocity, sample.current)
+        if before is None or sample.force_time > before.force_time:
+            self.recorder.wrench(sample.force_time, sample.wrench)
 
     def activate(self) -> None:
         """Enable the drive, which holds where it is: from now on it may move."""

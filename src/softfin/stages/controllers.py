@@ -137,12 +137,7 @@ def train(
     one program, or in parts on a Ray `cluster`. The `reason` for the algorithm is kept with the
     controller.
     """
-    if engine == "ray":
-        check_cluster(cluster)
-    elif cluster is not None:
-        raise ConfigurationError(
-            f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster"
-        )
+    _check_engine(engine, cluster)
     moving = find_plant(plant)
     if config is None:
         config, reason = choose_preset(moving)
@@ -191,3 +186,13 @@ def train(
     else:
         artifacts.write_folder(out, save_all, overwrite)
     run_directory.finish()
+
+
+def _check_engine(engine: EngineName, cluster: str | None) -> None:
+    """Raise ConfigurationError if an engine or its cluster cannot be used."""
+    if engine == "ray":
+        check_cluster(cluster)
+    elif cluster is not None:
+        raise ConfigurationError(
+            f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster"
+        )

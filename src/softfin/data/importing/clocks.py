@@ -118,59 +118,80 @@ def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
     """Leave out rows that hold no value or whose time repeats or goes back; check the rate of the
     others."""
+    finite, rows, issues = _finite_rows(track, name, config)
+    if len(finite.time) < 2:
+        raise LogError(f"{name}: {len(finite.time)} rows with a time and values; record it again")
+    valid, rows, found = _forward_rows(finite, rows, name)
+    issues += found
+    if valid.channels.keys() <= COMMAND_CHANNELS:
+        return valid, issues
+    if len(valid.time) < 2:
+        raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
+    # Before anything is derived, filtered or interpolated across a jump.
+    valid, found = _unwrapped_angle(valid, rows, name)
+    issues += found
+    issues += _check_rate(valid, name)
+    return valid, issues
+
+
+Rows = Int[np.ndarray, " rows"]
+"""Rows of the track as it was read."""
+
+
+def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, Rows, list[Issue]]:
     issues = []
-    good = np.ones(len(track.time), bool)
+    is_finite = np.ones(len(track.time), bool)
     for channel, values in {"time": track.time, **track.channels}.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
-            good[bad] = False
+            is_finite[bad] = False
             message = f"no value, or not a finite one, in {bad.size:,} of {len(values):,} rows"
             fix = (
                 "record again or cut them; with errors ignored they are left out, and holes over "
                 f"{config.gap_s:g} s split the log"
             )
             issues.append(Issue("error", "not a number", name, message, fix, channel, int(bad[0])))
-    finite = track.take(good)
-    if len(finite.time) < 2:
-        raise LogError(f"{name}: {len(finite.time)} rows with a time and values; record it again")
-    latest = np.maximum.accumulate(finite.time)
-    forward = np.append(True, finite.time[1:] > latest[:-1])
+    return track.take(is_finite), np.flatnonzero(is_finite), issues
+
+
+def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, list[Issue]]:
+    latest = np.maximum.accumulate(track.time)
+    forward = np.append(True, track.time[1:] > latest[:-1])
     late = np.flatnonzero(~forward)
-    if late.size:
-        message = (
-            f"time repeats or goes back in {late.size:,} of {len(forward):,} rows, first at "
-            f"{finite.time[late[0]]:.4f} s after {latest[late[0]]:.4f} s"
-        )
-        fix = (
-            "sort by time and remove repeated rows; with errors ignored, rows not later than all "
-            "before are left out"
-        )
-        row = int(np.flatnonzero(good)[late[0]])
-        issues.append(Issue("error", "repeated time", name, message, fix, "time", row))
-    valid = finite.take(forward)
-    if valid.channels.keys() <= COMMAND_CHANNELS:
-        return valid, issues
-    if len(valid.time) < 2:
-        raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
-    if "angle" in valid.channels:
-        wraps = find_wraps(valid.channels["angle"])
-        if wraps.size:
-            message = (
-                f"jumps by a whole turn in {wraps.size:,} of {len(valid.time):,} rows: the "
-                "encoder wraps"
-            )
-            fix = (
-                "set the encoder's zero to where the fin rests, so that it does not wrap within "
-                "the fin's range, and record again; with errors ignored the angle is unwrapped, "
-                "to about 0"
-            )
-            row = int(np.flatnonzero(good)[forward][wraps[0]])
-            issues.append(Issue("error", "wraps", name, message, fix, "angle", row))
-            # Before anything is derived, filtered or interpolated across a jump.
-            valid = Track(
-                valid.time, valid.channels | {"angle": unwrapped(valid.channels["angle"])}
-            )
-    rate = 1 / float(np.median(np.diff(valid.time)))
+    if not late.size:
+        return track, rows, []
+    message = (
+        f"time repeats or goes back in {late.size:,} of {len(forward):,} rows, first at "
+        f"{track.time[late[0]]:.4f} s after {latest[late[0]]:.4f} s"
+    )
+    fix = (
+        "sort by time and remove repeated rows; with errors ignored, rows not later than all "
+        "before are left out"
+    )
+    issue = Issue("error", "repeated time", name, message, fix, "time", int(rows[late[0]]))
+    return track.take(forward), rows[forward], [issue]
+
+
+def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[Issue]]:
+    if "angle" not in track.channels:
+        return track, []
+    wraps = find_wraps(track.channels["angle"])
+    if not wraps.size:
+        return track, []
+    message = (
+        f"jumps by a whole turn in {wraps.size:,} of {len(track.time):,} rows: the encoder wraps"
+    )
+    fix = (
+        "set the encoder's zero to where the fin rests, so that it does not wrap within the fin's "
+        "range, and record again; with errors ignored the angle is unwrapped, to about 0"
+    )
+    issue = Issue("error", "wraps", name, message, fix, "angle", int(rows[wraps[0]]))
+    angle = unwrapped(track.channels["angle"])
+    return Track(track.time, track.channels | {"angle": angle}), [issue]
+
+
+def _check_rate(track: Track, name: str) -> list[Issue]:
+    rate = 1 / float(np.median(np.diff(track.time)))
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
             f"{name}: column time: a row every {1 / rate:g} s ({rate:g} Hz); allowed are "
@@ -179,15 +200,12 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
-        issues.append(
-            Issue(
-                "warning", "slow rate", name, message, f"record at {RATE_HZ} Hz or faster", "time"
-            )
-        )
+        fix = f"record at {RATE_HZ} Hz or faster"
+        return [Issue("warning", "slow rate", name, message, fix, "time")]
     if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
         message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
-        issues.append(Issue("note", "resampled", name, message, column="time"))
-    return valid, issues
+        return [Issue("note", "resampled", name, message, column="time")]
+    return []
 
 
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:

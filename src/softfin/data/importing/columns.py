@@ -8,7 +8,7 @@ is shown with its unit.
 
 import difflib
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -44,28 +44,49 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
         for name, channel in OWN_NAMES.items()
         if name in names and channel not in config.columns
     }
-    for mapped, name in config.columns.items():
+    found |= _mapped_columns(names, config, source)
+    # What an option states for the whole file is not guessed.
+    options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
+    stated = [channel for channel, value in options.items() if value is not None]
+    decided = {*found, *config.columns, *stated}
+    found |= _recognized_columns(names, found.values(), decided, source)
+    known = {*found, *stated, "velocity"}
+    if missing := [channel for channel in CHANNELS if channel not in known]:
+        raise _missing_error(names, missing, source)
+    columns = {}
+    for channel in CHANNELS:
+        if channel in found:
+            unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
+            columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
+    return columns
+
+
+def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, str]:
+    """Return the columns that --columns names."""
+    mapped: dict[str, str] = {}
+    for channel, name in config.columns.items():
         if name not in (NO_COLUMN, *names):
             near = difflib.get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise LogError(
-                f"{source}: --columns {mapped}={name}: no such column; {hint}it has "
+                f"{source}: --columns {channel}={name}: no such column; {hint}it has "
                 f"{_listed(names)}"
             )
         if name != NO_COLUMN:
-            found[mapped] = name
-    # What an option states for the whole file is not guessed.
-    options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
-    stated = [channel for channel, value in options.items() if value is not None]
+            mapped[channel] = name
+    return mapped
+
+
+def _recognized_columns(
+    names: Sequence[str], taken: Collection[str], decided: Collection[str], source: str
+) -> dict[str, str]:
+    """Return the columns that are recognized by their names, of channels that are not decided."""
     candidates: dict[str, list[str]] = {}
     for name in names:
         read = read_name(name)
-        if (
-            read is not None
-            and name not in found.values()
-            and read[0] not in {*found, *config.columns, *stated}
-        ):
+        if read is not None and name not in taken and read[0] not in decided:
             candidates.setdefault(read[0], []).append(name)
+    recognized = {}
     for channel, several in candidates.items():
         if channel == "command_velocity":
             several = _preferred_velocities(several)
@@ -74,26 +95,24 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
                 f"{source}: which column is {channel}? It may be {_listed(several, ' or ')}; "
                 f"decide it: --columns {_quoted(channel, several[0])}"
             )
-        found[channel] = several[0]
-    if missing := [channel for channel in CHANNELS if channel not in {*found, *stated, "velocity"}]:
-        others = {
-            "time": "; --rate 100 takes the place of time, if a row was written every 10 ms",
-            "command_velocity": "; --velocity 3.1 takes its place, if all commands had that "
-            "velocity [rad/s]",
-        }
-        mapping = ",".join(f"{channel}=NAME" for channel in missing)
-        hints = "".join(others.get(channel, "") for channel in missing)
-        raise LogError(
-            f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known "
-            f"words and units ({', '.join(UNITS[KINDS[missing[0]]])}) that means it; name it: "
-            f"--columns {mapping}{hints}"
-        )
-    columns = {}
-    for channel in CHANNELS:
-        if channel in found:
-            unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
-            columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
-    return columns
+        recognized[channel] = several[0]
+    return recognized
+
+
+def _missing_error(names: Sequence[str], missing: Sequence[str], source: str) -> LogError:
+    others = {
+        "time": "; --rate 100 takes the place of time, if a row was written every 10 ms",
+        "command_velocity": (
+            "; --velocity 3.1 takes its place, if all commands had that velocity [rad/s]"
+        ),
+    }
+    mapping = ",".join(f"{channel}=NAME" for channel in missing)
+    hints = "".join(others.get(channel, "") for channel in missing)
+    return LogError(
+        f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known "
+        f"words and units ({', '.join(UNITS[KINDS[missing[0]]])}) that means it; name it: "
+        f"--columns {mapping}{hints}"
+    )
 
 
 def _preferred_velocities(names: list[str]) -> list[str]:

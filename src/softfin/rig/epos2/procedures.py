@@ -475,8 +475,14 @@ def switch_off(exchange: Exchange) -> bool:
     )
     if not until(lambda: order(protocol.DISABLE_VOLTAGE) in protocol.UNPOWERED, DISABLE_TIMEOUT_S):
         return False
-    for _ in range(round(STOP_CONFIRMED_S / config.sync_s)):
-        if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.UNPOWERED:
+    return _stays_off(exchange)
+
+
+def _stays_off(exchange: Exchange) -> bool:
+    """Watch the motor for a while: a program that still drives it would power it again."""
+    for _ in range(round(STOP_CONFIRMED_S / exchange.config.sync_s)):
+        state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
+        if state not in protocol.UNPOWERED:
             return False
-        exchange.clock.sleep(config.sync_s)
+        exchange.clock.sleep(exchange.config.sync_s)
     return True

@@ -222,63 +222,81 @@ def recovered_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.recovered.mcap")
 
 
-def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Save what can be read; raises LogError where nothing can, ArtifactError where `out`
-    exists."""
-    artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    counts = Counter[int]()
-    damages = list[Damage]()
-    first = 2**64
-    last = 0
-    # Definitions may stand behind their messages where the first chunk is lost: the index repeats
-    # them.
-    for item in scan(path):
-        match item:
-            case Damage():
-                damages.append(item)
-            case Schema():
-                schemas.setdefault(item.id, item)
-            case Channel():
-                channels.setdefault(item.id, item)
-            case Message():
-                counts[item.channel_id] += 1
-                first = min(first, item.log_time)
-                last = max(last, item.log_time)
-    messages = Counter[str]()
-    for number in sorted(channels.keys() & counts):
-        messages[channels[number].topic] += counts[number]
-    orphans = counts.total() - messages.total()
-    if orphans:
-        damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
-    if damages and not messages:
-        reason = damages[0].reason
-        raise LogError(
-            f"{path}: no message in it can be read ({reason}); copy it again from where it was "
-            "recorded"
-        )
+class _Contents:
+    """What a bag holds, as far as it can be read."""
 
-    def copy(file: BinaryIO) -> None:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.counts = Counter[int]()
+        """Number of messages by channel."""
+        self.damages = list[Damage]()
+        self._first = 2**64
+        self._last = 0
+        # Definitions may stand behind their messages where the first chunk is lost: the index
+        # repeats them.
+        for item in scan(path):
+            match item:
+                case Damage():
+                    self.damages.append(item)
+                case Schema():
+                    self.schemas.setdefault(item.id, item)
+                case Channel():
+                    self.channels.setdefault(item.id, item)
+                case Message():
+                    self.counts[item.channel_id] += 1
+                    self._first = min(self._first, item.log_time)
+                    self._last = max(self._last, item.log_time)
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first to the last message [s]."""
+        return max(0, self._last - self._first) / 1e9
+
+    def messages(self) -> Counter[str]:
+        """Count the messages by topic, of channels that are known."""
+        messages = Counter[str]()
+        for number in sorted(self.channels.keys() & self.counts):
+            messages[self.channels[number].topic] += self.counts[number]
+        return messages
+
+    def copy(self, file: BinaryIO) -> None:
+        """Write all that can be read as a new bag."""
         writer = start_writer(file)
         registered = {0: 0}
         written = {}
-        for number, schema in schemas.items():
+        for number, schema in self.schemas.items():
             registered[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
-        for number, channel in channels.items():
+        for number, channel in self.channels.items():
             kind = registered.get(channel.schema_id, 0)
             written[number] = writer.register_channel(
                 channel.topic, channel.message_encoding, kind, channel.metadata
             )
-        for one in scan(path):
-            if isinstance(one, Message) and one.channel_id in written:
+        for item in scan(self.path):
+            if isinstance(item, Message) and item.channel_id in written:
+                channel_id = written[item.channel_id]
                 writer.add_message(
-                    written[one.channel_id], one.log_time, one.data, one.publish_time, one.sequence
+                    channel_id, item.log_time, item.data, item.publish_time, item.sequence
                 )
         writer.finish()
 
+
+def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
+    """Save what can be read; raises LogError where nothing can, ArtifactError where `out`
+    exists."""
+    artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
+    contents = _Contents(path)
+    messages = contents.messages()
+    damages = contents.damages
+    orphans = contents.counts.total() - messages.total()
+    if orphans:
+        damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
+    if damages and not messages:
+        raise LogError(
+            f"{path}: no message in it can be read ({damages[0].reason}); copy it again from where "
+            "it was recorded"
+        )
     if damages:
-        artifacts.write_file(out, copy)
-    return Recovery(
-        not damages, dict(messages), max(0, last - first) / 1e9, orphans, tuple(damages)
-    )
+        artifacts.write_file(out, contents.copy)
+    return Recovery(not damages, dict(messages), contents.seconds, orphans, tuple(damages))
