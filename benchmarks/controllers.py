@@ -16,7 +16,7 @@ from typing import Any
 from benchmarks.measure import entry
 from benchmarks.nets import published_layout
 from softfin.core.plant import Plant
-from softfin.gaits.force_map import MapConfig, map_forces
+from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train
 from softfin.stages.surrogates import import_keras
@@ -102,7 +102,7 @@ def main() -> list[dict[str, Any]]:
             )
         )
     start = time.perf_counter()
-    map_forces(plant, MapConfig(box=PAPER_RANGE))
+    find_force_map(plant, MapConfig(box=PAPER_RANGE))
     rows.append(
         entry("gaits, 7 x 7: found in", time.perf_counter() - start, "s", 120, at_least=False)
     )

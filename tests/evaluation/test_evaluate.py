@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, ConfigurationError, CoverageError, PlantError
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate, write_evaluation
+from softfin.evaluation.evaluate import (
+    EvaluateConfig,
+    Evaluation,
+    score_controller,
+    write_evaluation,
+)
 from tests.plants import AnalyticFin, Flapper, PlainFin
 
 CONFIG = EvaluateConfig(references=((1, -1), (2, 0)), seconds=4, seeds=3)
@@ -13,7 +18,7 @@ CONFIG = EvaluateConfig(references=((1, -1), (2, 0)), seconds=4, seeds=3)
 
 @pytest.fixture(scope="module")
 def evaluation() -> Evaluation:
-    return evaluate(Flapper(), AnalyticFin(noise_n=0.3), CONFIG)
+    return score_controller(Flapper(), AnalyticFin(noise_n=0.3), CONFIG)
 
 
 def test_the_paper_is_the_default():
@@ -51,7 +56,7 @@ def test_the_mean_is_over_the_references(evaluation):
 
 def test_the_force_error_is_that_of_the_plant():
     """The analytic fin without noise: what the recording shows is what is scored."""
-    evaluation = evaluate(Flapper(), AnalyticFin(noise_n=0.0), CONFIG)
+    evaluation = score_controller(Flapper(), AnalyticFin(noise_n=0.0), CONFIG)
     force = evaluation.recording.reading.force[1, 0]
     windows = np.lib.stride_tricks.sliding_window_view(force, 200, axis=0).mean(axis=-1)
     np.testing.assert_allclose(
@@ -61,13 +66,13 @@ def test_the_force_error_is_that_of_the_plant():
 
 def test_one_seed_gives_null_for_its_intervals(tmp_path):
     config = EvaluateConfig(references=((1, 1),), seconds=3, seeds=1)
-    write_evaluation(evaluate(Flapper(), AnalyticFin(), config), tmp_path / "out")
+    write_evaluation(score_controller(Flapper(), AnalyticFin(), config), tmp_path / "out")
     written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert written["references"][0]["x"]["error_interval_n"] is None
 
 
 def test_a_controller_that_does_not_move_is_said_to_stand_still():
-    summary = evaluate(Flapper(angle=0.0), AnalyticFin(), CONFIG).summary()
+    summary = score_controller(Flapper(angle=0.0), AnalyticFin(), CONFIG).summary()
     assert [row["still"] for row in summary["references"]] == [True, True]
 
 
@@ -99,8 +104,8 @@ def test_an_evaluation_replaces_an_older_one_where_asked_and_nothing_else(evalua
 
 
 def test_the_same_seed_gives_the_same_scores_and_another_seed_others(evaluation):
-    again = evaluate(Flapper(), AnalyticFin(noise_n=0.3), CONFIG)
-    other = evaluate(Flapper(), AnalyticFin(noise_n=0.3), CONFIG.changed(["seed=1"]))
+    again = score_controller(Flapper(), AnalyticFin(noise_n=0.3), CONFIG)
+    other = score_controller(Flapper(), AnalyticFin(noise_n=0.3), CONFIG.changed(["seed=1"]))
     np.testing.assert_array_equal(again.scores.error, evaluation.scores.error)
     assert (other.scores.error != evaluation.scores.error).all()
 
@@ -122,7 +127,7 @@ class Choosy(Flapper):
 
 def test_a_reference_outside_what_the_controller_covers_is_refused_before_anything_runs():
     with pytest.raises(CoverageError, match=r"\(2\.0, 0\.0\): not covered"):
-        evaluate(Choosy(), Untouched(), CONFIG)
+        score_controller(Choosy(), Untouched(), CONFIG)
 
 
 class Exploding(PlainFin):
@@ -139,7 +144,7 @@ def test_a_plant_that_gives_no_finite_force_is_named_with_the_moment():
     with pytest.raises(
         PlantError, match=r"reference \(1, -1\) N, seed 0, 2\.01 s: force is not finite"
     ):
-        evaluate(Flapper(), Exploding(), CONFIG)
+        score_controller(Flapper(), Exploding(), CONFIG)
 
 
 @pytest.mark.parametrize(

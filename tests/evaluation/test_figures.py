@@ -6,7 +6,7 @@ import pytest
 from matplotlib import rcParams
 from matplotlib.colors import to_rgb
 
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, evaluate
+from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, score_controller
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.report import prediction_figure, table_two_figure
 from softfin.learning.controllers import learning_figure
@@ -17,7 +17,7 @@ from tests.plants import AnalyticFin, Flapper
 
 @pytest.fixture(scope="module")
 def evaluation() -> Evaluation:
-    return evaluate(Flapper(), AnalyticFin(), EvaluateConfig(seconds=11, seeds=2))
+    return score_controller(Flapper(), AnalyticFin(), EvaluateConfig(seconds=11, seeds=2))
 
 
 def lines(axes) -> dict:
@@ -57,7 +57,7 @@ def test_a_fin_at_positive_angles_is_drawn_up_and_to_the_left(evaluation):
 
 
 def test_an_angle_beyond_90_degrees_is_still_drawn():
-    far = evaluate(
+    far = score_controller(
         Flapper(angle=1.9),
         AnalyticFin(lag_s=0.02),
         EvaluateConfig(references=[(1, 1)], seconds=3, seeds=1),
@@ -79,7 +79,7 @@ def test_bars_stand_beside_the_papers_with_their_intervals(evaluation):
 
 
 def test_bars_of_other_references_stand_alone():
-    own = evaluate(
+    own = score_controller(
         Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1)
     )
     figure = table_two_figure({"single": own.summary(), "inverse": own.summary()})

@@ -7,7 +7,7 @@ import pytest
 from softfin.control.controller import Controller
 from softfin.core.errors import CoverageError, PlantError
 from softfin.core.quantities import Command
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate, write_evaluation
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller, write_evaluation
 from softfin.evaluation.experiment import run, run_together
 from softfin.evaluation.figures import moving_figure
 from softfin.evaluation.moving_references import (
@@ -158,7 +158,7 @@ class Weak(Covering):
 def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
     recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
     config = EvaluateConfig(references=((1, 0),), seconds=3, seeds=1, recorded=recorded)
-    summary = evaluate(Weak(), AnalyticFin(), config).summary()
+    summary = score_controller(Weak(), AnalyticFin(), config).summary()
     assert summary["moving"][0]["replaced_s"] == 3.0
     assert (
         "step (1, 0) to (3, 0) N at 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s"
@@ -174,7 +174,7 @@ def test_strictly_it_is_refused_with_time_and_force():
         CoverageError,
         match=r"this fin cannot .* from 3 s on, by up to 1\.000 N; .* --strict is left out",
     ):
-        evaluate(
+        score_controller(
             Weak(),
             Untouched(),
             EvaluateConfig(references=((1, 0),), recorded=recorded, strict=True),
@@ -189,7 +189,7 @@ def test_a_controller_without_cells_has_the_papers_range():
 def test_a_recorded_reference_outside_the_range_is_refused_before_anything_runs():
     recorded = Recorded(time_s=(0, 4), force_n=((1, 1), (1, 0)))
     with pytest.raises(CoverageError, match=r"\(1\.0, 0\.0\): not covered"):
-        evaluate(Covering(), Untouched(), EvaluateConfig(recorded=recorded))
+        score_controller(Covering(), Untouched(), EvaluateConfig(recorded=recorded))
 
 
 def test_a_plant_that_gives_no_finite_force_is_named_with_the_reference_of_the_moment():
@@ -205,7 +205,9 @@ def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path)
     config = EvaluateConfig(
         references=((1, 1),), seconds=3, seeds=2, moving=("step",), recorded=recorded, error_map=4
     )
-    summary = write_evaluation(evaluate(Covering(), AnalyticFin(), config), tmp_path / "out")
+    summary = write_evaluation(
+        score_controller(Covering(), AnalyticFin(), config), tmp_path / "out"
+    )
     assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == summary
     assert [row["kind"] for row in summary["moving"]] == ["step"] * 4 + ["recorded"]
     assert summary["moving"][-1]["duration_s"] == 6
@@ -221,7 +223,7 @@ def test_the_evaluation_holds_what_moves_and_the_map_and_their_figures(tmp_path)
 def test_without_being_asked_for_nothing_moves():
     assert (
         not {"moving", "error_map"}
-        & evaluate(Covering(), AnalyticFin(), EvaluateConfig(seconds=3)).summary().keys()
+        & score_controller(Covering(), AnalyticFin(), EvaluateConfig(seconds=3)).summary().keys()
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from softfin.core.errors import CoverageError
 from softfin.core.randomness import named_generator
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.evaluation.figures import error_map_figure
 from softfin.evaluation.range_errors import draw_references, errors_at, map_errors, random_errors
 from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable
@@ -71,7 +71,7 @@ def test_the_lattice_is_laid_over_the_range_and_leaves_out_what_is_not_covered(e
 
 def test_each_error_is_that_of_its_reference_alone(errors):
     config = EvaluateConfig(references=(tuple(errors.references[7].tolist()),), seconds=3)
-    alone = evaluate(Covering(), AnalyticFin(noise_n=0), config)
+    alone = score_controller(Covering(), AnalyticFin(noise_n=0), config)
     quiet = errors_at(Covering(), AnalyticFin(noise_n=0), errors.references, 3, KEY)
     np.testing.assert_allclose(quiet[7], alone.scores.error[0, 0], atol=1e-5)
 

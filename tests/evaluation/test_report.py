@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softfin.core.window import interval
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.figures import experiments_figure
 from softfin.evaluation.headline import headline, over_seeds
@@ -53,12 +53,12 @@ def net(window=100, parameters=113601, rmse=0.0312):
 
 @pytest.fixture(scope="module")
 def evaluation():
-    return evaluate(Flapper(), AnalyticFin(noise_n=0.3), EvaluateConfig(seconds=4, seeds=3))
+    return score_controller(Flapper(), AnalyticFin(noise_n=0.3), EvaluateConfig(seconds=4, seeds=3))
 
 
 @pytest.fixture(scope="module")
 def results(evaluation):
-    still = evaluate(
+    still = score_controller(
         Flapper(angle=0.0), AnalyticFin(noise_n=0.3), EvaluateConfig(seconds=4, seeds=3)
     )
     return {
@@ -162,7 +162,7 @@ def test_an_imported_surrogate_has_no_table_one(results, tmp_path):
 
 
 def test_references_of_ones_own_have_no_column_of_the_paper(tmp_path):
-    own = evaluate(
+    own = score_controller(
         Flapper(), AnalyticFin(), EvaluateConfig(references=[(0.5, 0)], seconds=3, seeds=1)
     )
     write_report(tmp_path / "report.html", {"controllers": {"single": own.summary()}})

@@ -7,7 +7,7 @@ import pytest
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.core.window import moving_average
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.evaluation.experiment import ExperimentRecording, run
 from softfin.evaluation.scores import SurrogateUncertainty, score_uncertainty
 from softfin.surrogate.streaming.ensemble import Familiarity
@@ -78,10 +78,10 @@ def test_a_warning_carries_the_numbers_and_comes_above_one_percent():
 
 def test_an_evaluation_in_a_surrogate_has_its_uncertainty():
     config = EvaluateConfig(references=((1.0, 0.0),), seconds=3, seeds=2)
-    summary = evaluate(Echo(), fitted_within(1e-3), config).summary()
+    summary = score_controller(Echo(), fitted_within(1e-3), config).summary()
     assert summary["references"][0]["surrogate"]["out_of_distribution_fraction"] == 1
     assert summary["references"][0]["surrogate"]["half_width_x_n"] > 0
     assert "100.0% of the samples" in summary["warning"]
-    other = evaluate(Echo(), AnalyticFin(), config).summary()
+    other = score_controller(Echo(), AnalyticFin(), config).summary()
     assert other["warning"] is None
     assert "surrogate" not in other["references"][0]

@@ -10,8 +10,8 @@ from softfin.gaits.force_map import (
     MapConfig,
     check_star,
     empty_map,
+    find_force_map,
     held_region,
-    map_forces,
 )
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable
@@ -100,7 +100,7 @@ def test_the_map_of_a_fin_says_what_it_can_make() -> None:
 def test_progress_of_both_parts_rises_to_the_end() -> None:
     said: list[tuple[float, str]] = []
     quick = WITHIN.model_copy(update={"gaits": GaitConfig(cycles=2, steps=1)})
-    map_forces(FIN, quick, lambda done, note: said.append((done, note)))
+    find_force_map(FIN, quick, lambda done, note: said.append((done, note)))
     done = [part for part, _ in said]
     assert done == sorted(done)
     assert done[-1] == pytest.approx(1)
@@ -110,7 +110,7 @@ def test_progress_of_both_parts_rises_to_the_end() -> None:
 
 def test_a_fin_without_thrust_has_nothing_to_map() -> None:
     with pytest.raises(PlantError, match=r"no slope against its commands.*softfin fit"):
-        map_forces(StrokeFin(gain=0.0), MapConfig())
+        find_force_map(StrokeFin(gain=0.0), MapConfig())
 
 
 def test_an_empty_map_has_the_shape_of_a_full_one() -> None:

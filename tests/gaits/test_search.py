@@ -16,7 +16,7 @@ from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import FAMILIES, SurveyConfig, survey
 from softfin.gaits.simulate import simulate_gait as simulate
-from softfin.surrogate import import_keras
+from softfin.surrogate import read_keras_surrogate
 from tests.gaits.test_survey import OwnFin
 from tests.learning.mapped import FIN, GAITS, mapped, simulate_gait, surveyed
 from tests.plants import StrokeFin
@@ -188,7 +188,7 @@ def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(
     for module in (survey_module, search):
         monkeypatch.setattr(module, "FAMILIES", FAMILIES[:2])
     monkeypatch.setattr(survey_module, "SIDE_BY_SIDE", 4)
-    fin = import_keras(
+    fin = read_keras_surrogate(
         published / "cnn_pos_net.keras",
         published / "lstm_force_net.keras",
         published / "scalers.json",

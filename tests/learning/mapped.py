@@ -5,7 +5,7 @@ from functools import cache
 import equinox as eqx
 
 from softfin.gaits import simulate
-from softfin.gaits.force_map import MapConfig, map_forces
+from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig
@@ -30,4 +30,4 @@ def surveyed() -> Survey:
 
 @cache
 def mapped() -> ForceMap:
-    return map_forces(FIN, WITHIN)
+    return find_force_map(FIN, WITHIN)

@@ -79,7 +79,7 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
     monkeypatch.setattr("softfin.stages.surrogates.fit_streaming", fit_streaming)
     monkeypatch.setattr("softfin.stages.controllers.train_in_process", train_in_process)
     monkeypatch.setattr("softfin.stages.controllers.write_learning", lambda folder: None)
-    monkeypatch.setattr("softfin.stages.controllers._map_forces", lambda *asked: KNOWN)
+    monkeypatch.setattr("softfin.stages.controllers.find_force_map", lambda *asked: KNOWN)
     surrogate = str(tmp_path / "surrogate")
     fit(tmp_path / "dataset", tmp_path / "surrogate")
     train(surrogate, tmp_path / "policy", SINGLE, seeds=(3, 5))

@@ -174,7 +174,9 @@ def _row(scores: Scores) -> dict[str, Any]:
     return row | {f"{name}_travel_rad_s": float(travel.mean()) for name, travel in travels.items()}
 
 
-def evaluate(controller: Controller, plant: EvaluationTarget, config: EvaluateConfig) -> Evaluation:
+def score_controller(
+    controller: Controller, plant: EvaluationTarget, config: EvaluateConfig
+) -> Evaluation:
     """Run and score all experiments; errors are those against the tracked reference.
 
     Raises CoverageError for a reference that the controller was not trained for, or with

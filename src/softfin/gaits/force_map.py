@@ -67,7 +67,7 @@ def empty_map(table: GaitTable, directions: int) -> ForceMap:
     return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
-def map_forces(plant: Plant, config: MapConfig, report: Report | None = None) -> ForceMap:
+def find_force_map(plant: Plant, config: MapConfig, report: Report | None = None) -> ForceMap:
     """Survey a plant, search a gait for every node, and determine how far the gaits reach."""
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(

@@ -13,7 +13,7 @@ import numpy as np
 
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
-from softfin.gaits.force_map import empty_map, map_forces
+from softfin.gaits.force_map import empty_map, find_force_map
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import TrainConfig, check
@@ -96,6 +96,6 @@ def find_map(
     if (resumed := part.load(like)) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
         return stored
-    found = map_forces(plant, settings, None if progress is None else partial(progress, "map"))
+    found = find_force_map(plant, settings, None if progress is None else partial(progress, "map"))
     part.save(found, {})
     return found

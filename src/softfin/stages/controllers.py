@@ -13,8 +13,7 @@ from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
-from softfin.gaits.force_map import MapConfig, check_star, load_force_map, save_map
-from softfin.gaits.force_map import map_forces as _map_forces
+from softfin.gaits.force_map import MapConfig, check_star, find_force_map, load_force_map, save_map
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.learning.configuration import TrainConfig, check, choose_preset
 from softfin.learning.controllers import save_controller, write_learning
@@ -40,7 +39,7 @@ def map_forces(
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
-    found = _map_forces(moving, config, partial(progress, "map"))
+    found = find_force_map(moving, config, partial(progress, "map"))
     save_map(
         out,
         found,
@@ -83,7 +82,7 @@ def find_gaits(
     moving = find_plant(plant)
     if force_map is None:
         config = config or MapConfig(box=PAPER_RANGE)
-        found = _map_forces(moving, config, partial(progress, "gaits"))
+        found = find_force_map(moving, config, partial(progress, "gaits"))
     elif config is None:
         loaded = load_force_map(force_map, moving, plant_name(plant))
         found = loaded.force_map

@@ -16,8 +16,12 @@ from softfin.evaluation.baselines.baselines import (
     evaluate_baselines,
     write_baselines,
 )
-from softfin.evaluation.evaluate import EvaluateConfig, Evaluation, write_evaluation
-from softfin.evaluation.evaluate import evaluate as _evaluate
+from softfin.evaluation.evaluate import (
+    EvaluateConfig,
+    Evaluation,
+    score_controller,
+    write_evaluation,
+)
 from softfin.evaluation.experiment import EvaluationTarget
 from softfin.evaluation.view.files import shown_ticks
 from softfin.evaluation.view.view import ViewConfig, draw, record_footage, view_title
@@ -76,7 +80,7 @@ def evaluate_controller(
     """A controller's experiments on a plant, not yet written."""
     holding = load_controller(controller)
     check_limits(holding.limits, Limits(*plant.limits), controller, named)
-    return _evaluate(holding, plant, config)
+    return score_controller(holding, plant, config)
 
 
 def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:

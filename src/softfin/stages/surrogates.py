@@ -15,18 +15,23 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import RunDirectory
-from softfin.surrogate import FitConfig, StreamingConfig, Surrogate, load_surrogate, save_surrogate
-from softfin.surrogate import import_keras as _import_keras
+from softfin.surrogate import (
+    FitConfig,
+    StreamingConfig,
+    Surrogate,
+    load_surrogate,
+    read_keras_surrogate,
+    save_surrogate,
+)
 from softfin.surrogate.channels import SKIPPED, ranges
-from softfin.surrogate.compare.compare import CompareConfig, candidates
-from softfin.surrogate.compare.compare import compare as _compare
+from softfin.surrogate.compare.compare import CompareConfig, candidates, compare_surrogates
 from softfin.surrogate.compare.report import write_comparison
 from softfin.surrogate.compare.scores import measured_ranges, table_one
 from softfin.surrogate.paper.fit import fit as fit_paper
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.training import check_lengths
-from softfin.tank.calibration.calibrate import calibrate as _calibrate
+from softfin.tank.calibration.calibrate import calibrate_tank
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.model import material
 
@@ -117,7 +122,7 @@ def import_keras(
 ) -> Surrogate:
     """Two published ``.keras`` files and the JSON of their scalers become a surrogate."""
     artifacts.check_vacant(out, overwrite)
-    surrogate = _import_keras(posnet, forcenet, scalers)
+    surrogate = read_keras_surrogate(posnet, forcenet, scalers)
     sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
     save_surrogate(
         out, surrogate, None, artifacts.provenance(imported_from=sources), overwrite=overwrite
@@ -151,7 +156,7 @@ def compare(
             f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}"
         )
     floor = None if noise_floor is None else (plant_name(noise_floor), find_plant(noise_floor))
-    comparison = _compare(found, list(data.load(data.test)), config, floor, progress)
+    comparison = compare_surrogates(found, list(data.load(data.test)), config, floor, progress)
     summary = {
         **artifacts.head("comparison"),
         **comparison.summary,
@@ -187,7 +192,7 @@ def calibrate(
     if run_directory.complete:
         run_directory.finish()
         return artifacts.load_description(out, "calibration")
-    calibration = _calibrate(config, train, test, seed, run_directory, progress)
+    calibration = calibrate_tank(config, train, test, seed, run_directory, progress)
     origin = artifacts.provenance(seed=seed, data=plant_name(data), **source)
     written = {"configuration": metadata["configuration"], "provenance": origin}
     summary = calibration.write(out, written, run_directory.keep_log, overwrite)

@@ -1,7 +1,7 @@
 """Models of the fin learnt from logs: the paper's networks (Sec. III-B) and streaming ensembles."""
 
 from softfin.surrogate.paper.fit import FitConfig
-from softfin.surrogate.paper.keras import import_keras
+from softfin.surrogate.paper.keras import read_keras_surrogate
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
 from softfin.surrogate.streaming.fit import StreamingConfig
@@ -13,7 +13,7 @@ __all__ = [
     "StreamingConfig",
     "StreamingSurrogate",
     "Surrogate",
-    "import_keras",
     "load_surrogate",
+    "read_keras_surrogate",
     "save_surrogate",
 ]

@@ -3,7 +3,7 @@ import pytest
 
 from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.importing import ImportConfig
-from softfin.surrogate import import_keras
+from softfin.surrogate import read_keras_surrogate
 from softfin.tank import IDEAL, Tank, TankConfig
 from tests.data.faulty import (
     ROWS,
@@ -62,7 +62,7 @@ def test_nothing_is_wrong_with_logs_of_an_ideal_tank_whose_readings_stand_still_
 
 @pytest.fixture(scope="module")
 def published_logs(published):
-    fin = import_keras(
+    fin = read_keras_surrogate(
         published / "cnn_pos_net.keras",
         published / "lstm_force_net.keras",
         published / "scalers.json",

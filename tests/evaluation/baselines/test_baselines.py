@@ -22,7 +22,7 @@ from softfin.evaluation.baselines.open_loop import (
     force_errors,
     repeated,
 )
-from softfin.evaluation.evaluate import evaluate
+from softfin.evaluation.evaluate import score_controller
 from tests.plants import AnalyticFin, MisreadFin
 
 SEARCH = SearchConfig(
@@ -87,7 +87,7 @@ def test_baselines_are_judged_by_the_true_force_as_controllers_are():
     """The sensor of this fin is off by 0.4 N in x."""
     commands = Command(np.zeros((2, 400)), np.full((2, 400), PAPER_LIMITS.velocity_min))
     baseline = evaluate_commands(MisreadFin(), commands, CONFIG.experiments).summary()
-    controller = evaluate(Still(), MisreadFin(), CONFIG.experiments).summary()
+    controller = score_controller(Still(), MisreadFin(), CONFIG.experiments).summary()
     assert (
         baseline["conditions"]["judged_by"] == controller["conditions"]["judged_by"] == "true force"
     )

@@ -13,7 +13,7 @@ from softfin.evaluation.baselines.open_loop import (
     ShaftSine,
     force_errors,
 )
-from softfin.evaluation.evaluate import EvaluateConfig, evaluate
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.tank import Tank
 from tests.plants import AnalyticFin, Flapper, PlainFin
 
@@ -31,7 +31,7 @@ def test_the_same_commands_score_the_same_as_from_a_controller():
     plant = AnalyticFin(noise_n=0.3)
     commands = jax.tree.map(lambda x: np.stack([x, x]), flapping(4))
     ours = evaluate_commands(plant, commands, CONFIG)
-    theirs = evaluate(Flapper(), plant, CONFIG)
+    theirs = score_controller(Flapper(), plant, CONFIG)
     jax.tree.map(
         lambda mine, other: np.testing.assert_allclose(mine, other, atol=1e-4),
         ours.scores,

@@ -14,7 +14,7 @@ from softfin.surrogate.compare.compare import (
     CompareConfig,
     beyond_limits,
     candidates,
-    compare,
+    compare_surrogates,
 )
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.streaming.ensemble import Interval
@@ -74,7 +74,7 @@ def saved(path, seed=0, configuration=None, data_hash="d"):
 @functools.cache
 def compared():
     found = [candidate(0), candidate(1), candidate(2), candidate(0, "b", Attentive)]
-    return compare(found, LOGS, CONFIG, noise_floor=("fin", AnalyticFin()))
+    return compare_surrogates(found, LOGS, CONFIG, noise_floor=("fin", AnalyticFin()))
 
 
 def test_seeds_of_one_configuration_and_dataset_are_one_group(tmp_path):
@@ -118,7 +118,9 @@ def test_groups_of_one_model_are_told_apart_by_their_folders():
     def names(*found):
         return [
             row["name"]
-            for row in compare(found, LOGS, CompareConfig(horizons_s=(0.2,))).summary["groups"]
+            for row in compare_surrogates(found, LOGS, CompareConfig(horizons_s=(0.2,))).summary[
+                "groups"
+            ]
         ]
 
     assert names(candidate(0), candidate(1), candidate(2, "b", Attentive)) == ["paper", "attentive"]
@@ -181,12 +183,12 @@ def test_the_noise_floor_runs_from_rest_and_is_scored_on_the_same_segments():
         Log(log.command, Reading(*map(np.asarray, reading)))
         for log, reading in zip(LOGS, own, strict=True)
     ]
-    comparison = compare([candidate(0)], logs, CONFIG, noise_floor=("fin", fin))
+    comparison = compare_surrogates([candidate(0)], logs, CONFIG, noise_floor=("fin", fin))
     floor = comparison.summary["noise_floor"]
     assert floor["name"] == "second recording (fin)"
     assert [row["force_x_rmse_n"]["mean"] for row in floor["horizons"]] == [0.0, 0.0]
     assert [row["angle_rmse_rad"]["mean"] for row in floor["horizons"]] == [0.0, 0.0]
-    assert compare([candidate(0)], logs, CONFIG).summary["noise_floor"] is None
+    assert compare_surrogates([candidate(0)], logs, CONFIG).summary["noise_floor"] is None
 
 
 def test_few_seeds_and_commands_beyond_training_are_noted():
@@ -198,7 +200,7 @@ def test_few_seeds_and_commands_beyond_training_are_noted():
     beyond = [LOGS[0]._replace(command=LOGS[0].command._replace(angle=angle)), LOGS[1]]
     # 28 of 1120 rows; 0.6 rad beyond a range of 3 rad.
     assert beyond_limits([candidate(0)], beyond) == pytest.approx((28 / 1120, 0.2), rel=1e-4)
-    notes = compare([candidate(0), candidate(1)], beyond, CONFIG).summary["notes"]
+    notes = compare_surrogates([candidate(0), candidate(1)], beyond, CONFIG).summary["notes"]
     assert notes[0].startswith("paper: 2 seeds; fit at least 3")
     assert "2.5% of the test commands lie beyond" in notes[1]
     assert "by 20% of their range" in notes[1]
@@ -208,7 +210,7 @@ def test_logs_shorter_than_the_longest_horizon_are_refused():
     with pytest.raises(
         LogError, match=r"test log 0: 560 rows; 12 to begin with and a horizon of 5.5 s need 562"
     ):
-        compare([candidate(0)], LOGS, CompareConfig(horizons_s=(1, 5.5)))
+        compare_surrogates([candidate(0)], LOGS, CompareConfig(horizons_s=(1, 5.5)))
 
 
 @pytest.mark.parametrize(
@@ -231,7 +233,7 @@ def test_horizons_are_put_in_order():
 
 def test_progress_ends_at_the_whole():
     seen = []
-    compare(
+    compare_surrogates(
         [candidate(0)],
         LOGS,
         CONFIG,

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from softfin.surrogate.compare.compare import CompareConfig, compare
+from softfin.surrogate.compare.compare import CompareConfig, compare_surrogates
 from softfin.surrogate.compare.report import comparison_figure, write_comparison
 from tests.surrogate.compare.test_compare import LOGS, candidate, compared
 
@@ -82,12 +82,12 @@ def test_intervals_are_drawn_where_they_are_stated():
 
 
 def test_panels_without_data_are_left_out():
-    short = compare([candidate(0)], LOGS, CompareConfig(horizons_s=(1,)))
+    short = compare_surrogates([candidate(0)], LOGS, CompareConfig(horizons_s=(1,)))
     assert len(comparison_figure(short).get_axes()) == 3
 
 
 def test_groups_that_are_not_shown_are_counted():
-    many = compare(
+    many = compare_surrogates(
         [candidate(seed, group=str(seed)) for seed in range(5)],
         LOGS,
         CompareConfig(horizons_s=(1,)),

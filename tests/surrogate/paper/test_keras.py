@@ -9,7 +9,7 @@ import pytest
 
 from softfin.core.errors import ArtifactError, SoftfinError
 from softfin.core.quantities import Command, Log, Reading
-from softfin.surrogate import import_keras
+from softfin.surrogate import read_keras_surrogate
 from tests.surrogate.paper.test_network import convolution, lstm
 
 SCALERS = {
@@ -111,7 +111,9 @@ def files(tmp_path):
 
 
 def load(folder):
-    return import_keras(folder / "pos.keras", folder / "force.keras", folder / "scalers.json")
+    return read_keras_surrogate(
+        folder / "pos.keras", folder / "force.keras", folder / "scalers.json"
+    )
 
 
 def test_imported_weights_say_what_plain_numpy_says(files):
@@ -165,7 +167,9 @@ def test_nets_in_the_wrong_order_are_told_apart(files):
         ArtifactError,
         match="takes 3 channels; this network must take command_angle_rad, command_velo",
     ):
-        import_keras(files[0] / "force.keras", files[0] / "pos.keras", files[0] / "scalers.json")
+        read_keras_surrogate(
+            files[0] / "force.keras", files[0] / "pos.keras", files[0] / "scalers.json"
+        )
 
 
 def test_an_unknown_layer_is_named(files):
@@ -221,7 +225,7 @@ def test_pickled_scalers_are_refused_unread(files):
 
 
 def test_published_nets_say_what_keras_says(published):
-    surrogate = import_keras(
+    surrogate = read_keras_surrogate(
         published / "cnn_pos_net.keras",
         published / "lstm_force_net.keras",
         published / "scalers.json",

@@ -9,13 +9,13 @@ import yaml
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError, PlantError
 from softfin.data.collect import CollectConfig, collect_logs
-from softfin.stages.surrogates import calibrate as calibrate_stage
+from softfin.stages.surrogates import calibrate_tank as calibrate_stage
 from softfin.storage.artifact import dump_json
 from softfin.storage.dataset import write_dataset
 from softfin.storage.log_file import read_log
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import Tank, TankConfig
-from softfin.tank.calibration.calibrate import calibrate, prepared, scores
+from softfin.tank.calibration.calibrate import calibrate_tank, prepared, scores
 from softfin.tank.calibration.config import CalibrateConfig, RecordingConfig
 from softfin.tank.calibration.model import FITTED_CHANNELS, Space, material, read, stacked
 from softfin.tank.calibration.search import linearised, misfits, polish
@@ -59,7 +59,9 @@ def logs(dataset):
 
 @pytest.fixture(scope="module")
 def found(logs, tmp_path_factory):
-    return calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path_factory.mktemp("work") / "out", {}))
+    return calibrate_tank(
+        CONFIG, *logs, 0, RunDirectory(tmp_path_factory.mktemp("work") / "out", {})
+    )
 
 
 def test_it_finds_the_parameters_of_the_tank_that_made_the_logs_within_their_standard_errors(found):
@@ -135,9 +137,9 @@ def test_a_resumed_run_ends_where_an_uninterrupted_one_does(logs, found, tmp_pat
             raise Stopped
 
     with pytest.raises(Stopped):
-        calibrate(CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}), stop)
+        calibrate_tank(CONFIG, *logs, 0, RunDirectory(tmp_path / "out", {}), stop)
     seen = []
-    again = calibrate(
+    again = calibrate_tank(
         CONFIG,
         *logs,
         0,

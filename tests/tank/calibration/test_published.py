@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.core.configuration import read_yaml
-from softfin.surrogate import import_keras
+from softfin.surrogate import read_keras_surrogate
 from softfin.tank.calibration.calibrate import scores
 from softfin.tank.calibration.config import CalibrateConfig
 from softfin.tank.calibration.model import cut, material, read, stacked
@@ -17,7 +17,7 @@ def test_the_default_tank_does_what_the_published_fin_does_under_commands_it_was
     published,
 ):
     names = ("cnn_pos_net.keras", "lstm_force_net.keras", "scalers.json")
-    fin = import_keras(*(published / name for name in names))
+    fin = read_keras_surrogate(*(published / name for name in names))
     config = CalibrateConfig.build(read_yaml(CONFIG)).merged(
         {"velocity_rad_s": [0.5, 1.57], "segments": 2}, "test"
     )

@@ -93,7 +93,7 @@ class Comparison(NamedTuple):
     """The segments of the longest horizon."""
 
 
-def compare(
+def compare_surrogates(
     found: Sequence[Candidate],
     logs: Sequence[Log],
     config: CompareConfig,

@@ -59,7 +59,7 @@ LAYERS: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], dict[str, An
 given."""
 
 
-def import_keras(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
+def read_keras_surrogate(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
     """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError where
     it cannot."""
     try:

@@ -110,7 +110,7 @@ def prepared(
     return space, fitted, cut(test, config.test_segments, rows, warm_up, "test")
 
 
-def calibrate(
+def calibrate_tank(
     config: CalibrateConfig,
     train: Sequence[Log],
     test: Sequence[Log],
