@@ -20,7 +20,7 @@ from softfin.gaits.force_map import MapConfig, find_force_map
 from softfin.learning.configuration import TRAIN_PRESETS, TrainConfig
 from softfin.learning.train import train
 from softfin.stages.surrogates import import_keras
-from softfin.storage.run_directory import LOG, RunDirectory, read_log
+from softfin.storage.run_directory import LOG, RunDirectory, read_training_log
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE
 
@@ -41,7 +41,7 @@ def run(plant: Plant, config: TrainConfig) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         run_directory = RunDirectory(Path(folder) / "controller", {})
         train(plant, config, (0,), run_directory, note)
-        log = read_log(run_directory.folder / LOG)
+        log = read_training_log(run_directory.folder / LOG)
     whole = config.num_updates * config.learning.steps_per_update
     when = {round(done * whole): seconds for seconds, done in moments}
     good = [

@@ -21,7 +21,7 @@ from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
 from softfin.core.quantities import Limits, action_to_command
 from softfin.evaluation.baselines.baselines import BaselinesConfig
 from softfin.evaluation.evaluate import Evaluation, ExperimentsConfig, score_experiments
-from softfin.evaluation.experiment import ExperimentRecording, Recorded
+from softfin.evaluation.experiment import ExperimentRecording, RecordedTicks
 from softfin.gaits.reachable import Cell, bounding_box
 from softfin.installation import how_to_add
 from softfin.task.task import TaskConfig, observation, remember, rest_actions
@@ -59,7 +59,7 @@ def run_recurrent(
             angle, jnp.asarray(references), actions, ages
         )
 
-    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, Recorded]:
+    def hold(state: State, action: Float[Array, "2"], ticks: Ticks) -> tuple[State, RecordedTicks]:
         command = action_to_command(limits, action)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
         return state, (

@@ -22,7 +22,7 @@ from softfin.robot.allocation import Allocator
 from softfin.robot.description import load_robot
 from softfin.robot.evaluate import find_all_gaits
 from softfin.robot.motion_control import MotionController
-from softfin.robot.paths import hold
+from softfin.robot.paths import hold_place
 from softfin.robot.simulation import Ambient, Orders, RobotSimulation
 from softfin.robot.trial import run_trial
 from softfin.robot.wrench_driver import WrenchDriver
@@ -41,9 +41,9 @@ def main() -> list[dict[str, Any]]:
     with one_core():
         rows = allocation(robot, np.array([each.reach for each in gaits]))
     simulation = RobotSimulation(robot, tanks)
-    run_trial(simulation, WrenchDriver(robot, gaits), hold(), 2)
+    run_trial(simulation, WrenchDriver(robot, gaits), hold_place(), 2)
     start = time.perf_counter()
-    run_trial(simulation, WrenchDriver(robot, gaits), hold(), SECONDS)
+    run_trial(simulation, WrenchDriver(robot, gaits), hold_place(), SECONDS)
     spent = time.perf_counter() - start
     rows.append(entry("one robot, simulated over real time", SECONDS / spent, "-", 50))
     return [*rows, batch(robot, simulation, gaits)]
@@ -100,7 +100,7 @@ def batch(robot: Any, simulation: RobotSimulation, gaits: Any) -> dict[str, Any]
     its own."""
     drivers = [WrenchDriver(robot, gaits) for _ in range(BATCH)]
     controller = MotionController(robot)
-    still = hold()(0.0)
+    still = hold_place()(0.0)
     advance = jax.jit(jax.vmap(simulation.advance, in_axes=(0, 0, None, None)))
     states = jax.vmap(simulation.init)(jax.random.split(jax.random.key(0), BATCH))
     around = Ambient(jnp.asarray([0.03, 0.0, 0.0]), jnp.zeros(6))

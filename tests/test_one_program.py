@@ -11,13 +11,13 @@ import pytest
 
 from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks, valid_rows
 from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, counted, hold, hold_action, masked_mean, roll
+from softfin.core.plant import Plant, drop_padding, hold, hold_action, masked_mean, roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading
 from softfin.evaluation import experiment
 from softfin.learning.gradient import Gradient, GradientConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import collect, evaluate_policy, start_episodes
+from softfin.learning.rollout import collect_rollout, evaluate_policy, start_episodes
 from softfin.tank import Tank
 from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig
@@ -57,7 +57,7 @@ def evaluated(references: Any) -> Any:
     "program",
     [
         lambda: hold(MarkedFin(), MarkedFin().init(KEY), ACTIONS),
-        lambda: collect(TASK, POLICY, ENVIRONMENTS, KEY, 2),
+        lambda: collect_rollout(TASK, POLICY, ENVIRONMENTS, KEY, 2),
         lambda: evaluate_policy(TASK, POLICY, jnp.ones((2, 2)), KEY),
         lambda: LEARNERS["gradient"].loss(POLICY, ENVIRONMENTS),
         lambda: evaluated(jnp.ones((2, 9, 2))),
@@ -114,7 +114,7 @@ def test_the_rows_of_an_action_that_count_are_those_it_is_held(ticks: int) -> No
 
 def test_rows_that_count_follow_one_another() -> None:
     rows = jnp.arange(3 * MAX_ACTION_TICKS)
-    kept = counted(rows.reshape(3, MAX_ACTION_TICKS), 3)
+    kept = drop_padding(rows.reshape(3, MAX_ACTION_TICKS), 3)
     assert kept.tolist() == valid_rows(3) == [row for row in rows.tolist() if row not in (33, 67)]
 
 

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import pytest
 
 from softfin.cli import COMMANDS, import_arguments
-from softfin.cli.common import Force
-from softfin.cli.options import HelpRequested, Option, check, format_help, list_fields, parse
+from softfin.cli.common import ForcePair
+from softfin.cli.options import HelpRequested, Option, check_values, format_help, list_fields, parse
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, ConfigurationError
 
@@ -37,7 +37,7 @@ class Example(Base):
     """How fast."""
     kind: Literal["first", "second"] = "first"
     """Which."""
-    reference: tuple[Force, ...] = ()
+    reference: tuple[ForcePair, ...] = ()
     """Forces."""
     more: Annotated[tuple[str, ...], Option("MORE", positional=True)] = ()
     """What follows."""
@@ -120,10 +120,10 @@ def test_one_argument_too_many_is_refused() -> None:
 
 
 def test_each_value_that_was_given_is_checked() -> None:
-    check(Checked())
+    check_values(Checked())
     for words in (["--path", "a"], ["--paths", "a"]):
         with pytest.raises(ArtifactError, match="a: refused"):
-            check(parse(Checked, words))
+            check_values(parse(Checked, words))
 
 
 def test_help_shows_what_is_required_first_and_every_default(

@@ -17,7 +17,7 @@ from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.reachable import Cell
-from softfin.learning.policy import Policy, PolicyConfig, named
+from softfin.learning.policy import Policy, PolicyConfig, name_policy_arrays
 from softfin.task.references import lattice
 from softfin.task.task import TaskConfig
 
@@ -57,7 +57,10 @@ def policies(cells: int, apart: float) -> Policy:
 def grid(
     switching: SwitchingConfig, apart: float = 0.1, cells: tuple[Cell, ...] = TWO
 ) -> LoadedController:
-    arrays = {name: np.asarray(leaf) for name, leaf in named(policies(len(cells), apart)).items()}
+    arrays = {
+        name: np.asarray(leaf)
+        for name, leaf in name_policy_arrays(policies(len(cells), apart)).items()
+    }
     return controller_of(arrays, switching, cells)
 
 
@@ -249,7 +252,10 @@ def test_an_action_costs_the_same_for_any_number_of_cells() -> None:
         cells = lattice(columns, columns, Cell(low=(0, -1), high=(2, 1)))
 
         shapes = jax.eval_shape(functools.partial(policies, len(cells)), 0.1)
-        arrays = {name: np.zeros(leaf.shape, np.float32) for name, leaf in named(shapes).items()}
+        arrays = {
+            name: np.zeros(leaf.shape, np.float32)
+            for name, leaf in name_policy_arrays(shapes).items()
+        }
         controller = controller_of(arrays, SwitchingConfig(), cells)
         now = (controller.init(), Measured(jnp.float32(0), jnp.zeros(2)), jnp.zeros(2))
         cost: Any = (

@@ -30,7 +30,7 @@ from softfin.learning.ray_training import split_into_tasks, train_on_ray
 from softfin.learning.run import TrainingResult
 from softfin.learning.train import train
 from softfin.storage.artifact import WEIGHTS
-from softfin.storage.run_directory import LOG, RunDirectory, read_log
+from softfin.storage.run_directory import LOG, RunDirectory, read_training_log
 from softfin.task.task import TaskConfig
 from tests import needs
 from tests.patience import HANG_S
@@ -176,7 +176,7 @@ def cells(folder: Path) -> dict[str, Any]:
     return {
         "said": said,
         "deaths": len(list(space.folder.rglob("death-*"))),
-        "steps": [entry["step"] for entry in read_log(lost / LOG)],
+        "steps": [entry["step"] for entry in read_training_log(lost / LOG)],
         "begun": [int(line) for line in (lost / "begun").read_text().split()],
     }
 
@@ -191,7 +191,7 @@ def failures(folder: Path) -> dict[str, Any]:
             train_on_ray(AnalyticFin(), SMALL, SEEDS, space, cluster=cluster)
         except SoftfinError as error:
             told[way] = [type(error).__name__, str(error)]
-        finished = read_log(space.folder / "seed-1" / LOG)[-1]["step"]
+        finished = read_training_log(space.folder / "seed-1" / LOG)[-1]["step"]
         told[way].append(finished)
     return told
 

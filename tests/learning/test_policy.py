@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.policy import PHASES, Observation, fold
+from softfin.control.policy import PHASES, PolicyObservation, fold
 from softfin.control.single import SingleStep
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import Cell
-from softfin.learning.policy import Policy, PolicyConfig, named
+from softfin.learning.policy import Policy, PolicyConfig, name_policy_arrays
 
 CONFIG = PolicyConfig(units=8, width=6)
 
@@ -28,7 +28,7 @@ def policy() -> Policy:
 
 
 def weights(tree: Any) -> dict[str, np.ndarray]:
-    return {name: np.asarray(leaf) for name, leaf in named(tree).items()}
+    return {name: np.asarray(leaf) for name, leaf in name_policy_arrays(tree).items()}
 
 
 def test_the_deterministic_action_is_within_the_box_and_has_no_noise(policy: Policy) -> None:
@@ -65,7 +65,7 @@ def test_the_density_is_that_of_a_normal_distribution(policy: Policy) -> None:
     np.testing.assert_allclose(policy.action_entropy(), entropy, rtol=1e-5)
 
 
-OBSERVATION = Observation(phase=True)
+OBSERVATION = PolicyObservation(phase=True)
 GAITS = GaitTable(
     np.array([-1, -1], np.float32),
     np.array([1, 1], np.float32),
@@ -132,7 +132,7 @@ def test_damaged_gaits_of_a_policy_are_refused(with_gaits: Policy) -> None:
     with pytest.raises(
         ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"
     ):
-        fold(weights(with_gaits), Observation())
+        fold(weights(with_gaits), PolicyObservation())
 
 
 def test_weights_and_normalisation_go_by_name(policy: Policy) -> None:

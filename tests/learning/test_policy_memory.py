@@ -8,7 +8,13 @@ import numpy as np
 import optax
 import pytest
 
-from softfin.learning.policy import Policy, PolicyConfig, describe_memory, named, policy_memory
+from softfin.learning.policy import (
+    Policy,
+    PolicyConfig,
+    describe_memory,
+    name_policy_arrays,
+    policy_memory,
+)
 from softfin.storage import artifact as artifacts
 from softfin.task.task import TaskConfig
 
@@ -26,7 +32,7 @@ def test_a_policy_of_the_default_size_and_its_normalisation_fit_in_200_kb_on_dis
     tmp_path: Path,
 ) -> None:
     policy = made(PolicyConfig())
-    arrays = {name: np.asarray(leaf) for name, leaf in named(policy).items()}
+    arrays = {name: np.asarray(leaf) for name, leaf in name_policy_arrays(policy).items()}
     artifacts.save(tmp_path / "c", "controller", {"kind": "controller"}, arrays)
     written = (tmp_path / "c" / artifacts.WEIGHTS).stat().st_size
     assert any("normalisation" in name for name in arrays)

@@ -13,7 +13,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.learning.layers import cleared
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO, PPOConfig
-from softfin.learning.rollout import AgentState, EnvState, Rollout, collect, evaluate_policy
+from softfin.learning.rollout import AgentState, EnvState, Rollout, collect_rollout, evaluate_policy
 from softfin.task.references import References
 from tests.learning.probes import (
     PROBES,
@@ -122,9 +122,9 @@ update = jax.jit(jax.vmap(lambda case, lane: CasePPO.of(case).update(lane)[0]))
 @jax.vmap
 def played(case: Case, lane: AgentState, environments: EnvState, key: Any) -> tuple[Rollout, Any]:
     """A rollout, and what the critic says along it."""
-    rollout = collect(CasePPO.of(case).task, lane.networks.policy, environments, key, ACTIONS // 3)[
-        1
-    ]
+    rollout = collect_rollout(
+        CasePPO.of(case).task, lane.networks.policy, environments, key, ACTIONS // 3
+    )[1]
     return rollout, lane.networks.critic(rollout.privileged_observation)
 
 

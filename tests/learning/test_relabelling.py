@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softfin.learning.ppo import PPO
-from softfin.learning.rollout import AgentState, Rollout, collect
+from softfin.learning.rollout import AgentState, Rollout, collect_rollout
 from softfin.task.references import References
 from tests.learning.probes import box, learner
 from tests.plants import AnalyticFin
@@ -39,7 +39,7 @@ def relabelled() -> Relabelled:
         policy = jax.tree.map(lambda x: 3 * x, agent.policy.net)
         policy = type(agent.policy)(policy, agent.policy.log_std, agent.policy.normalisation, None)
         start = agent.env_state
-        rollout = collect(ppo.task, policy, start, jax.random.key(1), ACTIONS // 3)[1]
+        rollout = collect_rollout(ppo.task, policy, start, jax.random.key(1), ACTIONS // 3)[1]
         references = start.states.references
         both = ppo.relabelled(policy, rollout, start.memories, references, jax.random.key(2))
         return agent._replace(policy=policy), rollout, both

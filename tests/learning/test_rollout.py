@@ -9,7 +9,7 @@ import pytest
 from softfin.control.policy import PolicyMemory
 from softfin.learning.policy import ActorCritic, Policy
 from softfin.learning.ppo import PPO
-from softfin.learning.rollout import AgentState, Rollout, collect
+from softfin.learning.rollout import AgentState, Rollout, collect_rollout
 from tests.learning.probes import box, learner
 from tests.plants import AnalyticFin
 
@@ -22,7 +22,7 @@ def lived() -> tuple[PPO, AgentState, AgentState, Rollout]:
     ppo = learner(AnalyticFin(), 3, num_envs=4, episode=12)
     start = jax.jit(ppo.init)(jax.random.key(0), BOX)
     play = jax.jit(
-        lambda lane, key: collect(ppo.task, lane.networks.policy, lane.env_state, key, 4)
+        lambda lane, key: collect_rollout(ppo.task, lane.networks.policy, lane.env_state, key, 4)
     )
     env_state, first = play(start, jax.random.key(1))
     policy = jax.jit(Policy.update_statistics)(start.networks.policy, first.observation)

@@ -19,7 +19,7 @@ from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult, TrainingRun
 from softfin.learning.train import train
-from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_log
+from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_training_log
 from softfin.task.task import TaskConfig
 from tests.plants import AnalyticFin, PlainFin
 from tests.surrogate.streaming import small as streaming
@@ -47,7 +47,7 @@ def trained(
 
 
 def log_of(folder: Path) -> list[dict[str, Any]]:
-    return read_log(folder / ".out.unfinished" / "log.jsonl")
+    return read_training_log(folder / ".out.unfinished" / "log.jsonl")
 
 
 @pytest.fixture(scope="module")

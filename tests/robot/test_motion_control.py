@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.robot.motion_control import MotionController
-from softfin.robot.paths import hold
+from softfin.robot.paths import hold_place
 from softfin.robot.rotation import from_euler
 
 SWAY_REACH_N = 4.0
@@ -13,7 +13,7 @@ SWAY_REACH_N = 4.0
 def hold_still(controller, wrench, actions, state=None, surge_noise_n=0.0):
     """Let the fins make a wrench that keeps the robot where it is, rolled as far as the wrench
     rolls it."""
-    target = hold()(0.0)
+    target = hold_place()(0.0)
     roll_rad = wrench[3] / controller.dynamics.righting_nm_rad
     still = np.zeros((66, 3)), np.zeros((66, 6))
     random = np.random.default_rng(0)

@@ -5,7 +5,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from softfin.robot.rotation import from_euler, from_vector, inverse, matrix, multiply, to_vector
+from softfin.robot.rotation import (
+    from_euler,
+    from_vector,
+    inverse_rotation,
+    matrix,
+    multiply,
+    to_vector,
+)
 
 Vectors = st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array)
 
@@ -23,7 +30,7 @@ def test_rotations_are_scipy_s(a: np.ndarray, b: np.ndarray) -> None:
         matrix(multiply(one, other)), matrix(one) @ matrix(other), atol=1e-12
     )
     np.testing.assert_allclose(to_vector(one), peer(one).as_rotvec(), atol=1e-9)
-    np.testing.assert_allclose(matrix(inverse(one)), matrix(one).T, atol=1e-12)
+    np.testing.assert_allclose(matrix(inverse_rotation(one)), matrix(one).T, atol=1e-12)
 
 
 def test_euler_s_angles_are_those_of_rep_103() -> None:

@@ -8,7 +8,7 @@ from softfin.robot.baselines import build_drivers
 from softfin.robot.evaluate import RobotEvaluateConfig, trial
 from softfin.robot.motion_control import MotionController
 from softfin.robot.noise import NoiseConfig
-from softfin.robot.paths import hold, lemniscate, lissajous
+from softfin.robot.paths import hold_place, lemniscate, lissajous
 from softfin.robot.simulation import RobotSimulation
 from softfin.robot.trial import Disturbances, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
@@ -37,7 +37,7 @@ def test_it_follows_paths(ucat, simulation, gaits, task):
 @pytest.mark.slow
 def test_it_goes_on_holding_when_a_fin_dies(ucat, simulation, gaits):
     trouble = Disturbances(current_m_s=(-0.03, 0.0, 0.0), dead_fin=2, dead_at_s=5)
-    record = run_trial(simulation, WrenchDriver(ucat, gaits), hold(), 40, trouble, seed=3)
+    record = run_trial(simulation, WrenchDriver(ucat, gaits), hold_place(), 40, trouble, seed=3)
     assert np.sqrt((record.position_error()[-1500:] ** 2).mean()) < 0.06
     np.testing.assert_allclose(record.forces[-1, 2], 0, atol=1e-9)
 
@@ -75,7 +75,7 @@ def test_the_shaft_of_a_dead_fin_stays_where_it_is(ucat, simulation, gaits, monk
         angles.clear()
         trouble = Disturbances(current_m_s=(0.05, 0.0, 0.0), dead_fin=fin, dead_at_s=death_s)
         driver = WrenchDriver(ucat, gaits, np.array([0, 1, 2, 5]))
-        run_trial(simulation, driver, hold(), 6, trouble)
+        run_trial(simulation, driver, hold_place(), 6, trouble)
         death = int(np.ceil(death_s * 3 - 1e-6))
         moved = np.array(angles)[death:, fin] - angles[death - 1][fin]
         # Within the drive's dead time and braking; nothing from then on.
@@ -89,18 +89,20 @@ def test_without_a_fin_it_turns_into_a_current_to_either_side_and_holds(sister, 
     current = (0.05 * np.cos(np.radians(-61)), 0.05 * np.sin(np.radians(-61)), 0.0)
     trouble = Disturbances(current_m_s=current, dead_fin=0, dead_at_s=20)
     for seed in range(4):
-        record = run_trial(simulation, WrenchDriver(sister, gaits), hold(), 90, trouble, seed=seed)
+        record = run_trial(
+            simulation, WrenchDriver(sister, gaits), hold_place(), 90, trouble, seed=seed
+        )
         assert np.sqrt((record.position_error()[-3000:] ** 2).mean()) < 0.1
 
 
 @pytest.mark.slow
 def test_without_noise_and_disturbance_it_stays_where_it_is(ucat, simulation, gaits):
     none = NoiseConfig(position_m=0, attitude_rad=0, velocity_m_s=0, rate_rad_s=0)
-    record = run_trial(simulation, WrenchDriver(ucat, gaits), hold(), 10, noise=none)
+    record = run_trial(simulation, WrenchDriver(ucat, gaits), hold_place(), 10, noise=none)
     assert record.position_error().max() < 0.005
 
 
-@pytest.mark.parametrize("path", [hold((1, 2, 3), 0.5), lemniscate(0.1), lissajous(0.1)])
+@pytest.mark.parametrize("path", [hold_place((1, 2, 3), 0.5), lemniscate(0.1), lissajous(0.1)])
 def test_velocity_and_acceleration_are_the_path_s_derivatives(path):
     for time in (0.0, 4.0, 30.0):
         before, now, after = (path(time + k * 0.02) for k in (-1, 0, 1))
@@ -121,7 +123,7 @@ def test_paths_begin_slowly_and_reach_their_speed():
 
 def test_a_state_that_is_not_finite_is_refused(ucat):
     controller = MotionController(ucat)
-    still = hold()(0.0)
+    still = hold_place()(0.0)
     seen = [np.full((1, 3), np.nan), still.attitude[None], np.zeros((1, 6))]
     with pytest.raises(RunError, match="not finite"):
         controller.act(controller.init(), seen, still, still, still)

@@ -55,7 +55,7 @@ def test_a_state_comes_back_with_its_leaves_named_by_their_paths(saved):
 )
 def test_a_log_is_read_up_to_what_a_cut_of_power_left(tmp_path, rest):
     (tmp_path / "log.jsonl").write_bytes(b'{"step": 0}\n{"step": 1}\n' + rest)
-    assert checkpoint.read_log(tmp_path / "log.jsonl") == [{"step": 0}, {"step": 1}]
+    assert checkpoint.read_training_log(tmp_path / "log.jsonl") == [{"step": 0}, {"step": 1}]
 
 
 def test_the_order_of_the_leaves_does_not_matter(saved):

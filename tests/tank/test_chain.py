@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softfin.tank import chain
-from softfin.tank.chain import Moments, Motion, Wrench
+from softfin.tank.chain import Moments, PlateMotion, PlateWrench
 
 PLATES = 5
 LENGTH = 0.04
@@ -73,7 +73,7 @@ def moving():
 
 def test_the_mass_matrix_gives_the_kinetic_energy_of_every_point(moments, moving):
     angles, rates = moving
-    matrix = chain.matrix(chain.pose(angles, jnp.asarray(LENGTH)), moments)
+    matrix = chain.momentum_matrix(chain.pose(angles, jnp.asarray(LENGTH)), moments)
     np.testing.assert_allclose(0.5 * rates @ matrix @ rates, kinetic(angles, rates), rtol=1e-4)
 
 
@@ -92,7 +92,7 @@ def test_momentum_projected_on_the_joints_is_the_mass_matrix_times_the_rates(mom
     angles, rates = moving
     pose = chain.pose(angles, jnp.asarray(LENGTH))
     projected = chain.project(pose, moments.times(chain.motion(pose, rates)))
-    np.testing.assert_allclose(projected, chain.matrix(pose, moments) @ rates, rtol=1e-12)
+    np.testing.assert_allclose(projected, chain.momentum_matrix(pose, moments) @ rates, rtol=1e-12)
 
 
 def test_centripetal_moments_are_those_of_lagranges_equations(moments, moving):
@@ -114,7 +114,7 @@ def test_centripetal_forces_are_the_loss_of_momentum_at_constant_rates(moments, 
 
 def test_a_load_on_the_tip_turns_each_plate_by_its_lever():
     angles = jnp.zeros(PLATES)
-    load = Wrench(
+    load = PlateWrench(
         jnp.zeros(PLATES).at[-1].set(2.0),
         jnp.zeros(PLATES),
         jnp.zeros(PLATES).at[-1].set(2.0 * LENGTH),
@@ -127,8 +127,8 @@ def test_a_plate_at_angle_theta_points_along_minus_cosine_and_sine():
     rigid = jnp.full(PLATES, 0.3)
     motion = chain.motion(chain.pose(rigid, jnp.asarray(LENGTH)), jnp.ones(PLATES))
     np.testing.assert_allclose(motion.normal, LENGTH * np.arange(PLATES), atol=1e-15)
-    assert isinstance(motion, Motion)
-    pull = Wrench(jnp.zeros(PLATES), jnp.zeros(PLATES).at[0].set(1.0), jnp.zeros(PLATES))
+    assert isinstance(motion, PlateMotion)
+    pull = PlateWrench(jnp.zeros(PLATES), jnp.zeros(PLATES).at[0].set(1.0), jnp.zeros(PLATES))
     np.testing.assert_allclose(chain.resultant(rigid, pull), [-np.cos(0.3), np.sin(0.3)])
 
 

@@ -8,7 +8,7 @@ from scipy.linalg import eigh
 
 from softfin.core.errors import ConfigurationError
 from softfin.tank import chain
-from softfin.tank.chain import Moments, Wrench
+from softfin.tank.chain import Moments, PlateWrench
 from softfin.tank.fin import BRACKET_BENDING_N_M, Fin, FinConfig, FinState, Shaft, Surroundings
 
 PLAIN = FinConfig(
@@ -42,7 +42,9 @@ def vacuum(fin, push=None):
     """Where nothing loads the plates, or a wrench does."""
     zero = jnp.zeros_like(fin.stiffness)
     none = Moments(zero, zero, zero, zero)
-    return Surroundings(none, jnp.zeros(2), lambda motion: (none, push or Wrench(zero, zero, zero)))
+    return Surroundings(
+        none, jnp.zeros(2), lambda motion: (none, push or PlateWrench(zero, zero, zero))
+    )
 
 
 def energy_of(fin, state):
@@ -64,7 +66,7 @@ def swing(fin, state, steps, seconds, tip_load=0.0):
     def step(state, _):
         across = tip_load * jnp.cos(state.angles) * last
         along = tip_load * jnp.sin(state.angles) * last
-        push = Wrench(across, along, across * fin.plate_length)
+        push = PlateWrench(across, along, across * fin.plate_length)
         after, _, _ = fin.step(state, held(), vacuum(fin, push), seconds)
         return after, (after, energy_of(fin, state))
 
@@ -110,7 +112,7 @@ def beam_frequencies(config):
 def test_the_first_two_frequencies_are_those_of_a_clamped_beam():
     config = config_of(**UNIFORM, plates=12)
     fin = Fin(config)
-    mass = chain.matrix(chain.pose(jnp.zeros(12), fin.plate_length), fin.inertia)
+    mass = chain.momentum_matrix(chain.pose(jnp.zeros(12), fin.plate_length), fin.inertia)
     bends = np.eye(12) - np.eye(12, k=-1)
     circular = np.sqrt(eigh(bends.T @ np.diag(fin.stiffness) @ bends, mass, eigvals_only=True))
     np.testing.assert_allclose(circular[:2], beam_frequencies(config), rtol=0.01)
@@ -182,7 +184,8 @@ def test_fin_and_free_rotor_keep_their_angular_momentum(play):
         )
         after = 2 * rate - before
         momentum = (
-            chain.matrix(chain.pose(state.angles, fin.plate_length), fin.inertia) @ state.rates
+            chain.momentum_matrix(chain.pose(state.angles, fin.plate_length), fin.inertia)
+            @ state.rates
         ).sum()
         return (state, angle + seconds * rate, after), (momentum + rotor * after, after)
 
@@ -200,7 +203,7 @@ def test_within_its_play_the_root_bears_nothing_and_at_its_edge_it_holds():
 
     @jax.jit
     def pushed(state, steps, moment):
-        around = vacuum(fin, Wrench(0 * moment, 0 * moment, moment))
+        around = vacuum(fin, PlateWrench(0 * moment, 0 * moment, moment))
         return jax.lax.fori_loop(
             0, steps, lambda _, state: fin.step(state, shaft, around, 5e-3)[0], state
         ).angles

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from softfin.core.quantities import TICK_S
 from softfin.tank import chain
-from softfin.tank.chain import Motion
+from softfin.tank.chain import PlateMotion
 from softfin.tank.fin import Fin, FinConfig, Shaft
 from softfin.tank.hydrodynamics import REFERENCE_STROKE, Water, WaterConfig
 
@@ -75,7 +75,7 @@ def test_the_added_moment_of_inertia_of_a_plate_is_its_integral(water):
 
 
 def test_a_plate_that_slides_along_itself_meets_blasius_friction_alone(water):
-    sliding = Motion(jnp.zeros(4), jnp.full(4, 0.3), jnp.zeros(4))
+    sliding = PlateMotion(jnp.zeros(4), jnp.full(4, 0.3), jnp.zeros(4))
     resistance, suction = still(water).loads(sliding)
     force = resistance.times(sliding)
     reynolds = 0.3 * 0.2 / 1.0034e-6
@@ -170,7 +170,7 @@ def test_a_stream_past_a_fin_held_across_it_is_drag_alone(water):
 
 def test_what_the_fin_takes_the_stream_gives_and_then_it_dies_down():
     water = Water(WaterConfig(stream_mass_kg=10.0, stream_decay_s=4.0), RIGID)
-    still_fin = Motion(*(jnp.zeros(4),) * 3)
+    still_fin = PlateMotion(*(jnp.zeros(4),) * 3)
     flow = water.rest()
     for _ in range(5):
         flow = water.stirred(flow, still_fin, jnp.array([2.0, -1.0]))
@@ -190,11 +190,11 @@ def test_drag_falls_with_the_stroke_as_grahams_power(amplitude):
     def tick(flow, time):
         normal = jnp.full(4, amplitude * circular * jnp.cos(circular * time))
         return water.stirred(
-            flow, Motion(normal, jnp.zeros(4), jnp.zeros(4)), jnp.zeros(2)
+            flow, PlateMotion(normal, jnp.zeros(4), jnp.zeros(4)), jnp.zeros(2)
         ), flow.square
 
     flow, _ = jax.lax.scan(tick, water.rest(), np.arange(1200) * TICK_S)
-    motion = Motion(jnp.ones(4), jnp.zeros(4), jnp.zeros(4))
+    motion = PlateMotion(jnp.ones(4), jnp.zeros(4), jnp.zeros(4))
     found = water.around(flow).loads(motion)[0].zeroth / (0.5 * DENSITY * 0.08 * 0.05)
     number = 2 * np.pi * amplitude / 0.08
     np.testing.assert_allclose(found, 4.0 * (number / REFERENCE_STROKE) ** (-1 / 3), rtol=0.03)
@@ -205,7 +205,7 @@ def test_drag_falls_with_the_stroke_as_grahams_power(amplitude):
 def test_the_loads_never_feed_energy_into_the_fin(numbers):
     with jax.enable_x64(True):
         water = Water(CONFIG, RIGID)
-        motion = Motion(*jnp.asarray(numbers).reshape(3, 4))
+        motion = PlateMotion(*jnp.asarray(numbers).reshape(3, 4))
         resistance, suction = still(water).loads(motion)
         power = sum((f * v).sum() for f, v in zip(suction, motion, strict=True))
         power -= sum((f * v).sum() for f, v in zip(resistance.times(motion), motion, strict=True))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from softfin.rig.robot_setup import RobotSetup
 
-Config = TypeVar("Config", bound=Configuration)
+StageConfig = TypeVar("StageConfig", bound=Configuration)
 Result = TypeVar("Result")
 
 PACE_S = 10.0
@@ -85,8 +85,8 @@ ReferenceFile: TypeAlias = Annotated[
 YamlFile: TypeAlias = Annotated[
     Path, Option("FILE", check=lambda path, _: paths.check_readable(path))
 ]
-Controller: TypeAlias = Annotated[Path, folder_option("controller", positional=True)]
-Plant: TypeAlias = Annotated[str, plant()]
+ControllerFolder: TypeAlias = Annotated[Path, folder_option("controller", positional=True)]
+PlantName: TypeAlias = Annotated[str, plant()]
 AnyPlant: TypeAlias = Annotated[
     str, Option("PLANT", check=lambda name, _: is_live(name) or resolve_plant(name))
 ]
@@ -95,7 +95,7 @@ Logs: TypeAlias = Annotated[
     Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(path))
 ]
 Data: TypeAlias = Annotated[str, Option("DATA", positional=True, check=_check_data)]
-Force: TypeAlias = Annotated[
+ForcePair: TypeAlias = Annotated[
     tuple[float, float],
     Option("X,Y", parse=numbers("not a force; write X,Y in newton, as 1,-1", 2)),
 ]
@@ -117,7 +117,7 @@ class CommandOptions(Configuration):
             raise ConfigurationError(
                 f"--seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}"
             )
-        options.check(self)
+        options.check_values(self)
 
     def tell(self, result: Any, text: str) -> None:
         """Print the result: as JSON, or as text for people."""
@@ -146,7 +146,7 @@ class Configured(Common):
     set: Annotated[tuple[str, ...], Option("PATH=VALUE")] = ()
     """Change one value of the configuration."""
 
-    def configured(self, base: Config, **given: Any) -> Config:
+    def configured(self, base: StageConfig, **given: Any) -> StageConfig:
         """Return the defaults, changed by the YAML file, then by `--set`, then by the options that
         were given.
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from softfin.cli.common import Common, Configured, Controller, File, Out, folder_option, plant
+from softfin.cli.common import Common, Configured, ControllerFolder, File, Out, folder_option, plant
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName
 from softfin.core.errors import ConfigurationError
@@ -146,7 +146,7 @@ class TrainArguments(Configured):
 
     def _tell(self, seeds: tuple[int, ...]) -> None:
         """Print the scores of each controller."""
-        from softfin.cli.tables import aligned, held
+        from softfin.cli.tables import aligned, format_reference_errors
         from softfin.learning.policy import describe_memory
 
         gaits = self.controller == "gaits"
@@ -166,7 +166,7 @@ class TrainArguments(Configured):
                 error = (
                     f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
                 )
-                rows.append([f"({x:5.2f}, {y:5.2f})", error, held(row).strip()])
+                rows.append([f"({x:5.2f}, {y:5.2f})", error, format_reference_errors(row).strip()])
             footprint = [] if gaits else [describe_memory(description["memory"])]
             head = f"{folder}: scored in {self.surrogate}, without exploration noise"
             texts.append("\n".join([head, *aligned(rows, (0, 1, 2)), *footprint]))
@@ -241,7 +241,7 @@ class ExportArguments(Common):
     It needs softfin[onnx].
     """
 
-    controller: Controller | None = None
+    controller: ControllerFolder | None = None
     """Folder of the controller; leave it out with --surrogate."""
     surrogate: Annotated[Path, folder_option("surrogate")] | None = None
     """Folder of a surrogate instead: a step of 10 ms, a fin for other simulators."""

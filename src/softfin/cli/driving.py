@@ -14,9 +14,9 @@ from softfin.cli.common import (
     Armed,
     Common,
     Configured,
-    Controller,
+    ControllerFolder,
     File,
-    Force,
+    ForcePair,
     LivePlant,
     ReferenceFile,
     on_terminal,
@@ -33,7 +33,7 @@ from softfin.core.quantities import RATE_HZ
 from softfin.rig.loop import (
     ActionResult,
     LiveReference,
-    References,
+    ReferenceSource,
     recorded_reference,
     run_controller,
 )
@@ -47,7 +47,7 @@ from softfin.storage import artifact as artifacts
 class Driving(Armed, Common):
     """Options of every command that lets a controller drive a real fin."""
 
-    controller: Controller
+    controller: ControllerFolder
     """Folder of the controller."""
     plant: LivePlant = "rig"
     """The fin: rig (rig.yaml), ros2, or one of these with :FILE."""
@@ -84,7 +84,7 @@ class Driving(Armed, Common):
         self,
         controller: LoadedController,
         robot: RobotSetup,
-        references: References,
+        references: ReferenceSource,
         seconds: int | None,
         line: Callable[[str], None],
         stop: StopRequest | None = None,
@@ -181,8 +181,8 @@ def say(text: str) -> None:
 def _follow(
     session: Session,
     controller: LoadedController | DisturbanceObserver,
-    references: References,
-    zero: Force,
+    references: ReferenceSource,
+    zero: ForcePair,
     seconds: int | None,
 ) -> dict[str, Any]:
     """Run the controller and print a line every second; returns the errors of the last window."""
@@ -222,7 +222,7 @@ class RunArguments(Driving):
     """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one,
     Enter alone to stop."""
 
-    reference: Force | None = None
+    reference: ForcePair | None = None
     """Reference force as --reference=X,Y in newton, at first."""
     reference_file: ReferenceFile | None = None
     """A moving reference instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held
@@ -266,7 +266,7 @@ class Ros2Arguments(Driving, Configured):
     them all).
     """
 
-    reference: Force
+    reference: ForcePair
     """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the
     last is too old."""
     fin: str | None = None

@@ -9,11 +9,11 @@ from softfin.cli.common import (
     Armed,
     Common,
     Configured,
-    Controller,
+    ControllerFolder,
     File,
-    Force,
+    ForcePair,
     Out,
-    Plant,
+    PlantName,
     ReferenceFile,
     folder_option,
 )
@@ -26,14 +26,14 @@ from softfin.storage.registry import is_live
 class EvaluateArguments(Armed, Configured):
     """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
-    controller: Controller
+    controller: ControllerFolder
     """Folder of the controller."""
     out: Out
     """Folder to write evaluation.json and the figures to."""
     plant: AnyPlant = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one:
     rig, ros2, or one of these with :FILE."""
-    reference: tuple[Force, ...] = ()
+    reference: tuple[ForcePair, ...] = ()
     """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
     seconds: int | None = None
     """Length of each experiment (30)."""
@@ -181,10 +181,10 @@ class BaselinesArguments(Configured):
 
     out: Out
     """Folder to write baselines.json to."""
-    plant: Plant = "tank"
+    plant: PlantName = "tank"
     """The fin that all are evaluated on: tank, a tank's YAML, the folder of a surrogate, or
     package.module:plant."""
-    surrogate: Plant | None = None
+    surrogate: PlantName | None = None
     """Plant in which sines and gaits are searched, as a rule the folder of a surrogate of the fin
     (the fin itself)."""
     seconds: int | None = None
@@ -226,7 +226,7 @@ class ViewArguments(Configured):
 
     out: File
     """File to write: a film as .gif, a page that plays it as .html, its last frame as .png."""
-    plant: Plant = "tank"
+    plant: PlantName = "tank"
     """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
     seconds: float | None = None
     """Duration in the plant's time [s] (10)."""
@@ -237,9 +237,9 @@ class ViewArguments(Configured):
     """Random commands, as datasets are recorded under, in place of the gait."""
     controller: Annotated[Path, folder_option("controller")] | None = None
     """Folder of a controller that moves the fin in place of the gait."""
-    reference: Force | None = None
+    reference: ForcePair | None = None
     """Reference force of the controller, as --reference=X,Y in newton."""
-    next_reference: tuple[Force, ...] = ()
+    next_reference: tuple[ForcePair, ...] = ()
     """The next one, as --next-reference=X,Y; each is asked for an equal part of the time."""
     seed: int | None = None
     """Seed of the plant's noise and the random commands (0)."""
@@ -273,11 +273,11 @@ class ExploreArguments(Common):
     """Make a page to try controllers in: drag the force that you want, and watch the fin hold it;
     no network."""
 
-    controllers: tuple[Controller, ...]
+    controllers: tuple[ControllerFolder, ...]
     """Folders of the controllers, which the page switches between."""
     out: File
     """File to write, as .html."""
-    plant: tuple[Plant, ...] = ("tank",)
+    plant: tuple[PlantName, ...] = ("tank",)
     """The fin: tank, a tank's YAML, or the folder of a streaming surrogate; several are switched
     between, and the mean force that a surrogate predicts is drawn next to that of the tank."""
 
@@ -309,7 +309,7 @@ class ReproduceArguments(Configured):
     """How much: demo takes minutes, paper is the paper's full data and budgets, streaming the same
     with a streaming surrogate, best that surrogate, gaits and policies by gradients through it,
     tiny only shows that all works."""
-    plant: Plant = "tank"
+    plant: PlantName = "tank"
     """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and
     fit."""
     seed: int = 0
@@ -318,7 +318,7 @@ class ReproduceArguments(Configured):
     """Go on with a stopped run."""
 
     def __call__(self) -> None:
-        from softfin.cli.tables import table_one, table_two
+        from softfin.cli.tables import format_table_one, table_two
         from softfin.evaluation.headline import headline
         from softfin.stages.reproduce import reproduce
         from softfin.stages.reproduce_config import PRESETS
@@ -327,7 +327,11 @@ class ReproduceArguments(Configured):
         results = self.stage(
             reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume
         )
-        parts = [] if results["surrogate"] is None else [table_one(results["surrogate"]["scores"])]
+        parts = (
+            []
+            if results["surrogate"] is None
+            else [format_table_one(results["surrogate"]["scores"])]
+        )
         evaluated = {
             f"On {self.plant}": "controllers",
             "The same, with force feedback (--trim)": "trimmed",

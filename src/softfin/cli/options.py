@@ -213,7 +213,7 @@ def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tupl
     return field, rest.pop(0)
 
 
-def check(command: Any) -> None:
+def check_values(command: Any) -> None:
     """Check the paths and names in the values of a command; raises a SoftfinError where one does
     not exist."""
     for field in list_fields(type(command)):

@@ -80,9 +80,9 @@ class RobotArguments(Configured):
         actions[self.action]()
 
     def _check(self) -> None:
-        from softfin.stages.robot import check
+        from softfin.stages.robot import check_robot_file
 
-        found = check(self.robot)
+        found = check_robot_file(self.robot)
         lines = [
             f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
             "singular values  " + "  ".join(f"{value:.3f}" for value in found["singular_values"]),

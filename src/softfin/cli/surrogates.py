@@ -14,7 +14,7 @@ from softfin.cli.common import (
     LogOptions,
     Logs,
     Out,
-    Plant,
+    PlantName,
     folder_option,
     numbers,
 )
@@ -63,7 +63,7 @@ class FitArguments(LogOptions, Configured):
         super().check()
 
     def __call__(self) -> None:
-        from softfin.cli.tables import table_one
+        from softfin.cli.tables import format_table_one
         from softfin.stages.surrogates import fit
 
         result = self.stage(
@@ -78,7 +78,7 @@ class FitArguments(LogOptions, Configured):
         )
         notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
         sys.stderr.write(printable(notes, "\n"))
-        parts = [table_one(result["table_i"])]
+        parts = [format_table_one(result["table_i"])]
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
@@ -147,7 +147,7 @@ class CompareArguments(Configured):
     """Folder to write comparison.json and the figure to."""
     horizons: Annotated[tuple[float, ...], HORIZONS] | None = None
     """How long they run free, as 1,5,30 in seconds (1,5,30)."""
-    noise_floor: Plant | None = None
+    noise_floor: PlantName | None = None
     """A plant that records the same commands once more, such as the tank that was recorded: the
     error that noise, drift and perturbed tanks leave."""
     seed: int | None = None

@@ -22,7 +22,7 @@ def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> lis
     return ["  ".join(cells).rstrip() for cells in zip(*padded, strict=True)]
 
 
-def table_one(scores: dict[str, Any] | None) -> str:
+def format_table_one(scores: dict[str, Any] | None) -> str:
     """Table I, in physical and in scaled units, beside the paper's."""
     if scores is None:
         return "no test logs: Table I has no rows"
@@ -68,7 +68,7 @@ def table_two(controllers: Mapping[str, Any]) -> str:
                     *map("{:.3f}".format, paper.get((x, y), ())),
                 ]
             )
-            notes.append(("  stands still" if row["still"] else "") + held(row))
+            notes.append(("  stands still" if row["still"] else "") + format_reference_errors(row))
         complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
         rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])
@@ -97,7 +97,7 @@ def _scores(row: Mapping[str, Any]) -> list[str]:
     return cells
 
 
-def held(row: Mapping[str, Any]) -> str:
+def format_reference_errors(row: Mapping[str, Any]) -> str:
     """Return a note where another force is held than was asked for."""
     held = row.get("tracked_reference_n") or row["reference_n"]
     if max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:

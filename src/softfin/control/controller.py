@@ -17,7 +17,7 @@ from softfin.core.errors import RunError
 from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.operations import NUMPY, Array, Operations, select_operations
 from softfin.core.quantities import Command, Limits, action_to_command
-from softfin.gaits.reachable import Cell, Force, Reachable
+from softfin.gaits.reachable import Cell, ForceVector, Reachable
 
 ControllerState: TypeAlias = Any
 
@@ -55,7 +55,7 @@ class Controller(Protocol):
         """Compute the next state and command for a reference force (x, y) [N]."""
         ...
 
-    def check(self, reference: Force) -> None:
+    def check(self, reference: ForceVector) -> None:
         """Raise CoverageError where the reference [N] is outside the range that the controller was
         trained for."""
         ...
@@ -167,7 +167,7 @@ class LoadedController:
         angle = min(max(command.angle, least_angle), greatest_angle)
         return state, Command(angle, min(max(command.velocity, least_velocity), greatest_velocity))
 
-    def check(self, reference: Force) -> None:
+    def check(self, reference: ForceVector) -> None:
         """Raise CoverageError where the reference is outside every cell."""
         check_within(self.cells, reference)
 

@@ -39,7 +39,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, CYCLE_ACTION
 from softfin.core.configuration import Configuration
 from softfin.core.operations import NUMPY, Array, Number, Operations, select_operations
 from softfin.core.quantities import Command, Limits
-from softfin.gaits.reachable import Cell, Force, Reachable
+from softfin.gaits.reachable import Cell, ForceVector, Reachable
 
 WINDOW_WEIGHTS = np.array(
     [
@@ -259,7 +259,7 @@ class DisturbanceObserver:
         clipped = xp.maximum(xp.minimum(corrected, ops.row(high, own)), ops.row(low, own))
         return xp.where(within, corrected, clipped)
 
-    def check(self, reference: Force) -> None:
+    def check(self, reference: ForceVector) -> None:
         """Raise CoverageError where the controller inside does."""
         controller: Controller = self.controller
         controller.check(reference)

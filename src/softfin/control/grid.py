@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
+from softfin.control.policy import PolicyMemory, PolicyNetwork, PolicyObservation, fold, rest_action
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
 from softfin.core.operations import Array, Number, Operations
@@ -74,7 +74,7 @@ class GridStep:
     high: Array
     rest: tuple[float, float] = field(metadata=STATIC)
     """Action of a fin that stays where it is."""
-    observation: Observation = field(metadata=STATIC)
+    observation: PolicyObservation = field(metadata=STATIC)
     switching: SwitchingConfig = field(metadata=STATIC)
     gaits: GaitTable | None = None
     """Gaits that the actions of all policies are added to."""
@@ -90,7 +90,7 @@ class GridStep:
         """Build it from a controller's description and arrays; returns it with its cells."""
         if not cells:
             raise ValueError("cells: there are none; a grid has one or more")
-        observation = Observation.model_validate(description["task"])
+        observation = PolicyObservation.model_validate(description["task"])
         low, high = (
             np.array([getattr(cell, corner) for cell in cells], np.float32)
             for corner in ("low", "high")

@@ -40,7 +40,7 @@ PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
 """Sine and cosine of the clock's phase at each of the six actions."""
 
 
-class Observation(pydantic.BaseModel, frozen=True):
+class PolicyObservation(pydantic.BaseModel, frozen=True):
     """The part of a task's configuration that a policy observes by."""
 
     past_actions: int = pydantic.Field(default=3, ge=0)
@@ -128,7 +128,7 @@ def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: N
 
 
 def fold(
-    arrays: Mapping[str, np.ndarray], observation: Observation, stack: tuple[int, ...] = ()
+    arrays: Mapping[str, np.ndarray], observation: PolicyObservation, stack: tuple[int, ...] = ()
 ) -> tuple[PolicyNetwork, GaitTable | None]:
     """Build a network from a trained policy's named arrays, or from policies stacked along a
     leading axis.
@@ -196,7 +196,7 @@ def fold(
     ), gaits
 
 
-def _gaits(arrays: Mapping[str, np.ndarray], observation: Observation) -> GaitTable | None:
+def _gaits(arrays: Mapping[str, np.ndarray], observation: PolicyObservation) -> GaitTable | None:
     if not arrays:
         return None
     if {*arrays} != {f"{GAITS}.{name}" for name in GaitTable._fields}:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.errors import CoverageError
-from softfin.gaits.reachable import Cell, Force, Reachable
+from softfin.gaits.reachable import Cell, ForceVector, Reachable
 
 EDGE_N = 1e-4
 """References this near to a cell are on its edge: forces are float32, and their decimals seldom
@@ -26,7 +26,7 @@ def reachable_set(controller: Any) -> Reachable | None:
     return cast(Reachable | None, getattr(controller, "reachable", None))
 
 
-def check_within(cells: Sequence[Cell], reference: Force) -> None:
+def check_within(cells: Sequence[Cell], reference: ForceVector) -> None:
     """Raise CoverageError where the reference is outside every cell."""
     nearest = min(cells, key=lambda cell: cell.distance(reference))
     beyond = nearest.distance(reference)
@@ -43,7 +43,9 @@ def check_within(cells: Sequence[Cell], reference: Force) -> None:
         )
 
 
-def resolve_reference(controller: Any, reference: Force, strict: bool) -> tuple[Force, str | None]:
+def resolve_reference(
+    controller: Any, reference: ForceVector, strict: bool
+) -> tuple[ForceVector, str | None]:
     """Return the reference to track, and a warning where that is another: the nearest force that
     the fin can make.
 
@@ -99,7 +101,7 @@ def nearest_trackable(
     return within
 
 
-def unreachable(reference: Force, near: Force) -> str:
+def unreachable(reference: ForceVector, near: ForceVector) -> str:
     """Describe a reference that the fin cannot make, with the nearest one that it can."""
     return (
         f"reference ({reference[0]:g}, {reference[1]:g}) N: this fin cannot make it; the nearest "

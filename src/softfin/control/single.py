@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from softfin.control.controller import STATIC
-from softfin.control.policy import Observation, PolicyMemory, PolicyNetwork, fold, rest_action
+from softfin.control.policy import PolicyMemory, PolicyNetwork, PolicyObservation, fold, rest_action
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import GaitTable
@@ -33,7 +33,7 @@ class SingleStep:
     network: PolicyNetwork
     rest: tuple[float, float] = field(metadata=STATIC)
     """Action of a fin that stays where it is."""
-    observation: Observation = field(metadata=STATIC)
+    observation: PolicyObservation = field(metadata=STATIC)
     gaits: GaitTable | None = None
     """Gaits that the policy's actions are added to."""
 
@@ -48,7 +48,7 @@ class SingleStep:
         """Build it from a controller's description and arrays; returns it with its cell."""
         if len(cells) != 1:
             raise ValueError(f"cells: there are {len(cells)}; a single controller has one")
-        observation = Observation.model_validate(description["task"])
+        observation = PolicyObservation.model_validate(description["task"])
         network, gaits = fold(arrays, observation)
         return cls(network, rest_action(limits), observation, gaits), cells
 

@@ -202,10 +202,10 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
     count = actions.angle.shape[0]
     held = (actions, jnp.asarray(action_ticks(count)))
     state, reading = jax.lax.scan(lambda state, now: hold_action(plant, state, *now), state, held)
-    return state, jax.tree.map(lambda x: counted(x, count), reading)
+    return state, jax.tree.map(lambda x: drop_padding(x, count), reading)
 
 
-def counted(rows: Array, actions: int) -> Array:
+def drop_padding(rows: Array, actions: int) -> Array:
     """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as
     ``(ticks, ...)``."""
     return rows.reshape(-1, *rows.shape[2:])[np.asarray(valid_rows(actions))]

@@ -20,7 +20,7 @@ from softfin.data.excitation import Commands
 CHUNK_ROWS = 1000
 """Approximate number of rows between two reports: 10 s, long beside the cost of one call."""
 
-Report = Callable[[int], None]
+ReportRows = Callable[[int], None]
 """Function that is called with the number of rows done since the last call."""
 
 
@@ -30,7 +30,7 @@ def simulate(
     rows: int,
     commands: Commands,
     batch: int,
-    report: Report,
+    report: ReportRows,
 ) -> Iterator[Log]:
     """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at
     once.
@@ -104,7 +104,7 @@ def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Readi
 
 
 def _logs(
-    fleet: _Fleet, state: State, commands: Command, rows: int, wanted: int, report: Report
+    fleet: _Fleet, state: State, commands: Command, rows: int, wanted: int, report: ReportRows
 ) -> list[Log]:
     """Roll a batch through its commands ``(batch, rows + 1)``; row k keeps reading k and the
     command issued then."""

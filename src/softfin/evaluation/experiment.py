@@ -21,7 +21,7 @@ from softfin.core.plant import (
     Plant,
     State,
     Ticks,
-    counted,
+    drop_padding,
     hold_action_with_true_force,
     masked_mean,
 )
@@ -32,7 +32,7 @@ MIN_SECONDS = 3
 """Least length of an experiment [s]; the first window of the moving average takes 2 s."""
 
 
-References: TypeAlias = Float[AnyArray, "references *ticks 2"]
+ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]
 """Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that
 tick's reading."""
 
@@ -40,7 +40,7 @@ tick's reading."""
 class ExperimentRecording(NamedTuple):
     """Series of references, commands and readings of experiments, in ticks of 10 ms."""
 
-    reference: References
+    reference: ReferenceSeries
     command: Command
     """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came
     about."""
@@ -88,7 +88,7 @@ EvaluationTarget: TypeAlias = Plant | RealTime
 def run(
     controller: Controller,
     plant: EvaluationTarget,
-    references: References,
+    references: ReferenceSeries,
     seconds: int,
     keys: Key[Array, "seeds"],
 ) -> ExperimentRecording:
@@ -165,7 +165,7 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     return recording.first() if (force == force[:, :1]).all() else recording
 
 
-Recorded: TypeAlias = tuple[Command, Reading, Array | None]
+RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
 """Commands, readings and, if the plant knows it, the true force of a series of ticks."""
 
 
@@ -174,14 +174,14 @@ def _program(
     parties: tuple[Controller, Plant],
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
-) -> Recorded:
+) -> RecordedTicks:
     """Run experiments; compiled once for controllers and plants that are alike but for their
     arrays."""
     controller, plant = parties
     actions = references.shape[1]
     Carry: TypeAlias = tuple[ControllerState, State, Measured]
 
-    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, Recorded]:
+    def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, RecordedTicks]:
         """Act on what was read while the action before was held."""
         (memory, state, measured) = carry
         (reference, ticks) = now
@@ -193,11 +193,13 @@ def _program(
         held = jax.tree.map(lambda x: jnp.full(MAX_ACTION_TICKS, x, jnp.float32), command)
         return (memory, state, measured), (held, reading, true_force)
 
-    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> Recorded:
+    def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
         _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(action_ticks(actions))))
-        recorded: Recorded = jax.tree.map(lambda x: counted(x, actions), kept)
+        recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions), kept)
         return recorded
 
-    each: Recorded = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(references, keys)
+    each: RecordedTicks = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
+        references, keys
+    )
     return each

@@ -23,14 +23,22 @@ from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, inde
 from softfin.evaluation.range_errors import controller_range
 from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
-from softfin.task.signals import Force, Ramp, Recorded, Series, Signal, Sinusoid, Step
+from softfin.task.signals import (
+    Ramp,
+    Recorded,
+    ReferenceForce,
+    ReferenceSamples,
+    Signal,
+    Sinusoid,
+    Step,
+)
 
 FORWARDS = ((3, 3), (5, 3))
 UP = ((3, 1), (3, 5))
 """Start and end of a signal in a controller's range, in sixths of it on each axis."""
 
 
-def _sine(start_n: Force, to_n: Force) -> Sinusoid:
+def _sine(start_n: ReferenceForce, to_n: ReferenceForce) -> Sinusoid:
     (a, b) = start_n
     (c, d) = to_n
     return Sinusoid(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
@@ -61,7 +69,7 @@ def moving_signals(
     (x0, y0) = cell.low
     (x1, y1) = cell.high
 
-    def at(x: int, y: int) -> Force:
+    def at(x: int, y: int) -> ReferenceForce:
         force = (x0 + x / 6 * (x1 - x0), y0 + y / 6 * (y1 - y0))
         if reachable is not None and not reachable.contains(force):
             force = reachable.nearest_within((cell,), np.array([force]))[0].tolist()
@@ -123,7 +131,7 @@ class MovingPlan(NamedTuple):
 
 def _row(
     signal: Signal,
-    tracked: Series,
+    tracked: ReferenceSamples,
     forces: np.ndarray,
     error: Float[np.ndarray, "seeds 2"],
     reading_error: Float[np.ndarray, "seeds 2"] | None,
@@ -201,7 +209,7 @@ def _errors(name: str, errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
 
 def _resolve_signal(
     controller: Controller, signal: Signal, ticks: int, strict: bool
-) -> tuple[Series, str | None]:
+) -> tuple[ReferenceSamples, str | None]:
     """The force to track at each tick, the nearest that the fin can make, and a warning where it is
     not the signal."""
     references = signal.sample(ticks)

@@ -19,10 +19,10 @@ from softfin.core.quantities import AXES
 from softfin.core.randomness import named_generator
 from softfin.evaluation.experiment import EvaluationTarget, independent, run
 from softfin.evaluation.scores import score
-from softfin.gaits.reachable import Cell, Force, Reachable, bounding_box
+from softfin.gaits.reachable import Cell, ForceVector, Reachable, bounding_box
 from softfin.task.references import PAPER_RANGE
 
-Forces = Float[np.ndarray, "references 2"]
+ReferenceForces = Float[np.ndarray, "references 2"]
 """(x, y) [N]."""
 
 LATTICE_POINTS = 7
@@ -42,10 +42,10 @@ class ErrorMap(NamedTuple):
     """Range of the controller; each reference is the middle of an equal part of it."""
     points: int
     """References along each side."""
-    references: Forces
+    references: ReferenceForces
     """References that the controller covers and the fin can make [N]; the others of ``points ** 2``
     are left out."""
-    error: Forces
+    error: ReferenceForces
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
     """Outline of the mean forces that the fin can make [N]; None where it is not known."""
@@ -80,10 +80,10 @@ def controller_range(controller: Controller) -> Cell:
 def errors_at(
     controller: Controller,
     plant: EvaluationTarget,
-    references: Forces,
+    references: ReferenceForces,
     seconds: int,
     key: PRNGKeyArray,
-) -> Forces:
+) -> ReferenceForces:
     """Mean |moving average - reference| of each reference [N]."""
     recording = run(
         controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key])
@@ -105,7 +105,7 @@ def map_errors(
             "cell"
         )
 
-    def covers(reference: Force) -> bool:
+    def covers(reference: ForceVector) -> bool:
         try:
             controller.check(reference)
         except CoverageError:
@@ -158,7 +158,7 @@ def random_errors(
 
 def draw_references(
     cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
-) -> Forces:
+) -> ReferenceForces:
     """Forces uniform over the part of the cells that the fin can make; raises CoverageError where
     it makes hardly any.
 

@@ -49,7 +49,7 @@ RARELY = 0.01
 """Fraction of samples beyond the data up to which there is no warning: ten times that of the data
 themselves."""
 
-Force = Float[np.ndarray, "ticks 2"]
+ForceSeries = Float[np.ndarray, "ticks 2"]
 
 
 class Scores(NamedTuple):
@@ -105,7 +105,7 @@ def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batc
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
 
 
-def list_steps(reference: Force) -> list[tuple[int, int]]:
+def list_steps(reference: ForceSeries) -> list[tuple[int, int]]:
     """(first tick, one past the last) after each step between two forces that are both held for 2 s
     or more."""
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
@@ -118,7 +118,7 @@ def list_steps(reference: Force) -> list[tuple[int, int]]:
     return [(start, stop) for start, stop in held if start in starts]
 
 
-def step_responses(force: Force, reference: Force) -> list[dict[str, Any]]:
+def step_responses(force: ForceSeries, reference: ForceSeries) -> list[dict[str, Any]]:
     """Responses of the moving average to every step of a reference, up to its next change or the
     end, for JSON.
 
@@ -133,7 +133,7 @@ def step_responses(force: Force, reference: Force) -> list[dict[str, Any]]:
 
 
 def _response(
-    average: Float[np.ndarray, "windows 2"], reference: Force, first: int, stop: int
+    average: Float[np.ndarray, "windows 2"], reference: ForceSeries, first: int, stop: int
 ) -> dict[str, Any]:
     start = reference[first - 1]
     to = reference[first]

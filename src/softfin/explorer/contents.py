@@ -19,7 +19,7 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate import StreamingSurrogate
-from softfin.surrogate.training import named
+from softfin.surrogate.training import name_net_arrays
 from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
 
@@ -27,7 +27,7 @@ COLD_C = 5.0
 """Temperature of the cold water that the page offers [degrees Celsius]."""
 
 
-def encode(array: Any) -> dict[str, Any]:
+def encode_arrays(array: Any) -> dict[str, Any]:
     """Shape of an array, and its numbers in single precision as base64."""
     values = np.asarray(array, np.float32)
     return {
@@ -85,8 +85,8 @@ def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
         "scales": description["scales"],
         "interval": description["interval"],
         "arrays": {
-            name: encode(array)
-            for name, array in (arrays | named({"rest": surrogate.rest})).items()
+            name: encode_arrays(array)
+            for name, array in (arrays | name_net_arrays({"rest": surrogate.rest})).items()
         },
     }
 
@@ -107,7 +107,7 @@ def controller_data(controller: LoadedController) -> dict[str, Any]:
     assert isinstance(step, SingleStep | GridStep)
     network = step.networks if isinstance(step, GridStep) else step.network
     return data | {
-        "network": {name: encode(array) for name, array in network._asdict().items()},
+        "network": {name: encode_arrays(array) for name, array in network._asdict().items()},
         "task": {"past_actions": step.observation.past_actions, "phase": step.observation.phase},
         "rest": list(step.rest),
         "gaits": None if step.gaits is None else _table(step.gaits),
@@ -118,13 +118,13 @@ def controller_data(controller: LoadedController) -> dict[str, Any]:
 def _table(table: GaitTable) -> dict[str, Any]:
     low = np.asarray(table.low, float)
     high = np.asarray(table.high, float)
-    return {"low": low.tolist(), "high": high.tolist(), "actions": encode(table.actions)}
+    return {"low": low.tolist(), "high": high.tolist(), "actions": encode_arrays(table.actions)}
 
 
 def _numbers(module: eqx.Module) -> dict[str, Any]:
     """The arrays of a module as nested numbers, under the names of its fields."""
     numbers: dict[str, Any] = {}
-    for place, array in named(module).items():
+    for place, array in name_net_arrays(module).items():
         *outer, last = place.split(".")
         inside = numbers
         for name in outer:

@@ -27,7 +27,7 @@ def read_script(*names: str) -> str:
     return "\n".join(folder.joinpath(f"{name}.js").read_text("utf-8") for name in names)
 
 
-def write_page(
+def write_explorer_page(
     path: Path,
     title: str,
     controllers: Sequence[Mapping[str, Any]],

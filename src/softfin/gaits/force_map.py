@@ -20,7 +20,7 @@ from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import Report, SurveyConfig, missing_gradient, survey
+from softfin.gaits.simulate import ReportSearch, SurveyConfig, missing_gradient, survey
 from softfin.storage import artifact as artifacts
 
 MAP_KIND = "map"
@@ -67,7 +67,7 @@ def empty_map(table: GaitTable, directions: int) -> ForceMap:
     return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
-def find_force_map(plant: Plant, config: MapConfig, report: Report | None = None) -> ForceMap:
+def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None = None) -> ForceMap:
     """Survey a plant, search a gait for every node, and determine how far the gaits reach."""
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.operations import Number, Operations, select_operations
 from softfin.core.quantities import AnyArray
-from softfin.gaits.reachable import Cell, Force, Reachable
+from softfin.gaits.reachable import Cell, ForceVector, Reachable
 
 Gait: TypeAlias = Float[AnyArray, "6 2"]
 
@@ -30,7 +30,7 @@ class GaitTable(NamedTuple):
     actions: Float[AnyArray, "x y 6 2"]
 
     @classmethod
-    def empty(cls, low: Force, high: Force, nodes: tuple[int, int]) -> "GaitTable":
+    def empty(cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int]) -> "GaitTable":
         """A table of `nodes` in x and y, 2 or more, of which every action is 0."""
         actions = np.zeros((*nodes, CYCLE_ACTIONS, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)

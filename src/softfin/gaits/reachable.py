@@ -19,13 +19,13 @@ from softfin.core.configuration import Configuration
 from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray
 
-Force: TypeAlias = tuple[float | int, float | int]
+ForceVector: TypeAlias = tuple[float | int, float | int]
 """(x, y) [N]."""
 
 Forces: TypeAlias = Float[np.ndarray, "*forces 2"]
-Points: TypeAlias = Float[np.ndarray, "..."]
+ForcePoints: TypeAlias = Float[np.ndarray, "..."]
 
-PAPER_REFERENCES: tuple[Force, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1))
+PAPER_REFERENCES: tuple[ForceVector, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1))
 """Reference forces of the paper's Table II [N]."""
 
 TOLERANCE_N = 1e-3
@@ -38,9 +38,9 @@ MAX_CHUNK_FORCES = 2048
 class Cell(Configuration):
     """Axis-aligned box of reference forces."""
 
-    low: Force
+    low: ForceVector
     """Least (x, y) [N]."""
-    high: Force
+    high: ForceVector
     """Greatest (x, y) [N]; not under `low`, equal to it for a single reference."""
 
     @model_validator(mode="after")
@@ -52,7 +52,7 @@ class Cell(Configuration):
         return self
 
     @classmethod
-    def around(cls, centre: Force, width_n: float = 1.0) -> "Cell":
+    def around(cls, centre: ForceVector, width_n: float = 1.0) -> "Cell":
         """Build a square about a force."""
         half = width_n / 2
         return cls(
@@ -65,14 +65,14 @@ class Cell(Configuration):
         (x1, y1) = self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
 
-    def lattice(self, count: int) -> tuple[Force, ...]:
+    def lattice(self, count: int) -> tuple[ForceVector, ...]:
         """Return `count` x `count` references, each in the middle of an equal part of the cell."""
         steps = [(i + 0.5) / count for i in range(count)]
         (x0, y0) = self.low
         (x1, y1) = self.high
         return tuple((x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a in steps for b in steps)
 
-    def distance(self, reference: Force) -> float:
+    def distance(self, reference: ForceVector) -> float:
         """Distance from the cell to a reference [N]; 0 inside and on the edge."""
         beyond = [
             max(a - r, 0.0, r - b) for a, r, b in zip(self.low, reference, self.high, strict=True)
@@ -258,8 +258,8 @@ def directions(count: int) -> Float[np.ndarray, "directions 2"]:
 
 
 def _on_sides(
-    corners: Float[np.ndarray, "sides 2"], force: Points, enter: Any, leave: Any
-) -> Points:
+    corners: Float[np.ndarray, "sides 2"], force: ForcePoints, enter: Any, leave: Any
+) -> ForcePoints:
     """Return the nearest point to each force on a part of each side of a polygon, ``(..., sides,
     2)``."""
     side = np.roll(corners, -1, axis=0) - corners
@@ -269,7 +269,7 @@ def _on_sides(
     return np.asarray(corners + np.clip(along, enter, leave)[..., None] * side)
 
 
-def _find_nearest(points: Points, force: Points) -> Any:
+def _find_nearest(points: ForcePoints, force: ForcePoints) -> Any:
     """Return the index of the nearest of ``(..., points, 2)`` to each force; points that are NaN
     come last."""
     distance = np.linalg.norm(points - force[..., None, :], axis=-1)

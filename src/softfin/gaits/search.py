@@ -38,16 +38,16 @@ from softfin.gaits.simulate import (
     FAMILIES,
     GaitSensitivity,
     PreTanh,
-    Report,
+    ReportSearch,
     Survey,
     action_to_pre_tanh,
     gait_sensitivity,
     strokes,
 )
 
-Forces = Float[AnyArray, "nodes 2"]
-Scales = Float[AnyArray, "nodes"]
-Shape = tuple[int, int]
+NodeForces = Float[AnyArray, "nodes 2"]
+StepScales = Float[AnyArray, "nodes"]
+LatticeShape = tuple[int, int]
 
 
 class GaitConfig(Configuration):
@@ -96,7 +96,7 @@ def find_gaits(
     survey: Survey,
     table: GaitTable,
     config: GaitConfig,
-    report: Report = lambda *_: None,
+    report: ReportSearch = lambda *_: None,
 ) -> GaitSearchResult:
     """Find a gait for every node of an empty table, beginning with the gaits of a survey of the
     same plant.
@@ -108,7 +108,7 @@ def find_gaits(
     total = config.steps + EXACT * config.halvings
     done = 0
 
-    def told(nodes: GaitSensitivity, target: Forces) -> None:
+    def told(nodes: GaitSensitivity, target: NodeForces) -> None:
         nonlocal done
         done += 1
         error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
@@ -134,7 +134,7 @@ def _search(
     survey: Survey,
     table: GaitTable,
     config: GaitConfig,
-    told: Callable[[GaitSensitivity, Forces], None],
+    told: Callable[[GaitSensitivity, NodeForces], None],
 ) -> GaitSensitivity:
     """Find gaits for the nodes of a table from the strokes of the survey."""
     # The key is no constant of the module: making it starts JAX, which an import must not.
@@ -160,7 +160,7 @@ def _between(
     nodes: GaitSensitivity,
     table: GaitTable,
     config: GaitConfig,
-    told: Callable[[GaitSensitivity, Forces], None],
+    told: Callable[[GaitSensitivity, NodeForces], None],
 ) -> tuple[GaitSensitivity, GaitTable]:
     """Add nodes halfway between those of a table, which begin as blends."""
     finer = table.halved()
@@ -189,7 +189,7 @@ def _between(
     return every, finer
 
 
-def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
+def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
     """Choose the family of strokes that comes nearest; of it, strokes that come near and are like
     their neighbours.
 
@@ -217,9 +217,9 @@ def _start(survey: Survey, target: Forces, shape: Shape) -> PreTanh:
 @eqx.filter_jit
 def _stepped(
     nodes: GaitSensitivity,
-    target: Forces,
-    scale: Scales,
-    shape: Shape,
+    target: NodeForces,
+    scale: StepScales,
+    shape: LatticeShape,
     config: GaitConfig,
     exact: bool,
 ) -> PreTanh:
@@ -228,7 +228,7 @@ def _stepped(
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
-    def along(force: Forces) -> PreTanh:
+    def along(force: NodeForces) -> PreTanh:
         """Return the smallest change of the actions that changes the force so."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
@@ -243,12 +243,16 @@ def _stepped(
 
 @eqx.filter_jit
 def _better(
-    nodes: GaitSensitivity, trial: GaitSensitivity, target: Forces, scale: Scales, smoothness: float
-) -> tuple[GaitSensitivity, Scales]:
+    nodes: GaitSensitivity,
+    trial: GaitSensitivity,
+    target: NodeForces,
+    scale: StepScales,
+    smoothness: float,
+) -> tuple[GaitSensitivity, StepScales]:
     """Keep the better one of each node and its trial; the next step is longer after a gain, shorter
     after none."""
 
-    def merit(nodes: GaitSensitivity) -> Scales:
+    def merit(nodes: GaitSensitivity) -> StepScales:
         error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
 
@@ -261,8 +265,8 @@ def _better(
 
 
 def _restarted(
-    nodes: GaitSensitivity, target: Forces, scale: Scales, shape: Shape
-) -> tuple[GaitSensitivity, Scales]:
+    nodes: GaitSensitivity, target: NodeForces, scale: StepScales, shape: LatticeShape
+) -> tuple[GaitSensitivity, StepScales]:
     """Let nodes that are stuck begin again where the best of their neighbours is."""
     error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
@@ -277,7 +281,7 @@ def _restarted(
 
 
 @partial(jax.jit, static_argnums=1)
-def _neighbours(pre_tanh: PreTanh, shape: Shape) -> PreTanh:
+def _neighbours(pre_tanh: PreTanh, shape: LatticeShape) -> PreTanh:
     """Average the four neighbours; at the edge a node stands in for the one that is missing."""
     grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4

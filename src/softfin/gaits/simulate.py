@@ -26,7 +26,7 @@ from softfin.core.window import sobolev
 from softfin.gaits.gait import Gait
 from softfin.gaits.reachable import Reachable, directions
 
-Report = Callable[[float, str], None]
+ReportSearch = Callable[[float, str], None]
 """Called with the done part (0 .. 1) and a note."""
 
 PreTanh = Float[AnyArray, "gaits 12"]
@@ -193,7 +193,7 @@ def strokes(
 
 
 def survey(
-    plant: Plant, config: SurveyConfig | None = None, report: Report = lambda *_: None
+    plant: Plant, config: SurveyConfig | None = None, report: ReportSearch = lambda *_: None
 ) -> Survey:
     """Simulate all gaits in a plant and find the edge of the forces that it can make."""
     config = config or SurveyConfig()

@@ -15,11 +15,11 @@ from softfin.control.policy import GAITS
 from softfin.control.store import write_controller
 from softfin.core.quantities import AXES
 from softfin.learning.configuration import TrainConfig
-from softfin.learning.policy import Policy, named, policy_memory
+from softfin.learning.policy import Policy, name_policy_arrays, policy_memory
 from softfin.learning.rollout import PolicyEvaluation
 from softfin.learning.run import TrainingResult
 from softfin.storage.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, save_figure, styled
-from softfin.storage.run_directory import LOG, read_log
+from softfin.storage.run_directory import LOG, read_training_log
 from softfin.surrogate.channels import UNKNOWN
 
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
@@ -36,7 +36,7 @@ def write_learning(folder: Path) -> None:
     for log in sorted(folder.rglob(LOG)):
         is_refined = REFINED in log.relative_to(folder).parts
         group = "refined cells" if is_refined else "error without exploration noise"
-        runs.setdefault(group, []).extend(curves(read_log(log)))
+        runs.setdefault(group, []).extend(curves(read_training_log(log)))
     if found := {group: each for group, each in runs.items() if each}:
         figure = learning_figure(found, "mean error of both axes [N]")
         save_figure(figure, folder, "learning", ("svg",))
@@ -110,7 +110,7 @@ def save_controller(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
-    arrays = named(policies)
+    arrays = name_policy_arrays(policies)
     if config.controller == "grid":
         # All policies have the same gaits.
         arrays |= {name: array[0] for name, array in arrays.items() if name.startswith(f"{GAITS}.")}

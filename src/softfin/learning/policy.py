@@ -204,7 +204,7 @@ class ActorCritic(eqx.Module):
     critic: Critic
 
 
-def named(policy: Any) -> dict[str, Any]:
+def name_policy_arrays(policy: Any) -> dict[str, Any]:
     """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
     paths, _ = jax.tree_util.tree_flatten_with_path(policy)
     names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)

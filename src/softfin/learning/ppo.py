@@ -25,7 +25,7 @@ from softfin.learning.rollout import (
     Metrics,
     Rollout,
     clipped_adam,
-    collect,
+    collect_rollout,
     start_episodes,
 )
 from softfin.task.references import References
@@ -153,7 +153,7 @@ class PPO:
         networks = agent.networks
         collect_key, learn_key, key = jax.random.split(agent.key, 3)
         cycles = self.config.num_steps // len(ACTION_TICKS)
-        env_state, rollout = collect(
+        env_state, rollout = collect_rollout(
             self.task, networks.policy, agent.env_state, collect_key, cycles
         )
         batch, metrics = self.batch(networks.critic, rollout)

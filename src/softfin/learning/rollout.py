@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from softfin.control.policy import PolicyMemory
 from softfin.core.action_clock import ACTION_TICKS, action_ticks
-from softfin.core.plant import EnsemblePlant, Ticks, counted
+from softfin.core.plant import EnsemblePlant, Ticks, drop_padding
 from softfin.core.quantities import AnyArray
 from softfin.core.window import moving_average, moving_error
 from softfin.learning.layers import cleared
@@ -100,7 +100,7 @@ def start_episodes(
     return EnvState(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
 
 
-def collect(
+def collect_rollout(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
 ) -> tuple[EnvState, Rollout]:
     """Take `cycles` x 3 actions in every environment; environments whose episodes are over are
@@ -200,7 +200,7 @@ def evaluate_policy(
     _, (forces, distances) = jax.lax.scan(
         act, (states, memories), jnp.asarray(action_ticks(actions))
     )
-    series = jnp.swapaxes(counted(forces, actions), 0, 1)
+    series = jnp.swapaxes(drop_padding(forces, actions), 0, 1)
     error = moving_error(series, references[:, None], window)
     average = moving_average(series, window)
     outside = None if plant is None else (distances > 1).mean(axis=0)

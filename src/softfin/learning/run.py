@@ -30,7 +30,7 @@ from softfin.learning.rollout import AgentState, Metrics, PolicyEvaluation, eval
 from softfin.task.references import References, stack_references
 from softfin.task.task import ForceTracking, TaskConfig
 
-Tree = TypeVar("Tree")
+AgentTree = TypeVar("AgentTree")
 
 
 class RunState(NamedTuple):
@@ -171,7 +171,7 @@ class TrainingRun:
         outside = worst[..., 0] if isinstance(self.plant, EnsemblePlant) else None
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
 
-    def over_devices(self, tree: Tree) -> Tree:
+    def over_devices(self, tree: AgentTree) -> AgentTree:
         """A tree with a leading axis of agents, over as many of the machine's devices as have equal
         parts of them."""
         devices = jax.devices()
@@ -180,7 +180,7 @@ class TrainingRun:
             return tree
         mesh = Mesh(np.array(devices[:used]), ("devices",))
         parts = NamedSharding(mesh, PartitionSpec("devices"))  # type: ignore[no-untyped-call]
-        return cast(Tree, jax.device_put(tree, parts))
+        return cast(AgentTree, jax.device_put(tree, parts))
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
         """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is
@@ -276,14 +276,16 @@ def _is_key(leaf: Any) -> bool:
     return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def without_keys(tree: Tree) -> Tree:
+def without_keys(tree: AgentTree) -> AgentTree:
     """The tree with keys of the random generator as numbers, for storage."""
-    return cast(Tree, jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree))
+    return cast(
+        AgentTree, jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree)
+    )
 
 
-def with_keys(tree: Tree, like: Tree) -> Tree:
+def with_keys(tree: AgentTree, like: AgentTree) -> AgentTree:
     """The tree with numbers as keys again, where `like` has keys."""
     return cast(
-        Tree,
+        AgentTree,
         jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like),
     )

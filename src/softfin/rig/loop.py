@@ -17,13 +17,13 @@ from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
 from softfin.rig.safety import Trip
-from softfin.rig.session import Force, Session, in_one_line, mean_force
+from softfin.rig.session import MeasuredForce, Session, in_one_line, mean_force
 
-References: TypeAlias = Callable[[float], Force]
+ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
 """Function that returns the reference [N] at so many seconds since the start; called at each
 action."""
 
-ResolveReference = Callable[[Force], tuple[Force, str | None]]
+ResolveReference = Callable[[MeasuredForce], tuple[MeasuredForce, str | None]]
 """A reference to the one that is tracked, and a warning where it is another; raises
 CoverageError."""
 
@@ -32,7 +32,7 @@ CoverageError."""
 class ActionResult:
     """The command of one action, and the samples while it was held."""
 
-    reference: Force
+    reference: MeasuredForce
     target: Target
     samples: list[Sample]
 
@@ -40,9 +40,9 @@ class ActionResult:
 def run_controller(
     session: Session,
     controller: Controller,
-    references: References,
+    references: ReferenceSource,
     actions: int | None = None,
-    zero: Force = (0.0, 0.0),
+    zero: MeasuredForce = (0.0, 0.0),
 ) -> Iterator[ActionResult]:
     """Act so many times, or until a stop; the session is active and its fin at rest.
 
@@ -73,7 +73,7 @@ class LiveReference:
     changes nothing."""
 
     def __init__(
-        self, first: Force, resolve: ResolveReference, report: Callable[[str], None]
+        self, first: MeasuredForce, resolve: ResolveReference, report: Callable[[str], None]
     ) -> None:
         self._resolve = resolve
         self._report = report
@@ -81,7 +81,7 @@ class LiveReference:
         if warning:
             report(warning)
 
-    def __call__(self, at: float) -> Force:
+    def __call__(self, at: float) -> MeasuredForce:
         """Return the newest reference [N]."""
         return self._force
 
@@ -104,10 +104,10 @@ class LiveReference:
 
 def recorded_reference(
     time: Sequence[float],
-    force: Sequence[Force],
+    force: Sequence[MeasuredForce],
     resolve: ResolveReference,
     report: Callable[[str], None],
-) -> References:
+) -> ReferenceSource:
     """Return references that are the rows of a file, each from its time on; all are resolved before
     anything moves."""
     resolved = [resolve(each) for each in force]

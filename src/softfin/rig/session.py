@@ -23,10 +23,10 @@ from softfin.rig.stop import StopRequest, Watchdog, stopped_by_signals
 from softfin.storage.bag.writer import BagRecorder
 from softfin.storage.bag.zero import zero_event
 
-Force: TypeAlias = tuple[float, float]
+MeasuredForce: TypeAlias = tuple[float, float]
 """Force (x, y) [N]."""
 
-State = Literal["unconfigured", "inactive", "active", "stopped"]
+SessionState = Literal["unconfigured", "inactive", "active", "stopped"]
 
 Observer = Callable[[Sample, Target | None], None]
 """Called at each tick with the sample and the command under which it came about; must return at
@@ -71,7 +71,7 @@ class Session:
         self.observers = observers
         self.pace = Pace(machine_clock(machine))
         self.recorder: BagRecorder | None = None
-        self.state: State = "unconfigured"
+        self.state: SessionState = "unconfigured"
         self.target: Target | None = None
         """The command in force."""
         self.newest: Sample | None = None
@@ -278,7 +278,7 @@ class Session:
         self.command(target)
         return [self.tick() for _ in range(ticks)]
 
-    def rest(self, seconds: float) -> Force:
+    def rest(self, seconds: float) -> MeasuredForce:
         """Move slowly to angle 0 and wait until the water is at rest.
 
         Return the mean force (x, y) [N] over the second half of the wait. The true force is then
@@ -357,7 +357,7 @@ class Session:
             self.recorder.event(self.pace.clock(), text)
 
 
-def mean_force(samples: Sequence[Sample]) -> Force:
+def mean_force(samples: Sequence[Sample]) -> MeasuredForce:
     """Return the mean force (x, y) of samples [N]; zero of none."""
     count = max(len(samples), 1)
     return sum(s.wrench[0] for s in samples) / count, sum(s.wrench[1] for s in samples) / count

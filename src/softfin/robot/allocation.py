@@ -35,15 +35,15 @@ GIVEN_UP = 0.03
 SMALL = (0.02, 0.02, 0.02, 0.005, 0.005, 0.005)
 """[N, N m]"""
 
-Forces = Float[np.ndarray, "fins 2"]
-Columns = Float[np.ndarray, "columns"]
+FinForces = Float[np.ndarray, "fins 2"]
+MatrixColumns = Float[np.ndarray, "columns"]
 SixVector = Float[np.ndarray, "6"]
 
 
 class Allocation(NamedTuple):
     """Forces for the fins, and what they make."""
 
-    forces: Forces
+    forces: FinForces
     """Mean force of each fin in its own axes [N]."""
     wrench: SixVector
     """Wrench that they make together, in body axes [N, N m]."""
@@ -97,7 +97,7 @@ class Allocator:
         return low
 
     def allocate(
-        self, wrench: SixVector, preferred: Forces | None = None, start: Forces | None = None
+        self, wrench: SixVector, preferred: FinForces | None = None, start: FinForces | None = None
     ) -> Allocation:
         """Share a wrench in body axes [N, N m]; every finite wrench has an answer.
 
@@ -115,13 +115,13 @@ class Allocator:
         given_up = missing > np.maximum(SMALL, GIVEN_UP * np.abs(wrench).max())
         return Allocation(forces.reshape(-1, 2), together, given_up)
 
-    def _over_reach(self, forces: Forces | None) -> Columns:
+    def _over_reach(self, forces: FinForces | None) -> MatrixColumns:
         parts = np.zeros(len(self._scale))
         if forces is not None:
             np.divide(forces.ravel(), self._scale, out=parts, where=self._scale > 0)
         return parts
 
-    def _within(self, right: Columns, parts: Columns) -> Columns:
+    def _within(self, right: MatrixColumns, parts: MatrixColumns) -> MatrixColumns:
         """Return forces over reaches of which none is longer than 1, after some steps towards the
         best."""
         # A gradient step is linear: descend @ x + shift.
@@ -140,7 +140,7 @@ class Allocator:
         return parts
 
 
-def _clipped(parts: Columns) -> Columns:
+def _clipped(parts: MatrixColumns) -> MatrixColumns:
     # As complex numbers, which NumPy measures in one call.
     pairs = parts.view(complex)
     return np.asarray((pairs / np.maximum(np.abs(pairs), 1)).view(float))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from softfin.robot.allocation import Allocation, Allocator, Forces, SixVector
+from softfin.robot.allocation import Allocation, Allocator, FinForces, SixVector
 from softfin.robot.description import RobotConfig
 
 WAYS = 8
@@ -45,7 +45,9 @@ class BracedAllocation:
         self.allocator.reach = reach
         self._braces = self._bracing()
 
-    def share(self, wrench: SixVector, forces: Forces, brace: Forces) -> tuple[Allocation, Forces]:
+    def share(
+        self, wrench: SixVector, forces: FinForces, brace: FinForces
+    ) -> tuple[Allocation, FinForces]:
         """Share a wrench in body axes [N, N m], after the forces and the bracing of the last
         action.
 
@@ -79,7 +81,7 @@ class BracedAllocation:
                     found.append(size * least * way / greatest)
         return np.array(found).reshape(len(found), -1, 2)
 
-    def _brace(self, forces: Forces, present: Forces) -> Forces:
+    def _brace(self, forces: FinForces, present: FinForces) -> FinForces:
         """Return the bracing under which fins make the least force, or nearly so, with little
         effort."""
         least = self._config.brace_n

@@ -21,13 +21,13 @@ from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.robot.noise import NoiseConfig
-from softfin.robot.paths import hold, lemniscate, lissajous
+from softfin.robot.paths import hold_place, lemniscate, lissajous
 from softfin.robot.simulation import Orders, RobotSimulation
 from softfin.robot.trial import Disturbances, Record, run_trial
 from softfin.robot.wrench_driver import WrenchDriver
 from softfin.tank import Tank
 
-Report = Callable[[float, str], None]
+ReportNote = Callable[[float, str], None]
 
 MIN_COUNTED_S = MAX_ACTION_TICKS * TICK_S
 """Least time of a trial whose errors count [s]: an action, of which half may be lost by rounding to
@@ -102,7 +102,7 @@ def evaluate_robot(
     robot: RobotConfig,
     tanks: Sequence[Tank],
     config: RobotEvaluateConfig,
-    report: Report = lambda *_: None,
+    report: ReportNote = lambda *_: None,
 ) -> RobotEvaluation:
     """Evaluate a robot with these tanks as fins, in simulation."""
     report(0.0, "gaits of the fins")
@@ -172,7 +172,11 @@ def trial(
     random = named_generator(seed, f"robot/{task}")
     seconds = float(config.hold_s if task == "hold" else config.path_s)
     speed = config.lissajous_m_s if task == "lissajous" else config.lemniscate_m_s
-    path = hold() if task == "hold" else (lissajous if task == "lissajous" else lemniscate)(speed)
+    path = (
+        hold_place()
+        if task == "hold"
+        else (lissajous if task == "lissajous" else lemniscate)(speed)
+    )
     trouble = Disturbances()
     settled_from_s = config.settled_s
     push_at_s = None

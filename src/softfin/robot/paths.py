@@ -8,11 +8,11 @@ from jaxtyping import Float
 
 from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray
-from softfin.robot.rotation import from_euler, inverse, matrix, multiply, to_vector
+from softfin.robot.rotation import from_euler, inverse_rotation, matrix, multiply, to_vector
 
 Vector = Float[AnyArray, "3"]
 SixVector = Float[AnyArray, "6"]
-Point: TypeAlias = tuple[float | int, float | int, float | int]
+CurvePoint: TypeAlias = tuple[float | int, float | int, float | int]
 
 
 class PathPoint(NamedTuple):
@@ -46,7 +46,7 @@ def path_error(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4
     from it [rad]."""
     moved = (position - target.position) @ matrix(target.attitude)
     error: SixVector = select_operations(position, attitude, *target).xp.concatenate(
-        [moved, to_vector(multiply(inverse(target.attitude), attitude))]
+        [moved, to_vector(multiply(inverse_rotation(target.attitude), attitude))]
     )
     return error
 
@@ -60,7 +60,7 @@ STARTING_S = 10.0
 """Time in which a path's speed grows from 0 [s]."""
 
 
-def hold(position: Point = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
+def hold_place(position: CurvePoint = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
     """Stay at a place, upright."""
     still = PathPoint(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
     return lambda time: still
@@ -122,7 +122,7 @@ def lemniscate(
     return along(curve, speed_m_s, _length(curve))
 
 
-def lissajous(speed_m_s: float | int, size_m: Point = (2.0, 1.0, 0.5)) -> Path:
+def lissajous(speed_m_s: float | int, size_m: CurvePoint = (2.0, 1.0, 0.5)) -> Path:
     """Follow a three-dimensional Lissajous curve of that size with frequencies 1, 2 and 1."""
 
     def curve(u: float) -> Vector:

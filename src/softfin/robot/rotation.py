@@ -52,7 +52,7 @@ def multiply(a: Array, b: Array) -> Array:
     )
 
 
-def inverse(quaternion: Array) -> Array:
+def inverse_rotation(quaternion: Array) -> Array:
     """Return the opposite rotation."""
     return quaternion * _namespace(quaternion).asarray([1.0, -1.0, -1.0, -1.0])
 

@@ -53,7 +53,7 @@ class RobotState(NamedTuple):
     fins: TankState
 
 
-class Ticks(NamedTuple):
+class RobotTicks(NamedTuple):
     """Motion and wrench of each tick of an action."""
 
     body: BodyState
@@ -84,15 +84,15 @@ class RobotSimulation:
 
     def advance(
         self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
-    ) -> tuple[RobotState, Ticks]:
+    ) -> tuple[RobotState, RobotTicks]:
         """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` count."""
-        advanced: tuple[RobotState, Ticks] = self._advance(state, orders, around, ticks)
+        advanced: tuple[RobotState, RobotTicks] = self._advance(state, orders, around, ticks)
         return advanced
 
     def _held(
         self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
-    ) -> tuple[RobotState, Ticks]:
-        def one(state: RobotState, index: Int[Array, ""]) -> tuple[RobotState, Ticks]:
+    ) -> tuple[RobotState, RobotTicks]:
+        def one(state: RobotState, index: Int[Array, ""]) -> tuple[RobotState, RobotTicks]:
             after, row = self.tick(state, orders.at(index), around)
             return jax.tree.map(
                 lambda new, old: jnp.where(index < ticks, new, old), after, state
@@ -130,7 +130,7 @@ class RobotSimulation:
 
     def tick(
         self, state: RobotState, commands: Command, around: Ambient
-    ) -> tuple[RobotState, Ticks]:
+    ) -> tuple[RobotState, RobotTicks]:
         """Advance by one tick of 10 ms."""
         mounts = self._mounts(
             jnp.asarray(self.dynamics.relative_twist(state.body, around.current)),
@@ -140,7 +140,7 @@ class RobotSimulation:
         wrench = self._wrench(loads)
         acceleration = self.dynamics.acceleration(state.body, wrench + around.push, around.current)
         body = self.dynamics.step(state.body, wrench + around.push, around.current)
-        return RobotState(body, jnp.asarray(acceleration), fins), Ticks(body, wrench, shapes)
+        return RobotState(body, jnp.asarray(acceleration), fins), RobotTicks(body, wrench, shapes)
 
     def _mounts(self, twist: Float[Array, "6"], acceleration: Float[Array, "6"]) -> Mount:
         """Return the motion of each fin's mount through the water, in its own axes."""

@@ -14,7 +14,7 @@ from jaxtyping import Bool
 
 from softfin.core.errors import RunError
 from softfin.core.quantities import Command
-from softfin.robot.allocation import Allocator, Forces, SixVector
+from softfin.robot.allocation import Allocator, FinForces, SixVector
 from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.dynamics import Dynamics
@@ -36,7 +36,7 @@ class FinOrders(NamedTuple):
     delays: tuple[int, ...]
     """Ticks of 10 ms into the action at which each fin gets its command; until then it keeps the
     one before."""
-    forces: Forces
+    forces: FinForces
     """Mean force of each fin in its own axes [N]."""
     wrench: SixVector
     """Wrench that they make in still water, in body axes [N, N m]."""
@@ -59,9 +59,9 @@ class FinOrders(NamedTuple):
 class WrenchDriverState(NamedTuple):
     """State of the driver between actions."""
 
-    forces: Forces
+    forces: FinForces
     """Forces of the last action [N]."""
-    brace: Forces
+    brace: FinForces
     """Bracing of the last action: forces that cancel one another [N]."""
     action: int
     """Actions so far."""
@@ -142,7 +142,9 @@ class WrenchDriver:
         delays = tuple(phase_delay(int(phase)) for phase in phases)
         return after, FinOrders(tuple(commands), delays, forces, together, given_up)
 
-    def _choose_phases(self, state: WrenchDriverState, forces: Forces, alive: list[int]) -> Phases:
+    def _choose_phases(
+        self, state: WrenchDriverState, forces: FinForces, alive: list[int]
+    ) -> Phases:
         if self._phases is not None or not alive:
             return state.phases if self._phases is None else self._phases
         sizes = np.hypot(*forces.T)

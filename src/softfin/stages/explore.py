@@ -11,7 +11,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant
 from softfin.core.quantities import Limits
 from softfin.explorer.contents import controller_data, outline, plant_data
-from softfin.explorer.page import write_page
+from softfin.explorer.page import write_explorer_page
 from softfin.stages.evaluation import check_limits
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
@@ -53,7 +53,7 @@ def explore(
     }
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
-    write_page(
+    write_explorer_page(
         out,
         TITLE,
         [

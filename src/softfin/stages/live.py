@@ -25,7 +25,7 @@ from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
 from softfin.data.collect import CollectConfig
-from softfin.data.importing.clocks import held, interpolated
+from softfin.data.importing.clocks import held_command, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.rig.axia80.config import ADDRESS_FIELDS
@@ -35,7 +35,7 @@ from softfin.rig.record import load_record
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import Guard
-from softfin.rig.session import Force, Session
+from softfin.rig.session import MeasuredForce, Session
 from softfin.rig.stop import StopRequest
 from softfin.stages.evaluation import evaluate
 from softfin.storage import artifact as artifacts
@@ -289,7 +289,9 @@ def log_from_samples(
     )
     times = np.array([time for time, _ in issued])
     targets = np.array([target for _, target in issued], float)
-    command = Command(*(held(times, channel, grid).astype(np.float32) for channel in targets.T))
+    command = Command(
+        *(held_command(times, channel, grid).astype(np.float32) for channel in targets.T)
+    )
     return Log(
         command,
         Reading(TICK_S * np.arange(1, rows + 1), joint[0], joint[1], np.stack(force, axis=1)),
@@ -395,7 +397,7 @@ def _record(
     config: CollectConfig,
     name: str,
     report: Callable[[int, Sample], None],
-) -> tuple[Log, Force]:
+) -> tuple[Log, MeasuredForce]:
     """Record a log whose row k is what was read at tick k + 1 and the command that was issued right
     then.
 

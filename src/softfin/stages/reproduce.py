@@ -33,7 +33,7 @@ from softfin.stages.surrogates import fit
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, is_surrogate
-from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_log
+from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_training_log
 from softfin.surrogate import load_surrogate
 from softfin.surrogate.compare.scores import free_run
 
@@ -356,7 +356,8 @@ class _Reproduction:
     def learning_figures(self) -> dict[str, Figure]:
         """Reward over the steps, and the error of the policies without their noise."""
         logs = {
-            kind: read_log(self.out / kind / TRAINING_LOG / LOG) for kind in self.config.policies
+            kind: read_training_log(self.out / kind / TRAINING_LOG / LOG)
+            for kind in self.config.policies
         }
         if not logs:
             return {}

@@ -15,7 +15,7 @@ from softfin.robot.description import RobotConfig, load_robot
 from softfin.robot.evaluate import RobotEvaluateConfig, evaluate_robot, find_all_gaits, trial
 from softfin.robot.figures import draw_trials
 from softfin.robot.simulation import RobotSimulation
-from softfin.robot.view.page import write_page
+from softfin.robot.view.page import write_robot_page
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank
@@ -27,7 +27,7 @@ TITLES = {
 }
 
 
-def check(robot: str) -> dict[str, Any]:
+def check_robot_file(robot: str) -> dict[str, Any]:
     """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML
     file."""
     config = load_robot(robot)
@@ -59,7 +59,7 @@ def evaluate(
     def write(folder: Path) -> None:
         artifacts.write_description(folder, "robot", result)
         for task, record in found.records.items():
-            write_page(folder / f"{task}.html", body, record, _title(body, task, config.dead))
+            write_robot_page(folder / f"{task}.html", body, record, _title(body, task, config.dead))
         draw_trials(folder, found.records)
 
     artifacts.write_folder(out, write, overwrite)
@@ -94,7 +94,7 @@ def view(
     progress("robot", 0.3, task)
     driver = build_drivers(body, gaits)["whole"]
     record, row = trial(RobotSimulation(body, tanks), driver, task, config, config.seed)
-    write_page(out, body, record, _title(body, task, config.dead))
+    write_robot_page(out, body, record, _title(body, task, config.dead))
     progress("robot", 1.0, "")
     return row
 

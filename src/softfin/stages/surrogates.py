@@ -27,7 +27,7 @@ from softfin.surrogate.channels import SKIPPED, ranges
 from softfin.surrogate.compare.compare import CompareConfig, candidates, compare_surrogates
 from softfin.surrogate.compare.report import write_comparison
 from softfin.surrogate.compare.scores import measured_ranges, table_one
-from softfin.surrogate.paper.fit import fit as fit_paper
+from softfin.surrogate.paper.fit import fit_paper
 from softfin.surrogate.store import AnySurrogate
 from softfin.surrogate.streaming.fit import fit_streaming
 from softfin.surrogate.training import check_lengths

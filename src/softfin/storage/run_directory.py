@@ -171,7 +171,7 @@ class RunLog:
 
         self.path = folder / LOG
         last = -1 if rewind_to is None else rewind_to
-        kept = [entry for entry in read_log(self.path) if entry["step"] <= last]
+        kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
         self._writer = SummaryWriter(str(folder), purge_step=last + 1, filename_suffix=".softfin")
 
@@ -196,7 +196,7 @@ class RunLog:
         self._writer.close()
 
 
-def read_log(path: Path) -> list[dict[str, Any]]:
+def read_training_log(path: Path) -> list[dict[str, Any]]:
     """The entries of a ``log.jsonl``, up to the first line that a kill or a cut of power has left
     in pieces."""
     entries = []

@@ -28,7 +28,7 @@ class TrainingState(NamedTuple):
     """Loss: one number for each of several networks, or an array ``(members,)``."""
 
 
-def keep_best(
+def keep_best_nets(
     state: TrainingState, losses: Any, held_out: Any, name: str
 ) -> tuple[TrainingState, bool]:
     """Keep each network's weights if its held-out loss is the lowest; return if any is. RunError if
@@ -74,7 +74,7 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
             )
 
 
-def named(nets: Any) -> dict[str, np.ndarray]:
+def name_net_arrays(nets: Any) -> dict[str, np.ndarray]:
     """Arrays by their places, such as ``posnet.3.kernel``."""
     return {
         _name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)

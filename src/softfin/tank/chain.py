@@ -25,7 +25,7 @@ class Pose(NamedTuple):
     along: Float[Array, "plates plates"]
 
 
-class Motion(NamedTuple):
+class PlateMotion(NamedTuple):
     """Motion of each plate: velocity of its inner end along n and d [m/s], rate of turning
     [rad/s]."""
 
@@ -34,7 +34,7 @@ class Motion(NamedTuple):
     turning: PerPlate
 
 
-class Wrench(NamedTuple):
+class PlateWrench(NamedTuple):
     """Force on each plate along n and d [N], moment about the inner end [N m]. Likewise momenta [N
     s, N m s]."""
 
@@ -56,9 +56,9 @@ class Moments(NamedTuple):
     second: PerPlate
     along: PerPlate
 
-    def times(self, motion: Motion) -> Wrench:
+    def times(self, motion: PlateMotion) -> PlateWrench:
         """Return the momentum of that motion, or the force that resists it."""
-        return Wrench(
+        return PlateWrench(
             self.zeroth * motion.normal + self.first * motion.turning,
             self.along * motion.along,
             self.first * motion.normal + self.second * motion.turning,
@@ -76,26 +76,26 @@ def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
     )
 
 
-def motion(pose: Pose, rates: PerPlate) -> Motion:
+def motion(pose: Pose, rates: PerPlate) -> PlateMotion:
     """Return the motion of plates that turn at absolute `rates` [rad/s]."""
-    return Motion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
+    return PlateMotion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
 
 
-def components(angles: PerPlate, velocity: Float[Array, "2"]) -> Motion:
+def components(angles: PerPlate, velocity: Float[Array, "2"]) -> PlateMotion:
     """Resolve one velocity (x, y) [m/s] along every plate's axes."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
     x, y = velocity
-    return Motion(x * sin + y * cos, y * sin - x * cos, jnp.zeros_like(angles))
+    return PlateMotion(x * sin + y * cos, y * sin - x * cos, jnp.zeros_like(angles))
 
 
-def project(pose: Pose, wrench: Wrench) -> PerPlate:
+def project(pose: Pose, wrench: PlateWrench) -> PerPlate:
     """The moment that the wrenches exert on each absolute angle [N m]."""
     levers = pose.normal * wrench.normal[:, None] + pose.along * wrench.along[:, None]
     return levers.sum(0) + wrench.moment
 
 
-def matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
+def momentum_matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
     """The symmetric matrix that takes rates of turning to generalised momenta, or to the moments
     that resist them."""
     normal = pose.normal
@@ -106,21 +106,21 @@ def matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
     return outer.sum(0) + arm + arm.T + jnp.diag(moments.second)
 
 
-def centripetal(pose: Pose, inertia: Moments, motion: Motion) -> Wrench:
+def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrench:
     """Minus the rate of change of each plate's momentum at constant rates of turning (Kirchhoff's
     equations)."""
     squares = motion.turning**2
     rise = (pose.along * squares).sum(1) - motion.along * motion.turning
     slide = motion.normal * motion.turning - (pose.normal * squares).sum(1)
     momentum = inertia.times(motion)
-    return Wrench(
+    return PlateWrench(
         -inertia.zeroth * rise - motion.turning * momentum.along,
         -inertia.along * slide + motion.turning * momentum.normal,
         -inertia.first * rise - motion.along * momentum.normal + motion.normal * momentum.along,
     )
 
 
-def resultant(angles: PerPlate, wrench: Wrench) -> Float[Array, "2"]:
+def resultant(angles: PerPlate, wrench: PlateWrench) -> Float[Array, "2"]:
     """The sum of the forces in the axes of the tank, (x, y)."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)

@@ -21,9 +21,9 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.tank import chain
-from softfin.tank.chain import Moments, Motion, PerPlate, Scalar, Wrench
+from softfin.tank.chain import Moments, PerPlate, PlateMotion, PlateWrench, Scalar
 
-Series: TypeAlias = NDArray[np.floating[Any]]
+PlateSeries: TypeAlias = NDArray[np.floating[Any]]
 
 
 class FinConfig(Configuration):
@@ -57,11 +57,11 @@ class FinConfig(Configuration):
     """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6
     Hz."""
 
-    def span(self, along: Series) -> Series:
+    def span(self, along: PlateSeries) -> PlateSeries:
         """Return the span of the fin at distances from the shaft [m]."""
         return self.span_m * (1 - (1 - self.tip_span_ratio) * along / self.length_m)
 
-    def thickness(self, along: Series) -> Series:
+    def thickness(self, along: PlateSeries) -> PlateSeries:
         """Return the thickness of the fin at distances from the shaft [m]."""
         return self.root_thickness_m * (1 - (1 - self.tip_thickness_ratio) * along / self.length_m)
 
@@ -71,7 +71,7 @@ BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
 
 
 def plate_moments(
-    config: FinConfig, density: Callable[[Series], Series]
+    config: FinConfig, density: Callable[[PlateSeries], PlateSeries]
 ) -> tuple[PerPlate, PerPlate, PerPlate]:
     """Integrals of a density per length, times distance from the inner end to the power 0, 1, 2,
     over each plate."""
@@ -84,7 +84,7 @@ def plate_moments(
     return zeroth, first, second
 
 
-def compliance(config: FinConfig) -> Series:
+def compliance(config: FinConfig) -> PlateSeries:
     """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to
     that of the next.
 
@@ -98,7 +98,7 @@ def compliance(config: FinConfig) -> Series:
     start = np.append(0.0, middles)
     stop = np.append(middles, config.length_m)
 
-    def work(start: Series, stop: Series, bracket: float) -> Series:
+    def work(start: PlateSeries, stop: PlateSeries, bracket: float) -> PlateSeries:
         nodes, weights = np.polynomial.legendre.leggauss(8)
         along = start + (nodes[:, None] + 1) / 2 * (stop - start)
         bending = config.span(along) * (
@@ -164,7 +164,7 @@ class Surroundings(NamedTuple):
     stream: Float[Array, "2"]
     """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion
     relative to it."""
-    loads: Callable[[Motion], tuple[Moments, Wrench]]
+    loads: Callable[[PlateMotion], tuple[Moments, PlateWrench]]
     """Effects of water on moving plates besides inertia: resistance [kg/s] and forces [N]."""
     acceleration: Float[Array, "2"] | None = None
     """Acceleration (x, y) of the mount through the water [m/s2]; None: it stands still."""
@@ -207,10 +207,10 @@ class Fin(eqx.Module):
         )
         return jnp.concatenate([jnp.zeros((1, 2), plates.dtype), jnp.cumsum(plates, axis=0)])
 
-    def relative(self, state: FinState, around: Surroundings) -> Motion:
+    def relative(self, state: FinState, around: Surroundings) -> PlateMotion:
         """Return the motion of each plate relative to the stream."""
         stream = chain.components(state.angles, around.stream)
-        relative: Motion = jax.tree.map(jnp.subtract, self._motion(state), stream)
+        relative: PlateMotion = jax.tree.map(jnp.subtract, self._motion(state), stream)
         return relative
 
     def momenta(
@@ -280,7 +280,9 @@ class Fin(eqx.Module):
         grips = half * (self.damping + half * self.stiffness)
         bends = state.angles - jnp.concatenate([shaft.angle[None], state.angles[:-1]])
         strains = half * self.stiffness * bends
-        left = chain.matrix(pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance))
+        left = chain.momentum_matrix(
+            pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance)
+        )
         right = chain.project(pose, impulse) - _between(strains)
         root_inertia, root_impulse, expand = chain.condense(left + _joint_matrix(grips), right)
         bend = state.angles[0] - shaft.angle
@@ -297,7 +299,7 @@ class Fin(eqx.Module):
         )
         return after, rate, chain.resultant(angles, force)
 
-    def _motion(self, state: FinState) -> Motion:
+    def _motion(self, state: FinState) -> PlateMotion:
         return chain.motion(chain.pose(state.angles, self.plate_length), state.rates)
 
 

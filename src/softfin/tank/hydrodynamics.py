@@ -27,7 +27,7 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
-from softfin.tank.chain import Moments, Motion, PerPlate, Scalar, Wrench
+from softfin.tank.chain import Moments, PerPlate, PlateMotion, PlateWrench, Scalar
 from softfin.tank.fin import FinConfig, Surroundings, plate_moments
 from softfin.tank.sensor import remaining
 
@@ -170,7 +170,7 @@ class Water(eqx.Module):
         drag = self.drag * number**-self.drag_exponent
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
 
-    def stirred(self, flow: Flow, motion: Motion, force: Float[Array, "2"]) -> Flow:
+    def stirred(self, flow: Flow, motion: PlateMotion, force: Float[Array, "2"]) -> Flow:
         """Return the flow a tick after the plates moved so relative to it, under the mean force of
         its loads [N]."""
         share = remaining(self.stream_decay)
@@ -181,7 +181,9 @@ class Water(eqx.Module):
         )
         return Flow(stream, excursion, share * flow.square + (1 - share) * excursion**2)
 
-    def _loads(self, motion: Motion, drag: Float[Array, "2 plates"]) -> tuple[Moments, Wrench]:
+    def _loads(
+        self, motion: PlateMotion, drag: Float[Array, "2 plates"]
+    ) -> tuple[Moments, PlateWrench]:
         """Resistance to the motion relative to the stream [kg/s], and the suction at the tip
         [N]."""
         length = self.plate_length
@@ -201,7 +203,7 @@ class Water(eqx.Module):
             self.friction * length * speed,
         )
         zero = jnp.zeros_like(motion.along)
-        suction = Wrench(
+        suction = PlateWrench(
             zero, -0.5 * self.tip * (motion.normal + length * motion.turning) ** 2, zero
         )
         return resistance, suction

@@ -24,9 +24,9 @@ from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import check_reference_file
 
-Force = tuple[FiniteFloat, FiniteFloat]
+ReferenceForce = tuple[FiniteFloat, FiniteFloat]
 
-Series = Float[np.ndarray, "ticks 2"]
+ReferenceSamples = Float[np.ndarray, "ticks 2"]
 """(x, y) [N], float32."""
 
 CLOCK_S = 1e-6
@@ -51,7 +51,7 @@ class Signal(Configuration):
     def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
         """The reference (x, y) [N] at each time."""
 
-    def sample(self, ticks: int) -> Series:
+    def sample(self, ticks: int) -> ReferenceSamples:
         """The reference at 100 Hz from time 0."""
         return np.asarray(self._at(np.arange(ticks) / RATE_HZ), np.float32)
 
@@ -60,9 +60,9 @@ class Step(Signal):
     """One force, and from a moment on another."""
 
     kind: Literal["step"] = "step"
-    start_n: Force
+    start_n: ReferenceForce
     """Force before the step (x, y) [N]."""
-    to_n: Force
+    to_n: ReferenceForce
     """Force from the step on (x, y) [N]."""
     at_s: NonNegativeFloat = 10.0
     """Time of the step [s]; a whole second is a moment at which controllers act."""
@@ -78,9 +78,9 @@ class Ramp(Signal):
     """A straight line from one force to another."""
 
     kind: Literal["ramp"] = "ramp"
-    start_n: Force
+    start_n: ReferenceForce
     """Force before the ramp (x, y) [N]."""
-    to_n: Force
+    to_n: ReferenceForce
     """Force after the ramp (x, y) [N]."""
     begin_s: NonNegativeFloat = 5.0
     """Begin of the ramp [s]."""
@@ -110,9 +110,9 @@ class Sinusoid(Signal):
     """Oscillation about a force; both axes reach their greatest together."""
 
     kind: Literal["sine"] = "sine"
-    centre_n: Force
+    centre_n: ReferenceForce
     """Force at time 0 and half a period later (x, y) [N]."""
-    amplitude_n: Force
+    amplitude_n: ReferenceForce
     """Amplitude of each axis (x, y) [N]; a negative one begins downwards."""
     period_s: PositiveFloat = 10.0
     """Period [s]; ten are five windows of the moving average."""
@@ -135,7 +135,7 @@ class Recorded(Signal):
     kind: Literal["recorded"] = "recorded"
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
     """Times [s] from which on each force holds: from 0 on, growing."""
-    force_n: tuple[Force, ...] = Field(min_length=1)
+    force_n: tuple[ReferenceForce, ...] = Field(min_length=1)
     """Forces (x, y) at those times [N]."""
 
     @model_validator(mode="after")
@@ -174,7 +174,7 @@ class Recorded(Signal):
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
 
 
-def _pair(force: Force) -> str:
+def _pair(force: ReferenceForce) -> str:
     return f"({force[0]:g}, {force[1]:g})"
 
 

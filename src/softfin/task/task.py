@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from softfin.control.policy import Observation
+from softfin.control.policy import PolicyObservation
 from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.configuration import Configuration
 from softfin.core.operations import jax_operations
@@ -105,7 +105,7 @@ class TaskConfig(Configuration):
     @property
     def observations(self) -> int:
         """Size of an observation."""
-        return Observation(past_actions=self.past_actions, phase=self.phase).size
+        return PolicyObservation(past_actions=self.past_actions, phase=self.phase).size
 
 
 class TaskState(NamedTuple):
@@ -258,7 +258,7 @@ def observation(
     With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action,
     `age` counted from 0.
     """
-    part = Observation(
+    part = PolicyObservation(
         past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n
     )
     now = jnp.concatenate([angle[None], reference])

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.data.importing.clocks import held, interpolated
+from softfin.data.importing.clocks import held_command, interpolated
 
 FAST = np.arange(0, 5, 0.001)
 GRID = np.arange(0.5, 4.5, 0.01)
@@ -53,5 +53,5 @@ def test_a_held_command_is_the_last_that_was_issued(steps, places):
     time = np.cumsum(steps)
     values = np.arange(len(time), dtype=float)
     grid = np.sort(time[0] + np.array(places) * (time[-1] - time[0]))
-    for at, value in zip(grid, held(time, values, grid), strict=True):
+    for at, value in zip(grid, held_command(time, values, grid), strict=True):
         assert value == max(i for i in range(len(time)) if time[i] <= at + 1e-6)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.rig.emulation.bus import HOST, SocketcandServer, format_frame, parse
+from softfin.rig.emulation.bus import HOST, SocketcandServer, format_frame, parse_frame
 from softfin.rig.emulation.drive import EmulatedDrive
 from softfin.rig.epos2.config import BusConfig
 from tests.patience import HANG_S, wait_until
@@ -169,7 +169,7 @@ def test_a_frame_comes_back_from_the_line_that_pythoncan_makes_of_it(
     from can.interfaces.socketcand import socketcand
 
     message = can.Message(arbitration_id=cob_id, data=data, is_extended_id=False, timestamp=1.5)
-    parsed = parse(" ".join(socketcand.convert_can_message_to_ascii_message(message).split()))
+    parsed = parse_frame(" ".join(socketcand.convert_can_message_to_ascii_message(message).split()))
     assert parsed is not None
     assert (parsed.arbitration_id, bytes(parsed.data)) == (cob_id, data)
     read = socketcand.convert_ascii_message_to_can_message(format_frame(message))
@@ -178,4 +178,4 @@ def test_a_frame_comes_back_from_the_line_that_pythoncan_makes_of_it(
 
 @given(st.text(max_size=60))
 def test_any_line_is_a_frame_or_none(line: str) -> None:
-    assert parse(line) is None or line.startswith("< send ")
+    assert parse_frame(line) is None or line.startswith("< send ")

@@ -11,7 +11,7 @@ from softfin.rig.ros2.connection import (
     VECTOR,
     StampClock,
     Subscription,
-    decode,
+    decode_ros_message,
     read_joint,
     read_reference_message,
     read_stamp,
@@ -27,7 +27,7 @@ numbers = st.floats(allow_nan=False, allow_infinity=False)
 @given(numbers, numbers, st.integers(1, 2**31 * 10**9 - 1), st.text(max_size=5))
 def test_a_joint_comes_back_as_it_went(angle, velocity, stamp, frame):
     frame = frame.replace("\0", "")
-    message = decode(cdr(JOINT, stamp, (angle, velocity), frame), JOINT)
+    message = decode_ros_message(cdr(JOINT, stamp, (angle, velocity), frame), JOINT)
     assert read_joint(message, "fin") == (angle, velocity)
     assert read_stamp(message) == stamp
     assert message.header.frame_id == frame
@@ -35,7 +35,7 @@ def test_a_joint_comes_back_as_it_went(angle, velocity, stamp, frame):
 
 @given(st.tuples(*[numbers] * 6))
 def test_a_wrench_comes_back_as_it_went(wrench):
-    message = decode(cdr(WRENCH, 1, wrench, ""), WRENCH)
+    message = decode_ros_message(cdr(WRENCH, 1, wrench, ""), WRENCH)
     assert read_wrench(message) == wrench
 
 
@@ -43,7 +43,7 @@ def test_a_wrench_comes_back_as_it_went(wrench):
 def test_any_bytes_are_a_message_or_refused(data, kind):
     told = kind
     try:
-        decode(data, kind)
+        decode_ros_message(data, kind)
     except ValueError as error:
         told = str(error)
     assert kind in told

@@ -4,7 +4,7 @@ from softfin.core.errors import ConfigurationError, RigError
 from softfin.rig.machine import Target
 from softfin.rig.ros2.config import FlipperConfig
 from softfin.rig.ros2.connection import Publisher
-from softfin.rig.ros2.plant import Commands, define_types, encode_flipper
+from softfin.rig.ros2.plant import SentCommands, define_types, encode_flipper
 
 DEFINITIONS = {
     "own/msg/Flipper": "float32 frequency\nfloat32 amplitude\nfloat32 zero_direction\nstring "
@@ -94,7 +94,7 @@ def test_a_field_of_an_unknown_type_is_told_before_anything_is_sent(field):
 
 def test_late_ticks_are_not_made_up_for():
     sent = []
-    commands = Commands(Publisher(sent.append, lambda: 1), lambda _, angle: angle, 0.05)
+    commands = SentCommands(Publisher(sent.append, lambda: 1), lambda _, angle: angle, 0.05)
     commands.tick(0.0)
     commands.send(Target(1.0, 1.0), 0.0, 0.0)
     for now in (0.04, 0.33, 0.34, 0.36):

@@ -4,9 +4,9 @@ import pytest
 
 from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.storage import artifact as artifacts
-from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_log
+from softfin.storage.run_directory import LOG, TRAINING_LOG, RunDirectory, read_training_log
 from softfin.surrogate import FitConfig, load_surrogate, save_surrogate
-from softfin.surrogate.paper.fit import PaperLearner, fit, window_starts
+from softfin.surrogate.paper.fit import PaperLearner, fit_paper, window_starts
 from tests.surrogate import small
 
 CONFIG = FitConfig(
@@ -33,7 +33,7 @@ class Killed(BaseException):
 def whole(tmp_path_factory):
     """A fit that was not interrupted, and its log."""
     run_directory = RunDirectory(tmp_path_factory.mktemp("whole") / "s", {"a": 1})
-    return fit(LOGS, CONFIG, 0, run_directory), read_log(run_directory.folder / LOG)
+    return fit_paper(LOGS, CONFIG, 0, run_directory), read_training_log(run_directory.folder / LOG)
 
 
 def test_windows_never_reach_from_one_log_into_the_next():
@@ -42,7 +42,7 @@ def test_windows_never_reach_from_one_log_into_the_next():
 
 def test_fitting_learns_angle_and_forces(tmp_path):
     test = small.log(rows=600, seed=99)
-    fitted = fit(LOGS, CONFIG.changed(["epochs=24"]), 0, RunDirectory(tmp_path / "s", {}))
+    fitted = fit_paper(LOGS, CONFIG.changed(["epochs=24"]), 0, RunDirectory(tmp_path / "s", {}))
     predictions = fitted.predict_angle(test), fitted.predict_force(test, free_running=True)
     for predicted, measured in zip(
         predictions, (test.reading.angle, test.reading.force), strict=True
@@ -59,8 +59,8 @@ def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
     changed = last._replace(
         reading=last.reading._replace(force=last.reading.force * np.float32(100))
     )
-    fitted = fit([*LOGS[:-1], changed], CONFIG, 0, run_directory)
-    histories = whole[1], read_log(run_directory.folder / LOG)
+    fitted = fit_paper([*LOGS[:-1], changed], CONFIG, 0, run_directory)
+    histories = whole[1], read_training_log(run_directory.folder / LOG)
     for name, alike in (
         ("train/posnet_mse", True),
         ("train/forcenet_mse", True),
@@ -75,8 +75,8 @@ def test_held_out_logs_do_not_reach_scaling_or_training(tmp_path, whole):
 def test_the_best_weights_are_kept_not_the_last(tmp_path):
     config = CONFIG.changed(["epochs=30", "learning_rate=0.05", "patience=2"])
     run_directory = RunDirectory(tmp_path / "s", {})
-    fitted = fit(LOGS, config, 0, run_directory)
-    history = read_log(run_directory.folder / LOG)
+    fitted = fit_paper(LOGS, config, 0, run_directory)
+    history = read_training_log(run_directory.folder / LOG)
     least = min(entry["held_out/forcenet_mse"] for entry in history)
     predicted = fitted.predict_force(LOGS[-1], free_running=False)
     held = LOGS[-1].reading.force[small.WINDOW :]
@@ -91,15 +91,20 @@ def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
             raise Killed
 
     with pytest.raises(Killed):
-        fit(LOGS, CONFIG, 0, RunDirectory(tmp_path / "cut", {"a": 1}), killer)
+        fit_paper(LOGS, CONFIG, 0, RunDirectory(tmp_path / "cut", {"a": 1}), killer)
     resumed_from = []
     run_directory = RunDirectory(tmp_path / "cut", {"a": 1}, resume=True)
-    resumed = fit(
+    resumed = fit_paper(
         LOGS, CONFIG, 0, run_directory, lambda stage, done, note: resumed_from.append(done)
     )
     assert min(resumed_from) > 0.5
     assert same_weights(whole[0], resumed)
-    assert [entry["step"] for entry in read_log(run_directory.folder / LOG)] == [1, 2, 3, 4]
+    assert [entry["step"] for entry in read_training_log(run_directory.folder / LOG)] == [
+        1,
+        2,
+        3,
+        4,
+    ]
     assert list(run_directory.folder.glob("events.*"))
 
 
@@ -143,7 +148,9 @@ def test_the_training_logs_of_parts_are_kept(tmp_path):
         record.close()
     run_directory.keep_log(tmp_path / "kept")
     for name in (".", "0", "1"):
-        assert read_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [{"step": 1, "loss": 0.5}]
+        assert read_training_log(tmp_path / "kept" / TRAINING_LOG / name / LOG) == [
+            {"step": 1, "loss": 0.5}
+        ]
         assert list((tmp_path / "kept" / TRAINING_LOG / name).glob("events.*"))
 
 
@@ -159,12 +166,14 @@ def test_damaged_work_is_refused_by_name(tmp_path):
 
 def test_one_log_is_too_few(tmp_path):
     with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
-        fit(LOGS[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
+        fit_paper(LOGS[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_logs_shorter_than_a_batch_are_refused(tmp_path):
     with pytest.raises(LogError, match="fewer than one batch of 32"):
-        fit([small.log(rows=40), small.log(rows=40)], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
+        fit_paper(
+            [small.log(rows=40), small.log(rows=40)], CONFIG, 0, RunDirectory(tmp_path / "s", {})
+        )
 
 
 def test_a_column_that_never_changes_is_named(tmp_path):
@@ -173,7 +182,7 @@ def test_a_column_that_never_changes_is_named(tmp_path):
         for log in LOGS
     ]
     with pytest.raises(LogError, match="column command_velocity_rad_s is 2 in every training row"):
-        fit(still, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
+        fit_paper(still, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
@@ -186,7 +195,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
     monkeypatch.setattr(PaperLearner, "start", far_off)
     message = r"loss of the networks is not finite; lower learning_rate \(--set\), start anew"
     with pytest.raises(RunError, match=message):
-        fit(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
+        fit_paper(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
 def test_a_stored_surrogate_is_the_same_surrogate(tmp_path):

@@ -15,7 +15,7 @@ from softfin.surrogate.paper.network import (
     Network,
     NetworkConfig,
 )
-from softfin.surrogate.training import named, restored
+from softfin.surrogate.training import name_net_arrays, restored
 
 
 def convolution(x, kernel, bias):
@@ -111,7 +111,7 @@ def test_dropout_drops_only_with_a_key_and_keeps_the_mean():
 def test_weights_by_name_make_the_same_network():
     net = Network.create(FORCENET, jax.random.key(3))
     x = jax.random.normal(jax.random.key(4), (2, 3, 100))
-    weights = named(net.layers)
+    weights = name_net_arrays(net.layers)
     assert set(weights) >= {"0.kernel", "0.recurrent", "0.bias", "5.bias"}
     same = Network(FORCENET, restored(FORCENET.shapes(), weights, "here"))
     np.testing.assert_array_equal(same(x), net(x))
@@ -134,7 +134,7 @@ def test_weights_by_name_make_the_same_network():
 def test_odd_weights_are_refused_by_name(change, words):
     arrays = {
         name: array.copy()
-        for name, array in named(Network.create(POSNET, jax.random.key(0)).layers).items()
+        for name, array in name_net_arrays(Network.create(POSNET, jax.random.key(0)).layers).items()
     }
     change(arrays)
     with pytest.raises(ArtifactError, match=words):

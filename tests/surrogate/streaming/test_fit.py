@@ -4,7 +4,7 @@ import pytest
 
 from softfin.core.errors import LogError, RunError
 from softfin.core.randomness import named_key
-from softfin.storage.run_directory import LOG, RunDirectory, read_log
+from softfin.storage.run_directory import LOG, RunDirectory, read_training_log
 from softfin.surrogate.streaming import fit as module
 from softfin.surrogate.streaming.ensemble import ensemble, single
 from softfin.surrogate.streaming.fit import fit_streaming
@@ -35,7 +35,7 @@ def whole(tmp_path_factory):
         fitted = fit_streaming(
             LOGS, CONFIG, 0, run_directory, lambda stage, done, note: seen.append((done, note))
         )
-        return fitted, read_log(run_directory.folder / LOG), seen
+        return fitted, read_training_log(run_directory.folder / LOG), seen
 
 
 def of(name, history):
@@ -72,7 +72,7 @@ def test_a_killed_fit_resumes_to_the_same_surrogate(tmp_path, whole, after, from
     surrogate, history, _ = whole
     assert same(surrogate, resumed)
     assert (resumed.interval, resumed.limits) == (surrogate.interval, surrogate.limits)
-    assert read_log(run_directory.folder / LOG) == history
+    assert read_training_log(run_directory.folder / LOG) == history
     assert [entry["step"] for entry in history] == list(range(1, 21))
 
 
@@ -123,7 +123,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
     )
     run_directory = RunDirectory(tmp_path / "s", {})
     fit_streaming([*LOGS[:-1], strange], CONFIG, 0, run_directory)
-    both = whole[1], read_log(run_directory.folder / LOG)
+    both = whole[1], read_training_log(run_directory.folder / LOG)
     assert of("train/force_loss", both[0]) == of("train/force_loss", both[1])
     assert of("held_out/force_mse", both[0]) != of("held_out/force_mse", both[1])
 

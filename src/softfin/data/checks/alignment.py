@@ -18,7 +18,7 @@ from scipy.optimize import nnls
 from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.data.importing.importing import FORCE_FRAMES, turned
 
-Series: TypeAlias = Float[np.ndarray, "ticks"]
+LogSeries: TypeAlias = Float[np.ndarray, "ticks"]
 """Values of a channel at 100 Hz."""
 
 SEARCHED_TICKS = 20
@@ -34,18 +34,18 @@ MIN_ALIGNED_S = 10
 """Length of a recording from which the force's lag and axes are computed [s]."""
 
 
-def measure_rate(values: Series) -> Series:
+def measure_rate(values: LogSeries) -> LogSeries:
     """Rate of change a second, smoothed over 50 ms."""
     return np.asarray(np.gradient(smoothed(values), TICK_S))
 
 
-def smoothed(values: Series) -> Series:
+def smoothed(values: LogSeries) -> LogSeries:
     """Smooth by a Hann window of five samples, which delays nothing."""
     kernel = np.hanning(7)[1:-1] / np.hanning(7).sum()
     return np.convolve(np.pad(values, 2, mode="edge"), kernel, "valid")
 
 
-def command_lag(command: Series, angle: Series) -> float | None:
+def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
     """Compute the lag from a command to the angle [ms]: where the response to its steps rises, in
     the median.
 
@@ -72,7 +72,7 @@ def command_lag(command: Series, angle: Series) -> float | None:
     return float(place * TICK_S * 1e3)
 
 
-def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | None:
+def force_lag(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> float | None:
     """Compute the lag at which a linear model of the motion explains most of the force [ms],
     whatever its axes.
 
@@ -107,7 +107,7 @@ def force_lag(angle: Series, force: Float[np.ndarray, "ticks 2"]) -> float | Non
 
 
 def frame_correlations(
-    angle: Series, force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
+    angle: LogSeries, force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
 ) -> dict[str, float]:
     """Compute the correlation of the force, taken in each of `FORCE_FRAMES`, with the best fit of a
     model fin."""
@@ -139,8 +139,8 @@ def frame_correlations(
 
 
 def _motion(
-    angle: Series,
-) -> tuple[Float[np.ndarray, "2 ticks"], Float[np.ndarray, "2 ticks"], Series, Series]:
+    angle: LogSeries,
+) -> tuple[Float[np.ndarray, "2 ticks"], Float[np.ndarray, "2 ticks"], LogSeries, LogSeries]:
     """Directions across the fin and along it, its rate [rad/s] and its acceleration [rad/s^2]."""
     cos = np.cos(smoothed(angle))
     sin = np.sin(smoothed(angle))

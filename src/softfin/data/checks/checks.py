@@ -10,7 +10,7 @@ from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, REST_FIX, TICK
 from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.statistics import (
     REST_RATE_RAD_S,
-    Columns,
+    LogColumns,
     LogStatistics,
     channels_in_counts,
     channels_in_degrees,
@@ -52,11 +52,11 @@ CHANNEL_UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 class CheckedLog(NamedTuple):
     """A log as the checks see it."""
 
-    raw: Columns
+    raw: LogColumns
     """Channels as they were read."""
-    columns: Columns
+    columns: LogColumns
     """Channels in radians."""
-    calm: Columns
+    calm: LogColumns
     """Channels in radians without spikes."""
     statistics: LogStatistics
     """Statistics of `calm`."""

@@ -19,7 +19,7 @@ from softfin.data.checks.checks import (
     check_lags,
 )
 from softfin.data.checks.statistics import (
-    Columns,
+    LogColumns,
     LogStatistics,
     channels_in_degrees,
     measure,
@@ -108,7 +108,7 @@ def inspect(
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
         # Short logs end to end: the seams are few beside the steps within.
-        joined = Columns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
+        joined = LogColumns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
         together = measure(
             joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together")
         )

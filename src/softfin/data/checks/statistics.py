@@ -11,7 +11,7 @@ from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.data.checks.alignment import (
     FOLLOWING_TICKS,
     MIN_ALIGNED_S,
-    Series,
+    LogSeries,
     command_lag,
     force_lag,
     frame_correlations,
@@ -31,15 +31,15 @@ REST_RATE_RAD_S = 0.05
 """Rate of the angle below which the fin is at rest."""
 
 
-class Columns(NamedTuple):
+class LogColumns(NamedTuple):
     """All channels of a log but time."""
 
-    command_angle: Series
-    command_velocity: Series
-    angle: Series
-    velocity: Series
-    force_x: Series
-    force_y: Series
+    command_angle: LogSeries
+    command_velocity: LogSeries
+    angle: LogSeries
+    velocity: LogSeries
+    force_x: LogSeries
+    force_y: LogSeries
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +64,7 @@ class LogStatistics:
     force_std_n: tuple[float, ...]
 
 
-def to_columns(log: Log) -> Columns:
+def to_columns(log: Log) -> LogColumns:
     """Take the channels of a log."""
     command, reading = log
     series = (
@@ -74,10 +74,10 @@ def to_columns(log: Log) -> Columns:
         reading.velocity,
         *np.asarray(reading.force).T,
     )
-    return Columns(*(np.asarray(values, np.float64) for values in series))
+    return LogColumns(*(np.asarray(values, np.float64) for values in series))
 
 
-def channels_in_counts(columns: Columns) -> list[str]:
+def channels_in_counts(columns: LogColumns) -> list[str]:
     """Find angles in counts of an encoder."""
     names = ("command_angle", "angle")
     return [
@@ -85,7 +85,7 @@ def channels_in_counts(columns: Columns) -> list[str]:
     ]
 
 
-def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:
+def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[str]:
     """Find channels in degrees; the commanded velocity is not in doubt where an option gave it in
     rad/s."""
     # The size of one sample in a hundred may be a spike's.
@@ -105,7 +105,7 @@ def channels_in_degrees(columns: Columns, is_velocity_given: bool) -> list[str]:
     return found
 
 
-def velocity_slope(columns: Columns) -> tuple[float, float]:
+def velocity_slope(columns: LogColumns) -> tuple[float, float]:
     """Correlation of the velocity with the angle's rate, and their ratio; 0, 0 where either does
     not move."""
     rate = np.gradient(columns.angle, TICK_S)
@@ -115,7 +115,7 @@ def velocity_slope(columns: Columns) -> tuple[float, float]:
     return correlation, correlation * float(columns.velocity.std() / rate.std())
 
 
-def without_spikes(values: Series) -> Series:
+def without_spikes(values: LogSeries) -> LogSeries:
     """Put the median of five in the place of outliers of one or two samples.
 
     A spike is 1.2 times as high as half the span of 98% of the samples, where the published
@@ -142,7 +142,7 @@ def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
-def measure(columns: Columns, named: NamedLog) -> LogStatistics:
+def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
     """Compute the statistics of a log from its repaired channels."""
     force = np.stack([columns.force_x, columns.force_y], axis=1)
     rows = len(force)

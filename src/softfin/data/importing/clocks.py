@@ -315,7 +315,7 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
         within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
         for name, values in track.channels.items():
             columns[name] = (
-                held(track.time, values, grid)
+                held_command(track.time, values, grid)
                 if name in COMMAND_CHANNELS
                 else interpolated(within.time, within.channels[name], grid)
             )
@@ -349,7 +349,7 @@ def interpolated(
     return np.asarray(np.interp(grid, time, values))
 
 
-def held(
+def held_command(
     time: Float[np.ndarray, "rows"],
     values: Float[np.ndarray, "rows"],
     grid: Float[np.ndarray, "ticks"],

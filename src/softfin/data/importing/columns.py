@@ -22,7 +22,7 @@ from softfin.storage.log_file import SCHEMA
 OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True))
 """Channel of each of softfin's own columns."""
 
-LISTED = 12
+MAX_LISTED_COLUMNS = 12
 """Most names that a message lists."""
 
 
@@ -165,8 +165,10 @@ def converted(
 
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:
-    shown = between.join(map(repr, names[:LISTED]))
-    return shown + (f" and {len(names) - LISTED} more" if len(names) > LISTED else "")
+    shown = between.join(map(repr, names[:MAX_LISTED_COLUMNS]))
+    return shown + (
+        f" and {len(names) - MAX_LISTED_COLUMNS} more" if len(names) > MAX_LISTED_COLUMNS else ""
+    )
 
 
 def _quoted(channel: str, name: str) -> str:

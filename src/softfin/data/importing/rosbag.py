@@ -29,7 +29,7 @@ from softfin.storage.bag.messages import (
     type_store,
 )
 from softfin.storage.bag.recovery import check_bag
-from softfin.storage.bag.zero import Force, parse_zero, zeros_at
+from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 
@@ -45,7 +45,7 @@ TOPIC_CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
     "wrench": ("force_x", "force_y"),
 }
 
-LISTED = 12
+MAX_LISTED_TOPICS = 12
 """Most topics that a message lists."""
 
 
@@ -101,7 +101,11 @@ def _read_topic(
     kind = there.get(topic, "")
     if not connections:
         listed = (
-            _plain(", ".join(f"{topic} ({kind})" for topic, kind in sorted(there.items())[:LISTED]))
+            _plain(
+                ", ".join(
+                    f"{topic} ({kind})" for topic, kind in sorted(there.items())[:MAX_LISTED_TOPICS]
+                )
+            )
             or "no topics"
         )
         fitting = [other for other, kind in there.items() if kind in READABLE_TYPES[role]]
@@ -159,7 +163,7 @@ def _read_topic(
     return Track(time, channels), issues
 
 
-def _read_zeros(reader: Reader) -> list[tuple[float, Force]]:
+def _read_zeros(reader: Reader) -> list[tuple[float, RestForce]]:
     """Time [s] and value [N] of each zero that softfin measured at rest while it recorded."""
     connections = [
         each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING
@@ -175,7 +179,7 @@ def _read_zeros(reader: Reader) -> list[tuple[float, Force]]:
 
 
 def _less_zero(
-    force: Track, zeros: list[tuple[float, Force]], config: ImportConfig, name: str
+    force: Track, zeros: list[tuple[float, RestForce]], config: ImportConfig, name: str
 ) -> tuple[Track, list[Issue]]:
     """Subtract the zeros from a force, as the session did for its controller and its logs; a bag's
     force is raw."""
@@ -202,7 +206,10 @@ def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, flo
     if kind == JOINT_STATE:
         names = list(message.name)
         if joint not in names and (joint or len(message.position) != 1):
-            listed = _plain(", ".join(names[:LISTED])) or f"{len(message.position)} without names"
+            listed = (
+                _plain(", ".join(names[:MAX_LISTED_TOPICS]))
+                or f"{len(message.position)} without names"
+            )
             raise LogError(f"{where}: which joint? It has {listed}; name it: TOPIC:JOINT")
         index = names.index(joint) if joint in names else 0
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")

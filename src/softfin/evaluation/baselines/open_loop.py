@@ -32,8 +32,8 @@ from softfin.core.randomness import named_generator, named_key
 from softfin.core.window import moving_error
 from softfin.gaits.inverse_model import InverseConfig, find_amplitude
 
-Forces = Float[np.ndarray, "cases ticks 2"]
-References = Float[np.ndarray, "references 2"]
+MeanForces = Float[np.ndarray, "cases ticks 2"]
+ReferenceRows = Float[np.ndarray, "references 2"]
 Sines = Float[np.ndarray, "cases 3"]
 """Centre [rad], amplitude [rad] and frequency [Hz]."""
 
@@ -163,7 +163,9 @@ def repeated(gaits: Command, seconds: int) -> Command:
     return Command(*(np.asarray(part)[..., rows].astype(np.float32) for part in gaits))
 
 
-def force_errors(forces: Forces, references: References) -> Float[np.ndarray, "cases references"]:
+def force_errors(
+    forces: MeanForces, references: ReferenceRows
+) -> Float[np.ndarray, "cases references"]:
     """Error of each case at each reference: those of x and y together [N], as in Table II."""
     return np.stack(
         [moving_error(forces, reference).sum(axis=1) for reference in references], axis=1
@@ -179,7 +181,7 @@ class OpenLoopSearch(NamedTuple):
     config: SearchConfig
     seed: int
 
-    def forces(self, commands: Command) -> Forces:
+    def forces(self, commands: Command) -> MeanForces:
         """Forces of many series of commands, all with one key."""
         count = len(commands.angle)
         size = min(CHUNK, count)
@@ -194,13 +196,13 @@ class OpenLoopSearch(NamedTuple):
             [np.asarray(run_commands(plant, part, keys)[0].force[:, 0]) for part in parts]
         )[:count]
 
-    def forces_of_sines(self, sines: Sines) -> Forces:
+    def forces_of_sines(self, sines: Sines) -> MeanForces:
         """Forces of many sines."""
         return self.forces(
             ShaftSine(*sines.T).commands(self.limits, self.config.seconds * RATE_HZ)[0]
         )
 
-    def best_sines(self, references: References) -> ShaftSine:
+    def best_sines(self, references: ReferenceRows) -> ShaftSine:
         """Find the sine of least error for each reference: in a lattice, then in finer ones round
         the best of each."""
         config = self.config
@@ -238,7 +240,7 @@ class OpenLoopSearch(NamedTuple):
             ]
         return ShaftSine(*np.stack([points[error.argmin()] for points, error in tried], axis=1))
 
-    def best_gaits(self, references: References) -> Command:
+    def best_gaits(self, references: ReferenceRows) -> Command:
         """Find the gait of least error for each reference, ``(references, 6)``, of the same few
         random ones."""
         limits = self.limits

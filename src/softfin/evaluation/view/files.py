@@ -19,7 +19,7 @@ from softfin.evaluation.view.footage import Footage, choose_scale
 from softfin.evaluation.view.picture import TRAIL_TICKS, Picture
 from softfin.storage import artifact as artifacts
 
-Report = Callable[[float], None]
+ReportPart = Callable[[float], None]
 """Called with the part that is done (0 .. 1)."""
 
 SHAPE_UNIT_M = 1e-4
@@ -32,7 +32,7 @@ def shown_ticks(ticks: int, frames_per_second: int) -> range:
     return range((ticks - 1) % step, ticks, step)
 
 
-def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Report) -> None:
+def write_gif(path: Path, picture: Picture, frames_per_second: int, report: ReportPart) -> None:
     """Write all frames, in a loop. All of them share a palette, so that what stays costs no
     bytes."""
     ticks = shown_ticks(len(picture.footage.shape), frames_per_second)

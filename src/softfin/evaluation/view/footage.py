@@ -26,8 +26,8 @@ MEAN_LONGEST = 0.4
 """Length of the arrows of the greatest force, and of the greatest reference or mean force, over
 that of the fin; the second would be too short to see beside the peaks of a stroke."""
 
-Range = tuple[float, float]
-Series = Float[np.ndarray, "ticks 2"]
+AxisRange = tuple[float, float]
+FootageSeries = Float[np.ndarray, "ticks 2"]
 NONE = np.zeros((1, 2))
 
 
@@ -38,7 +38,7 @@ class Footage(NamedTuple):
     """Fields ``(ticks,)``: the command under which the reading of that tick came about."""
     reading: Reading
     """Fields ``(ticks,)``, force ``(ticks, 2)``."""
-    true_force: Series | None
+    true_force: FootageSeries | None
     """Force on the mount without the errors of the sensor [N]; None if the plant has only
     readings."""
     average: Float[np.ndarray, "windows 2"]
@@ -54,11 +54,11 @@ class Footage(NamedTuple):
     thickness: Float[np.ndarray, " points"]
     """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is
     not a tank."""
-    reference: Series | None
+    reference: FootageSeries | None
     """The force that a controller was asked for [N]."""
 
     @property
-    def force(self) -> Series:
+    def force(self) -> FootageSeries:
         """Force that is drawn [N]: the true one if it is known, else the reading."""
         return np.asarray(self.reading.force if self.true_force is None else self.true_force)
 
@@ -69,7 +69,7 @@ plant lacks."""
 
 
 def film(
-    plant: Plant, key: PRNGKeyArray, commands: Command, reference: Series | None = None
+    plant: Plant, key: PRNGKeyArray, commands: Command, reference: FootageSeries | None = None
 ) -> Footage:
     """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where
     there is one."""
@@ -93,7 +93,9 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
     return shots
 
 
-def develop(plant: Plant, command: Command, shots: Shots, reference: Series | None) -> Footage:
+def develop(
+    plant: Plant, command: Command, shots: Shots, reference: FootageSeries | None
+) -> Footage:
     """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for
     wrong shapes."""
     reading, shape, true_force = shots
@@ -147,12 +149,12 @@ class Scale(NamedTuple):
     """Scale of the reference and the mean force."""
     mean_key_n: float
     """A round force for their key [N]."""
-    x: Range
+    x: AxisRange
     """Seen part of the tank [m]."""
-    y: Range
-    force: Range
+    y: AxisRange
+    force: AxisRange
     """Axis of the force traces [N]."""
-    angle: Range
+    angle: AxisRange
     """Axis of the angle's trace [rad]."""
 
 
@@ -166,7 +168,7 @@ def max_sizes(footage: Footage) -> Float[np.ndarray, "2"]:
 
 
 def choose_scale(
-    footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: Range | None = None
+    footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: AxisRange | None = None
 ) -> Scale:
     """Return the scale by which fin and arrows stay in the picture at every tick.
 
@@ -215,6 +217,6 @@ def round_down(value: float) -> float:
     return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
 
 
-def _padded(low: float, high: float) -> Range:
+def _padded(low: float, high: float) -> AxisRange:
     pad = 0.06 * max(high - low, 1e-3)
     return low - pad, high + pad

@@ -22,8 +22,8 @@ from softfin.core.action_clock import MAX_ACTION_TICKS, WINDOW
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, Command, Limits
 from softfin.evaluation.view.footage import (
+    AxisRange,
     Footage,
-    Range,
     Scale,
     choose_scale,
     develop,
@@ -34,7 +34,7 @@ from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, style
 from softfin.tank import Tank
 
 Image = UInt8[np.ndarray, "height width 3"]
-Points = Float[np.ndarray, "points 2"]
+OutlinePoints = Float[np.ndarray, "points 2"]
 
 FIN = "#3E4C59"
 WATER = "#F1F6FA"
@@ -94,7 +94,7 @@ class Picture:
         return np.array(self._canvas.buffer_rgba())[..., :3]
 
     def _add_polygon(
-        self, axes: Axes, colour: str, outline: Callable[[int], Points], alpha: float = 1.0
+        self, axes: Axes, colour: str, outline: Callable[[int], OutlinePoints], alpha: float = 1.0
     ) -> Polygon:
         polygon = Polygon(
             np.zeros((3, 2)), closed=True, facecolor=colour, edgecolor="none", alpha=alpha
@@ -115,13 +115,15 @@ class Picture:
         axes.grid(color="white", linewidth=1.0)
         axes.set_title(title, weight="bold")
 
-        def fin(ago: int, tick: int) -> Points:
+        def fin(ago: int, tick: int) -> OutlinePoints:
             return fin_outline(self.footage.shape[max(tick - ago, 0)], self.footage.thickness)
 
         def mean(tick: int) -> Any:
             return self.footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
 
-        def arrow(vector: Callable[[int], Any], metres: float, width: float, tick: int) -> Points:
+        def arrow(
+            vector: Callable[[int], Any], metres: float, width: float, tick: int
+        ) -> OutlinePoints:
             return arrow_outline(np.asarray(vector(tick) * metres, float), width * ARROW * length)
 
         for ago, alpha in zip(
@@ -316,7 +318,7 @@ class EpisodeFilm:
         return self._picture.frame(-1)
 
 
-def _filling(x: Range, y: Range) -> tuple[Range, Range]:
+def _filling(x: AxisRange, y: AxisRange) -> tuple[AxisRange, AxisRange]:
     """Both ranges, the one that is too short for the shape of the panel made longer at both
     ends."""
     width = x[1] - x[0]
@@ -326,7 +328,7 @@ def _filling(x: Range, y: Range) -> tuple[Range, Range]:
     return (x[0] - more_x, x[1] + more_x), (y[0] - more_y, y[1] + more_y)
 
 
-def smooth(points: Points) -> Float[np.ndarray, "pieces 2"]:
+def smooth(points: OutlinePoints) -> Float[np.ndarray, "pieces 2"]:
     """A curve through the points (Catmull and Rom 1974)."""
     places = np.arange(len(points))
     curve = CubicHermiteSpline(places, points, np.gradient(points, axis=0))
@@ -334,7 +336,7 @@ def smooth(points: Points) -> Float[np.ndarray, "pieces 2"]:
 
 
 def fin_outline(
-    middle: Points, thickness: Float[np.ndarray, " points"]
+    middle: OutlinePoints, thickness: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, "corners 2"]:
     """Outline of a fin with `thickness` at the points of its middle line, smoothed, with a rounded
     tip."""

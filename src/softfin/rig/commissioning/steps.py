@@ -44,7 +44,7 @@ RECEIVE_BUFFER_SETTING = Path("/proc/sys/net/core/rmem_max")
 
 ANGLE_TOLERANCE_RAD = 0.02
 WEIGHT_KG = 1.0
-GRAVITY_M_S2 = 9.81
+WEIGHT_GRAVITY_M_S2 = 9.81
 WEIGHT_TOLERANCE = 0.02
 
 SMALL_RAD = 0.3
@@ -242,7 +242,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
     rig = context.rig()
     rig.sensor.open()
     try:
-        weight_n = WEIGHT_KG * GRAVITY_M_S2
+        weight_n = WEIGHT_KG * WEIGHT_GRAVITY_M_S2
         for number, axis in enumerate("xy"):
             operator.wait(
                 f"Pull with {WEIGHT_KG:g} kg along +{axis} (docs/rig.md, Axes: which way that is)"

@@ -62,7 +62,7 @@ class _Client(socketserver.BaseRequestHandler):
                 time.sleep(0.05)
                 notifier = can.Notifier(bus, [self._forward], STOP_CHECK_S)
                 try:
-                    for message in map(parse, lines):
+                    for message in map(parse_frame, lines):
                         if message is None:
                             return
                         bus.send(message)
@@ -87,7 +87,7 @@ class _Client(socketserver.BaseRequestHandler):
                 yield from (f"{line.strip()} >" for line in lines)
 
 
-def parse(line: str) -> can.Message | None:
+def parse_frame(line: str) -> can.Message | None:
     """The frame in a line of a client, of 11-bit identifiers alone; None where there is none."""
     match = _SEND.fullmatch(line)
     data = bytes(int(part, 16) for part in match[3].split()) if match else b""

@@ -33,7 +33,7 @@ from softfin.rig.simulated_network import open_bus
 
 MOTION_STEP_S = 0.005
 RECEIVE_TIMEOUT_S = 0.05
-STANDSTILL_RPM = 5
+EMULATED_STANDSTILL_RPM = 5
 """Velocity of the motor at which a fault reaction ends, and the voltage is taken."""
 
 
@@ -276,7 +276,7 @@ class EmulatedDrive:
                 self._enter(drive_motor.BY_ITSELF.get(self.state, self.state))
                 if (
                     self.state is State.FAULT_REACTION_ENABLED
-                    and abs(self.motor.rpm) <= STANDSTILL_RPM
+                    and abs(self.motor.rpm) <= EMULATED_STANDSTILL_RPM
                 ):
                     self._enter(State.FAULT)
                 if self.state is State.OPERATION_ENABLED and self._is_behind():

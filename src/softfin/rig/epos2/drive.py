@@ -38,7 +38,7 @@ class Epos2(Exchange):
         try:
             self.connection.open()
             self.foreign_ids = procedures.refuse_others(self.connection, self.config)
-            procedures.identify(self.connection)
+            procedures.identify_drive(self.connection)
             self.serial = procedures.read_optional(self.connection, protocol.SERIAL_NUMBER)
         except BaseException:
             self.connection.close()
@@ -50,7 +50,7 @@ class Epos2(Exchange):
         again on failure."""
         self.connect()
         try:
-            self.notes = procedures.check(self.connection, self.config)
+            self.notes = procedures.check_settings(self.connection, self.config)
             self.powered = False
             self.owned = True
             self.connection.send(

@@ -68,7 +68,7 @@ def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[i
     return foreign_ids
 
 
-def identify(connection: CanConnection) -> None:
+def identify_drive(connection: CanConnection) -> None:
     """Raise RigError where the node does not answer."""
     try:
         connection.read(protocol.DEVICE_TYPE)
@@ -149,7 +149,7 @@ def settings(config: Epos2Config) -> tuple[Setting, ...]:
     )
 
 
-def check(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
+def check_settings(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
     """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the
     rig's file says.
 

@@ -18,7 +18,7 @@ from mcap.records import Channel, Footer, Message, Schema
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.printable import printable
 from softfin.rig.monitor.summary import MAX_CHARACTERS, ROLES, Summary, Trace, summarize
-from softfin.storage.bag.recovery import MAGIC, RawRecord, decode, read_records
+from softfin.storage.bag.recovery import MAGIC, RawRecord, decode_bag_record, read_records
 from softfin.storage.formats import check_file_format
 from softfin.storage.paths import check_monitored
 
@@ -183,7 +183,7 @@ class Follower:
     def _take(self, raw: RawRecord) -> None:
         """Take a record in; one that is damaged is counted and passed over."""
         try:
-            records = decode(raw)
+            records = decode_bag_record(raw)
         except LogError:
             self._damaged += 1
             return

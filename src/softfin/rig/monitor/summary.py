@@ -13,7 +13,7 @@ from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
 from softfin.storage.bag import messages
 from softfin.storage.bag.messages import JOINT_STATE, TYPES, WRENCH_STAMPED, type_store
-from softfin.storage.bag.zero import Force, parse_zero, zeros_at
+from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
 
 MAX_ROWS = 30_000
 """Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1
@@ -101,7 +101,7 @@ class Trace:
         """Rows that would fill them."""
         self.last: float | None = None
         """Time of the message that came last, decoded or not [s]."""
-        self.zeros: Sequence[tuple[float, Force]] = ()
+        self.zeros: Sequence[tuple[float, RestForce]] = ()
         """Zeros of the force, each with the time at which it was measured [s]; `less_zero`
         subtracts them."""
         self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MAX_ROWS)
@@ -130,7 +130,7 @@ class Trace:
         while len(self.rows) > 1 and self.rows[1].time < since:
             self.rows.popleft()
 
-    def recorded_zeros(self) -> list[tuple[float, Force]]:
+    def recorded_zeros(self) -> list[tuple[float, RestForce]]:
         """Return the zeros of the force that events record, each with the time at which it was
         measured [s]."""
         parsed = ((row.time, parse_zero(str(row.values[0]))) for row in self.rows)

@@ -148,7 +148,7 @@ class Subscription(Generic[Value]):
         for data, received in self._subscriber.take():
             self.received += 1
             try:
-                message = decode(data, self.kind)
+                message = decode_ros_message(data, self.kind)
                 value = self._read(message)
             except (ValueError, OverflowError) as error:
                 self.refused += 1
@@ -168,7 +168,7 @@ class Subscription(Generic[Value]):
         return self._subscriber.mismatched()
 
 
-def decode(data: bytes, kind: str) -> Any:
+def decode_ros_message(data: bytes, kind: str) -> Any:
     """A message of ROS 2's own types from CDR; raises ValueError where the bytes are not such a
     message."""
     try:

@@ -7,7 +7,7 @@ from typing import Generic, TypeVar
 from softfin.core.errors import DeviceError
 from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 
-Value = TypeVar("Value")
+InputValue = TypeVar("InputValue")
 
 MAX_REMARKS = 20
 """Different remarks that are reported; more are only counted."""
@@ -27,12 +27,12 @@ class OnceReporter:
             self.report(line)
 
 
-class NewestReference(Generic[Value]):
+class NewestReference(Generic[InputValue]):
     """The newest reference of a topic, for as long as it counts."""
 
     def __init__(
         self,
-        subscription: Subscription[Value],
+        subscription: Subscription[InputValue],
         timeout_s: float | int | None,
         clock: Callable[[], float],
         once: OnceReporter,
@@ -43,11 +43,11 @@ class NewestReference(Generic[Value]):
         self._timeout = timeout_s
         self._clock = clock
         self._once = once
-        self._newest: tuple[float, Value] | None = None
+        self._newest: tuple[float, InputValue] | None = None
         self.is_lost = False
         """Whether references came, and the newest is too old."""
 
-    def newest(self) -> Value | None:
+    def newest(self) -> InputValue | None:
         """The newest reference that counts; None where none has come, or the newest is too old,
         which is reported."""
         try:

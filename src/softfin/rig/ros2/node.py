@@ -14,7 +14,7 @@ from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import VECTOR, Subscription, Transport, read_reference_message
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
-from softfin.rig.session import Force
+from softfin.rig.session import MeasuredForce
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
@@ -70,7 +70,7 @@ class RosNode:
             self._unsent += 1
             self._report_once(str(error))
 
-    def reference(self) -> Force | None:
+    def reference(self) -> MeasuredForce | None:
         """The newest reference that counts; where it is too old, no force or None, as
         configured."""
         newest = self._references.newest()
@@ -110,7 +110,7 @@ class RosNode:
             "unsent": self._unsent,
         }
 
-    def _tracked(self, message: object) -> Force:
+    def _tracked(self, message: object) -> MeasuredForce:
         """The reference that is tracked for a message; raises ValueError where it is refused."""
         force = read_reference_message(message, self.config.frame)
         limit = self.config.reference_limit_n

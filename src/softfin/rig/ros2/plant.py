@@ -106,7 +106,7 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
     return types
 
 
-class Commands:
+class SentCommands:
     """Commands as messages, repeated while they are in force, and the set-point that goes to the
     target meanwhile."""
 
@@ -170,7 +170,7 @@ class _Topics(NamedTuple):
     transport: Transport
     joint: Subscription[tuple[float, float | None]]
     wrench: Subscription[Wrench]
-    commands: Commands
+    commands: SentCommands
     stop: Publisher | None
 
 
@@ -266,7 +266,7 @@ class Ros2Machine:
             )
             kind = flipper.type if flipper else JOINT_STATE
             publisher = transport.publish(config.command_topic, kind, COMMAND_DEADLINE_S)
-            commands = Commands(
+            commands = SentCommands(
                 publisher, encode, 1 / (flipper.rate_hz if flipper else COMMAND_RATE_HZ)
             )
             stop = None if config.stop_topic is None else transport.publish(config.stop_topic, BOOL)

@@ -28,7 +28,7 @@ from softfin.rig.ros2.connection import (
 )
 from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.stop import StopRequest
-from softfin.robot.allocation import Allocation, Forces
+from softfin.robot.allocation import Allocation, FinForces
 from softfin.robot.bracing import BracedAllocation
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
@@ -108,7 +108,7 @@ class RobotNode:
         )
         self._wrenches = NewestReference(wrenches, config.reference_timeout_s, clock, self._once)
         self._stop = EmergencyStop(transport, config.stop_topic, self._once)
-        self._rest: Forces = np.zeros((len(self.fins), 2))
+        self._rest: FinForces = np.zeros((len(self.fins), 2))
         self._forces = self._rest
         self._brace = self._rest
 

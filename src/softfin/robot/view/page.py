@@ -21,14 +21,14 @@ from softfin.storage import artifact as artifacts
 FRAME_TICKS = 5
 """Ticks between two frames of the page, which blends in between."""
 
-SHAPE_UNIT_M = 1e-4
+ROBOT_SHAPE_UNIT_M = 1e-4
 """Unit of the fins' shapes, which are whole numbers: finer than a pixel, in few bytes."""
 
 FIN_SPAN_M = 0.081
 """Width at which a fin is drawn [m]."""
 
 
-def write_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
+def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
     """Write the page: nothing is fetched."""
     folder = importlib.resources.files("softfin.robot.view")
     template, script = (
@@ -41,7 +41,7 @@ def write_page(path: Path, robot: RobotConfig, record: Record, title: str) -> No
         .render(
             title=title,
             trial=Markup(
-                json.dumps(to_dict(robot, record), separators=(",", ":"), allow_nan=False)
+                json.dumps(record_to_dict(robot, record), separators=(",", ":"), allow_nan=False)
             ),
             library=Markup(library),
             script=Markup(with_canvas(script)),
@@ -50,7 +50,7 @@ def write_page(path: Path, robot: RobotConfig, record: Record, title: str) -> No
     artifacts.write_file(path, page)
 
 
-def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
+def record_to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
     """Return the data that the page draws, as plain numbers; series are flat, row after row."""
     frames = np.arange(0, len(record.time), FRAME_TICKS)
     actions = np.minimum(
@@ -87,9 +87,9 @@ def to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
             name: [round(float(x), digits) for x in np.ravel(values)]
             for name, (values, digits) in series.items()
         },
-        "shape_unit": SHAPE_UNIT_M,
+        "shape_unit": ROBOT_SHAPE_UNIT_M,
         "points": shapes.shape[2],
-        "shapes": np.rint(shapes / SHAPE_UNIT_M).astype(int).ravel().tolist(),
+        "shapes": np.rint(shapes / ROBOT_SHAPE_UNIT_M).astype(int).ravel().tolist(),
     }
 
 

@@ -36,7 +36,7 @@ HEAD = struct.Struct("<BQ")
 MAX_RECORD_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
 
-Record: TypeAlias = Schema | Channel | Message | Footer
+BagRecord: TypeAlias = Schema | Channel | Message | Footer
 
 _KINDS: dict[int, Any] = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.FOOTER: Footer}
 
@@ -82,7 +82,7 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
         start = end
 
 
-def decode(record: RawRecord) -> list[Record]:
+def decode_bag_record(record: RawRecord) -> list[BagRecord]:
     """Decode a record, of a chunk all that it holds; raises LogError where it is damaged."""
     stream = ReadDataStream(io.BytesIO(record.content))
     try:
@@ -95,7 +95,7 @@ def decode(record: RawRecord) -> list[Record]:
             raise ValueError(
                 f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {MAX_RECORD_BYTES:,}"
             )
-        return cast(list[Record], breakup_chunk(chunk, validate_crc=True))
+        return cast(list[BagRecord], breakup_chunk(chunk, validate_crc=True))
     except (
         McapError,
         zstandard.ZstdError,
@@ -109,7 +109,7 @@ def decode(record: RawRecord) -> list[Record]:
         raise LogError(f"a {what} that cannot be decoded ({one_line(error)})") from None
 
 
-def scan(path: Path) -> Iterator[Record | Damage]:
+def scan(path: Path) -> Iterator[BagRecord | Damage]:
     """Yield the records of a file in order, those in chunks too, and each damage where it is
     met."""
     try:
@@ -133,7 +133,7 @@ def check_bag(path: Path) -> None:
             )
 
 
-def _scan(file: io.BufferedIOBase, size: int) -> Iterator[Record | Damage]:
+def _scan(file: io.BufferedIOBase, size: int) -> Iterator[BagRecord | Damage]:
     if file.read(len(MAGIC)) != MAGIC:
         yield Damage(0, size, "it does not begin as MCAP")
         return
@@ -158,9 +158,9 @@ def _scan(file: io.BufferedIOBase, size: int) -> Iterator[Record | Damage]:
     yield Damage(at, size - at - saved, reason if at < size else "it has no end")
 
 
-def _decode(record: RawRecord) -> list[Record] | list[Damage]:
+def _decode(record: RawRecord) -> list[BagRecord] | list[Damage]:
     try:
-        return decode(record)
+        return decode_bag_record(record)
     except LogError as error:
         return [Damage(record.start, record.end - record.start, str(error))]
 

@@ -10,26 +10,26 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-Force = tuple[float, float]
+RestForce = tuple[float, float]
 """Force (x, y) [N]."""
 
 NUMBER = r"(-?\d{1,15}\.\d{4})"
 EVENT = re.compile(rf"force at rest: \({NUMBER}, {NUMBER}\) N")
 
 
-def zero_event(zero: Force) -> str:
+def zero_event(zero: RestForce) -> str:
     """Return the text of the event that records a zero [N]."""
     return f"force at rest: ({zero[0]:.4f}, {zero[1]:.4f}) N"
 
 
-def parse_zero(text: str) -> Force | None:
+def parse_zero(text: str) -> RestForce | None:
     """Return the zero [N] that an event records; None for any other event."""
     match = EVENT.fullmatch(text)
     return None if match is None else (float(match[1]), float(match[2]))
 
 
 def zeros_at(
-    zeros: Sequence[tuple[float, Force]], time: Float[np.ndarray, "rows"]
+    zeros: Sequence[tuple[float, RestForce]], time: Float[np.ndarray, "rows"]
 ) -> Float[np.ndarray, "rows 2"]:
     """Return the zero [N] of each time: the last one measured by then, before the first measurement
     the first one.

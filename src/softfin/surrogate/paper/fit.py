@@ -31,7 +31,7 @@ from softfin.surrogate.training import (
     TrainingState,
     check_lengths,
     hold_out,
-    keep_best,
+    keep_best_nets,
 )
 
 
@@ -61,7 +61,7 @@ class Nets(NamedTuple):
     forcenet: Any
 
 
-def fit(
+def fit_paper(
     logs: Sequence[Log],
     config: FitConfig,
     seed: int,
@@ -95,7 +95,7 @@ def fit(
                 note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
                 progress("fit", (epoch + call / calls) / config.epochs, note)
         held_out = Nets(*(_mean_square_error(net, scaling, holding) for net in state.nets))
-        state, improved = keep_best(state, losses, held_out, "networks")
+        state, improved = keep_best_nets(state, losses, held_out, "networks")
         done = {"epoch": epoch + 1, "stale": 0 if improved else done["stale"] + 1}
         means = {"train": Nets(*np.mean(losses, axis=0)), "held_out": held_out}
         scalars = {

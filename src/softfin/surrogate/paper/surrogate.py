@@ -23,7 +23,7 @@ from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
-from softfin.surrogate.training import named, restored
+from softfin.surrogate.training import name_net_arrays, restored
 
 
 class SurrogateState(NamedTuple):
@@ -172,7 +172,7 @@ class Surrogate(eqx.Module):
             "networks": {name: net.config.model_dump(mode="json") for name, net in nets.items()},
             "parameters": {name: net.config.parameters() for name, net in nets.items()},
             "scaling": self.scaling.model_dump(mode="json")["channels"],
-        }, named({name: net.layers for name, net in nets.items()})
+        }, name_net_arrays({name: net.layers for name, net in nets.items()})
 
     @classmethod
     def from_files(

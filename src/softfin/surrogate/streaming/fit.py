@@ -39,15 +39,15 @@ from softfin.surrogate.streaming.ensemble import (
 from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
 from softfin.surrogate.streaming.profile import identify
 from softfin.surrogate.streaming.segments import (
-    Motion,
     Scales,
     SegmentBatch,
+    ShaftMotion,
     Table,
     measure_scales,
     slices,
 )
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
-from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best
+from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best_nets
 
 WARM_UP = 100
 """Updates in which the learning rate rises."""
@@ -55,7 +55,9 @@ WARM_UP = 100
 MAX_SCORINGS = 10
 """Times that a network is scored on the held-out logs while it is trained."""
 
-Loss = Callable[[Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]]
+NetLoss = Callable[
+    [Any, SegmentBatch, ShaftMotion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]
+]
 """Loss of one member: (net, segments, predicted motion, part of the training done, key, config)."""
 
 
@@ -105,7 +107,7 @@ class StreamingLearner:
     """The updates of one kind of network, compiled once: all members' weights a step further, side
     by side."""
 
-    def __init__(self, loss: Loss, config: StreamingConfig, updates: int) -> None:
+    def __init__(self, loss: NetLoss, config: StreamingConfig, updates: int) -> None:
         self.loss = loss
         self.config = config
         self.updates = updates
@@ -126,7 +128,7 @@ class StreamingLearner:
         self,
         state: TrainingState,
         table: Table,
-        predicted: Motion,
+        predicted: ShaftMotion,
         first: Int[Array, ""],
         count: int,
         key: PRNGKeyArray,
@@ -135,7 +137,7 @@ class StreamingLearner:
         losses."""
 
         def member(
-            net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray
+            net: Any, optimiser: Any, predicted: ShaftMotion, number: Array, key: PRNGKeyArray
         ) -> Any:
             draw, key = jax.random.split(key)
             segments = table.draw(draw, self.config.batch, self.config.ticks)
@@ -159,7 +161,7 @@ class StreamingLearner:
         return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
 
 
-def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
+def motion_error(predicted: ShaftMotion, measured: ShaftMotion | Reading, scales: Scales) -> Any:
     """Square error of angle and velocity, each in its own unit."""
     angle = (predicted.angle - measured.angle) / scales.angle_rad
     velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
@@ -169,7 +171,7 @@ def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) 
 def drive_loss(
     net: FollowingNet,
     segments: SegmentBatch,
-    _: Motion,
+    _: ShaftMotion,
     __: Array,
     ___: PRNGKeyArray,
     config: StreamingConfig,
@@ -183,7 +185,7 @@ def drive_loss(
 def force_loss(
     net: ForceNet,
     segments: SegmentBatch,
-    predicted: Motion,
+    predicted: ShaftMotion,
     done: Array,
     key: PRNGKeyArray,
     config: StreamingConfig,
@@ -217,7 +219,7 @@ def fit_streaming(
         config.members, config.drive, config.force, scales, named_key(seed, "fit/weights")
     )
     updates = {"drive": config.drive_updates, "force": config.force_updates}
-    losses: dict[str, Loss] = {"drive": drive_loss, "force": force_loss}
+    losses: dict[str, NetLoss] = {"drive": drive_loss, "force": force_loss}
     learners = {
         name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()
     }
@@ -235,7 +237,7 @@ def fit_streaming(
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
 
-    def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
+    def learn(name: str, predicted: ShaftMotion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
         """Do all updates of one kind of network; return the best by `errors` on held-out logs,
         ``(members, rows)``."""
         key = named_key(seed, f"fit/{name}")
@@ -256,7 +258,7 @@ def fit_streaming(
                     progress("fit", part, f"{name} networks, loss {float(loss.mean()):.3g}")
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
-            states[name], _ = keep_best(state, losses, held_out, f"{name} networks")
+            states[name], _ = keep_best_nets(state, losses, held_out, f"{name} networks")
             done[name] = until
             means = {f"train/{name}_loss": loss.mean(), f"held_out/{name}_mse": held_out.mean()}
             record.write(before + until, **jax.tree.map(float, means))
@@ -271,10 +273,10 @@ def fit_streaming(
         each = zip(predict_force(nets, held_motion), holding, strict=True)
         return [((force - log.reading.force)[:, burn_in:] ** 2).sum(axis=-1) for force, log in each]
 
-    not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
+    not_used = ShaftMotion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
     drives = learn("drive", not_used, drive_errors)
     motion = predict_motion(drives, training)
-    joined = Motion(
+    joined = ShaftMotion(
         *(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True))
     )
     held_motion = predict_motion(drives, holding)

@@ -24,11 +24,16 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
 from softfin.storage.run_directory import RunDirectory
 from softfin.tank import TankConfig
-from softfin.tank.calibration.config import CalibrateConfig, Point, RecordingConfig, list_parameters
+from softfin.tank.calibration.config import (
+    CalibrateConfig,
+    CalibrationPoint,
+    RecordingConfig,
+    list_parameters,
+)
 from softfin.tank.calibration.model import FITTED_CHANNELS, Segments, Space, cut, read, stacked
 from softfin.tank.calibration.search import Losses, determination, misfits, polish, search
 
-Scores: TypeAlias = dict[str, dict[str, float]]
+ChannelScores: TypeAlias = dict[str, dict[str, float]]
 """For each channel ``r2``, ``rmse``, means and standard deviations."""
 
 TRACE_S = 10
@@ -135,7 +140,7 @@ def calibrate_tank(
         done = resumed[1]["generation"]
     record = run_directory.log(rewind_to=done)
 
-    def loss(points: Sequence[Point]) -> Float[np.ndarray, "population"]:
+    def loss(points: Sequence[CalibrationPoint]) -> Float[np.ndarray, "population"]:
         return np.asarray(misfits(errors, points) @ weights, np.float32)
 
     def searched(generation: int, losses: Losses) -> None:
@@ -158,7 +163,9 @@ def calibrate_tank(
     return Calibration(*space.configs(linear.point), found, fitted, unseen)
 
 
-def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments) -> Scores:
+def scores(
+    modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments
+) -> ChannelScores:
     """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is
     measured and modelled."""
     rows = {}
@@ -178,7 +185,7 @@ def scores(modelled: Float[np.ndarray, "segments ticks channels"], segments: Seg
 
 
 def calibration_figure(
-    test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: Scores
+    test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: ChannelScores
 ) -> Figure:
     """Draw the test segment of median error, and the mean forces over 2 s of all."""
     measured = np.asarray(test.measured)

@@ -19,14 +19,14 @@ from softfin.core.errors import ConfigurationError
 from softfin.data.excitation import ExcitationConfig
 from softfin.tank import TankConfig
 
-Range = tuple[float, float]
-Ranges = dict[str, dict[str, Range | None]]
+CalibrationRange = tuple[float, float]
+Ranges = dict[str, dict[str, CalibrationRange | None]]
 """Range of each number, by group and name; None keeps the number."""
 
-Point = Float[np.ndarray, "parameters"]
+CalibrationPoint = Float[np.ndarray, "parameters"]
 """Scaled coordinates of the parameters, 0 .. 1."""
 
-FREE: dict[str, Range] = {
+FREE: dict[str, CalibrationRange] = {
     "drive.acceleration_rad_s2": (5.0, 500.0),
     "drive.dead_time_s": (0.0, 0.15),
     "drive.lag_s": (0.001, 0.3),
@@ -133,7 +133,7 @@ class Parameter(NamedTuple):
         return float(width)
 
 
-def every_range(free: Mapping[str, Range] = FREE) -> Ranges:
+def every_range(free: Mapping[str, CalibrationRange] = FREE) -> Ranges:
     """Return all numbers of a tank and a recording by group, with the range of those that are
     free."""
     groups = {group: value for group, value in TankConfig() if isinstance(value, Configuration)}
@@ -223,7 +223,7 @@ class CalibrateConfig(Configuration):
     errors are computed."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Excitation of a plant that is to be fitted; logs bring their own commands."""
-    velocity_rad_s: Range | None = None
+    velocity_rad_s: CalibrationRange | None = None
     """Range of the velocities that the plant is commanded in the excitation; null: that of its
     limits."""
 

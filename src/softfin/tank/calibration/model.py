@@ -28,7 +28,12 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant
 from softfin.tank import Tank, TankConfig
-from softfin.tank.calibration.config import CalibrateConfig, Parameter, Point, RecordingConfig
+from softfin.tank.calibration.config import (
+    CalibrateConfig,
+    CalibrationPoint,
+    Parameter,
+    RecordingConfig,
+)
 from softfin.tank.sensor import config_arrays
 
 FITTED_CHANNELS = ("angle", "force_x", "force_y")
@@ -146,7 +151,9 @@ def _of_plant(
     )
 
 
-Errors = Callable[[Sequence[Point]], Iterator[Float[np.ndarray, "segments compared channels"]]]
+Errors = Callable[
+    [Sequence[CalibrationPoint]], Iterator[Float[np.ndarray, "segments compared channels"]]
+]
 """Function from points to the errors of each, divided by each channel's standard deviation."""
 
 QUIET = {
@@ -233,7 +240,7 @@ class Space:
             [parameter.scaled(self._present(parameter)) for parameter in self.parameters]
         )
 
-    def configs(self, point: Point) -> tuple[TankConfig, RecordingConfig]:
+    def configs(self, point: CalibrationPoint) -> tuple[TankConfig, RecordingConfig]:
         """Return the tank and the recording at a point."""
         values = {p.name: p.value(float(at)) for p, at in zip(self.parameters, point, strict=True)}
         return self._built(values, "calibration")
@@ -242,7 +249,7 @@ class Space:
         """Return the function that simulates points against segments, `batch` at once."""
 
         def errors(
-            points: Sequence[Point],
+            points: Sequence[CalibrationPoint],
         ) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
             for start in range(0, len(points), batch):
                 some = [self.configs(point) for point in points[start : start + batch]]

@@ -23,12 +23,12 @@ from scipy.optimize import least_squares
 
 from softfin.core.errors import RunError
 from softfin.core.randomness import cma_es, named_generator
-from softfin.tank.calibration.config import Parameter, Point
+from softfin.tank.calibration.config import CalibrationPoint, Parameter
 from softfin.tank.calibration.model import Errors
 
 Losses = Float[np.ndarray, "generations population"]
-Loss = Callable[[Sequence[Point]], Float[np.ndarray, "population"]]
-Weights = Float[np.ndarray, "channels"]
+ResidualLoss = Callable[[Sequence[CalibrationPoint]], Float[np.ndarray, "population"]]
+ChannelWeights = Float[np.ndarray, "channels"]
 """Weights of the channels, with a sum of 1."""
 
 FAILED = 1e3
@@ -44,13 +44,13 @@ samples."""
 
 
 def search(
-    loss: Loss,
-    start: Point,
+    loss: ResidualLoss,
+    start: CalibrationPoint,
     step: float,
     losses: Losses,
     seed: int,
     report: Callable[[int, Losses], None] = lambda done, losses: None,
-) -> Point:
+) -> CalibrationPoint:
     """Return the best point that was tried; `losses` are those known from before, NaN from there
     on.
 
@@ -81,7 +81,9 @@ def search(
     return best
 
 
-def misfits(errors: Errors, points: Sequence[Point]) -> Float[np.ndarray, "points channels"]:
+def misfits(
+    errors: Errors, points: Sequence[CalibrationPoint]
+) -> Float[np.ndarray, "points channels"]:
     """Return 1 - R2 of each point and channel; not finite where a tank's readings are not."""
     return np.stack(
         [np.mean(np.square(each, dtype=np.float64), axis=(0, 1)) for each in errors(points)]
@@ -92,7 +94,7 @@ class Linear(NamedTuple):
     """A model about a point: residuals, weighted so that the sum of their squares is the loss, and
     their slopes."""
 
-    point: Point
+    point: CalibrationPoint
     residuals: Float[np.ndarray, "segments compared channels"]
     jacobian: Float[np.ndarray, "parameters segments compared channels"]
 
@@ -109,7 +111,7 @@ class Linear(NamedTuple):
         return flat @ flat.T, flat @ self.residuals.reshape(-1).astype(np.float64)
 
 
-def linearised(errors: Errors, point: Point, weights: Weights) -> Linear:
+def linearised(errors: Errors, point: CalibrationPoint, weights: ChannelWeights) -> Linear:
     """Return the model about a point; central differences inside the box, one-sided ones at its
     faces."""
     up, down = (
@@ -128,15 +130,15 @@ def linearised(errors: Errors, point: Point, weights: Weights) -> Linear:
 
 def polish(
     errors: Errors,
-    start: Point,
-    weights: Weights,
+    start: CalibrationPoint,
+    weights: ChannelWeights,
     iterations: int,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
 ) -> Linear:
     """Return the model about the best point that is reached from `start` within so many steps."""
     tried: list[float] = []
 
-    def residuals(point: Point) -> Float[np.ndarray, "samples"]:
+    def residuals(point: CalibrationPoint) -> Float[np.ndarray, "samples"]:
         found = next(iter(errors([point])))
         weighted = (found * _scale(found, weights)).reshape(-1).astype(np.float64)
         tried.append(float(weighted @ weighted))
@@ -144,7 +146,7 @@ def polish(
             report(min(len(tried) - 1, iterations), float(np.nanmin(tried)))
         return np.asarray(weighted)
 
-    def slopes(point: Point) -> Float[np.ndarray, "samples parameters"]:
+    def slopes(point: CalibrationPoint) -> Float[np.ndarray, "samples parameters"]:
         # Beside the last tank with finite readings there may be none.
         jacobian = np.nan_to_num(
             linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0
@@ -165,7 +167,7 @@ def polish(
     return linearised(errors, np.asarray(found.x), weights)
 
 
-def _scale(errors: np.ndarray, weights: Weights) -> Float[np.ndarray, "channels"]:
+def _scale(errors: np.ndarray, weights: ChannelWeights) -> Float[np.ndarray, "channels"]:
     return np.asarray(np.sqrt(weights / (errors.size / len(weights))), np.float32)
 
 
