@@ -50,8 +50,8 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
     stated = [channel for channel, value in options.items() if value is not None]
     decided = {*found, *config.columns, *stated}
     found |= _recognized_columns(names, found.values(), decided, source)
-    known = {*found, *stated, "velocity"}
-    if missing := [channel for channel in CHANNELS if channel not in known]:
+    settled = {*found, *stated, "velocity"}
+    if missing := [channel for channel in CHANNELS if channel not in settled]:
         raise _missing_error(names, missing, source)
     columns = {}
     for channel in CHANNELS:

@@ -223,7 +223,7 @@ def recovered_path(path: Path) -> Path:
 
 
 class _Contents:
-    """What a bag holds, as far as it can be read."""
+    """Contents of a bag, as far as they can be read."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
