@@ -134,7 +134,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
     return valid, issues
 
 
-Rows = Int[np.ndarray, " rows"]
+Rows = Int[np.ndarray, "_"]
 """Rows of the track as it was read."""
 
 
