@@ -141,7 +141,7 @@ class LoadedController:
 
         Raises:
             RunError: outside of JAX, a measurement or the reference is not a finite number; the
-            state is as it was.
+                state is as it was.
         """
         angle, force = measured
         ops = select_operations(angle, reference, state[0])

@@ -94,7 +94,7 @@ def parse_cells(text: str, within: Cell) -> tuple[Cell, ...]:
 
     Raises:
         ConfigurationError: not a lattice or file, or cells that overlap, have no width, or leave
-        gaps without leave.
+            gaps without leave.
     """
     source = read_cells(text)
     if source is None:

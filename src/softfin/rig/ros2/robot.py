@@ -117,8 +117,7 @@ class RobotNode:
 
         Raises:
             SafetyStop: somebody asked for a stop, wrenches ended and `reference_lost` is stop, or a
-            fin is silent and
-                `silent_fin` is stop.
+                fin is silent and `silent_fin` is stop.
             DeviceError: fins were not there within `wait_s`.
         """
         pace = Pace(self._clock)
