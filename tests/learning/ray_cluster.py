@@ -107,6 +107,7 @@ class Deadly(RunDirectory):
     def load(self, like: Any) -> Any:
         """Leaves behind from which update on the attempt goes on."""
         found = super().load(like)
+        self.folder.mkdir(parents=True, exist_ok=True)
         with (self.folder / "begun").open("a") as file:
             file.write(f"{0 if found is None else found[1]['updates']}\n")
         return found
