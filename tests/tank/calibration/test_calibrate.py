@@ -9,7 +9,7 @@ import yaml
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError, PlantError
 from softfin.data.collect import CollectConfig, collect_logs
-from softfin.stages.surrogates import calibrate_tank as calibrate_stage
+from softfin.stages.surrogates import calibrate as calibrate_stage
 from softfin.storage.artifact import dump_json
 from softfin.storage.dataset import write_dataset
 from softfin.storage.log_file import read_log
