@@ -22,7 +22,7 @@ from softfin.surrogate.paper.network import NetworkConfig
 from softfin.surrogate.streaming.ensemble import ensemble, single
 from softfin.surrogate.streaming.fit import StreamingLearner, force_loss
 from softfin.surrogate.streaming.nets import products
-from softfin.surrogate.streaming.segments import MAX_DELAY, Scales, ShaftMotion, Table
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales, Table
 
 ROWS = 400_000
 UPDATES = 25
@@ -89,8 +89,8 @@ def streaming_updates(random: np.random.Generator) -> tuple[Callable[[], Any], i
     columns = [jnp.asarray(random.normal(size=ROWS), jnp.float32) for _ in range(4)]
     force = jnp.asarray(random.normal(size=(ROWS, 2)), jnp.float32)
     starts = jnp.arange(MAX_DELAY, ROWS - config.ticks, dtype=jnp.int32)
-    table = Table(Command(*columns[:2]), ShaftMotion(*columns[2:]), force, starts)
-    foretold = ShaftMotion(*(jnp.tile(column, (config.members, 1)) for column in columns[2:]))
+    table = Table(Command(*columns[:2]), Motion(*columns[2:]), force, starts)
+    foretold = Motion(*(jnp.tile(column, (config.members, 1)) for column in columns[2:]))
     learner = StreamingLearner(force_loss, config, config.force_updates)
     state = learner.start(members.force)
     ticks = config.members * config.batch * config.ticks

@@ -17,7 +17,7 @@ from softfin.core.quantities import PAPER_LIMITS
 from softfin.surrogate import StreamingConfig, StreamingSurrogate
 from softfin.surrogate.paper.network import FORCENET
 from softfin.surrogate.streaming.ensemble import Familiarity, Interval, ensemble, remembered, single
-from softfin.surrogate.streaming.segments import Scales, ShaftMotion
+from softfin.surrogate.streaming.segments import Motion, Scales
 from softfin.task.task import ForceTracking, TaskConfig
 
 BATCH = 256
@@ -29,7 +29,7 @@ def streaming_layout() -> StreamingSurrogate:
     config = StreamingConfig()
     scales = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.2)
     members = ensemble(config.members, config.drive, config.force, scales, jax.random.key(0))
-    size = remembered(single(members.force).start(ShaftMotion(jnp.zeros(()), jnp.zeros(())))).size
+    size = remembered(single(members.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
     interval = Interval(coverage=0.9, factor=1.6, floor_n=0.05, windows=1, logs=10)
     return StreamingSurrogate(
         members, PAPER_LIMITS, interval, Familiarity(jnp.zeros(size), jnp.eye(size))

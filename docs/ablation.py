@@ -27,7 +27,7 @@ from softfin.surrogate import StreamingConfig
 from softfin.surrogate.compare.compare import CompareConfig
 from softfin.surrogate.streaming import ensemble
 from softfin.surrogate.streaming.nets import ForceNet, ForceState
-from softfin.surrogate.streaming.segments import ShaftMotion
+from softfin.surrogate.streaming.segments import Motion
 
 WITHOUT_QUASI_STEADY = "without the quasi-steady force"
 
@@ -45,7 +45,7 @@ VARIANTS: dict[str, tuple[str, ...]] = {
 class WithoutQuasiSteady(ForceNet):
     """A force network whose coefficients of added mass and drag stay at zero."""
 
-    def step(self, state: ForceState, motion: ShaftMotion) -> tuple[ForceState, Array]:
+    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Array]:
         """Advance by one tick, with the core alone."""
         zero = jax.tree.map(jnp.zeros_like, (self.thrust, self.resistance))
         return ForceNet.step(

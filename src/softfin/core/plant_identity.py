@@ -48,6 +48,8 @@ def identity(plant: Plant, computed: bool = False) -> str:
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
+        # The text of the structure has the names of its NamedTuples and fields: to rename one is to
+        # make every surrogate another plant, for which no map or controller was made.
         for each in () if computed else getattr(plant, "computed", ()):
             arrays = eqx.tree_at(operator.attrgetter(each), arrays, None)
         return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"

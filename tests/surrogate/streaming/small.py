@@ -23,7 +23,7 @@ from softfin.surrogate.streaming.ensemble import (
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig
 from softfin.surrogate.streaming.profile import Profile
-from softfin.surrogate.streaming.segments import MAX_DELAY, Scales, ShaftMotion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 
 SCALES = Scales(angle_rad=0.8, velocity_rad_s=2.0, change_rad_s=0.25, force_n=2.0)
 DRIVE = DriveNetConfig(units=3, hidden=4)
@@ -89,7 +89,7 @@ def interval():
 @functools.cache
 def surrogate(seed=0):
     nets = members(seed=seed)
-    size = remembered(single(nets.force).start(ShaftMotion(jnp.zeros(()), jnp.zeros(())))).size
+    size = remembered(single(nets.force).start(Motion(jnp.zeros(()), jnp.zeros(())))).size
     return StreamingSurrogate(
         nets, PAPER_LIMITS, interval(), Familiarity(jnp.zeros(size), jnp.eye(size))
     )
@@ -111,7 +111,7 @@ def commands(rows, seed=0, reach=1.5, speeds=(1.0, 3.0), held=(15, 60)):
 def followed(profile, commands):
     """The motion of a drive at rest that follows its profile: of row k what command k - 1 leads
     to."""
-    still = ShaftMotion(jnp.zeros(()), jnp.zeros(()))
+    still = Motion(jnp.zeros(()), jnp.zeros(()))
     waiting = Command(jnp.zeros(MAX_DELAY), jnp.ones(MAX_DELAY))
 
     def step(state, command):
@@ -162,7 +162,7 @@ def motion(rows, seed=0):
     rates = np.array([4.0, 7.0, 11.0])
     angle = np.sin(np.outer(time, rates) + phase) @ [0.6, 0.4, 0.2]
     velocity = np.cos(np.outer(time, rates) + phase) @ (rates * [0.6, 0.4, 0.2])
-    return ShaftMotion(jnp.asarray(angle, jnp.float32), jnp.asarray(velocity, jnp.float32))
+    return Motion(jnp.asarray(angle, jnp.float32), jnp.asarray(velocity, jnp.float32))
 
 
 def valid_rows(record, begin, end):
@@ -176,10 +176,10 @@ def rows_of_ticks(motion, ticks):
 
 def rows_of_first(log):
     """The motion that a log begins with."""
-    return ShaftMotion(jnp.asarray(log.reading.angle[0]), jnp.asarray(log.reading.velocity[0]))
+    return Motion(jnp.asarray(log.reading.angle[0]), jnp.asarray(log.reading.velocity[0]))
 
 
 def forces_of(net, reading):
     """What a network says of a measured motion from its second row on."""
-    motion = ShaftMotion(jnp.asarray(reading.angle), jnp.asarray(reading.velocity))
+    motion = Motion(jnp.asarray(reading.angle), jnp.asarray(reading.velocity))
     return jax.jit(forces)(net, motion)

@@ -6,11 +6,11 @@ import numpy as np
 from softfin.core.quantities import Command
 from softfin.surrogate.streaming.ensemble import motions
 from softfin.surrogate.streaming.nets import products
-from softfin.surrogate.streaming.segments import MAX_DELAY, ShaftMotion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion
 from tests.surrogate.streaming import small
 
 COMMANDS = Command(*map(jnp.asarray, small.commands(120, seed=1)))
-BEFORE = ShaftMotion(jnp.float32(0.2), jnp.float32(0.5))
+BEFORE = Motion(jnp.float32(0.2), jnp.float32(0.5))
 WAITING = Command(jnp.linspace(-0.5, 0.5, MAX_DELAY), jnp.full(MAX_DELAY, 2.0))
 run = eqx.filter_jit(motions)
 
@@ -37,7 +37,7 @@ def test_a_net_that_follows_says_the_profile_before_it_has_learnt():
     silent = eqx.tree_at(
         lambda net: net.core, net, replace_fn=lambda core: jax.tree.map(jnp.zeros_like, core)
     )
-    still = ShaftMotion(jnp.float32(0.0), jnp.float32(0.0))
+    still = Motion(jnp.float32(0.0), jnp.float32(0.0))
     waiting = Command(jnp.zeros(MAX_DELAY), jnp.ones(MAX_DELAY))
     said = run(silent, still, waiting, COMMANDS)
     profile = small.followed(net.profile, COMMANDS)

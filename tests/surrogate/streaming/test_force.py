@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from softfin.core.quantities import TICK_S
 from softfin.surrogate.streaming.ensemble import forces
 from softfin.surrogate.streaming.nets import products
-from softfin.surrogate.streaming.segments import ShaftMotion
+from softfin.surrogate.streaming.segments import Motion
 from tests.surrogate.streaming import small
 
 MOTION = small.motion(61)
@@ -58,9 +58,9 @@ def test_a_wake_stands_still_in_the_tank_while_the_fin_turns_and_fades_with_its_
     net = small.force_net()
     still = jax.tree.map(jnp.zeros_like, (net.along, net.across))
     net = small.eqx.tree_at(lambda net: (net.along, net.across), net, still)
-    state = net.start(ShaftMotion(jnp.float32(0.3), jnp.float32(0.0)))
+    state = net.start(Motion(jnp.float32(0.3), jnp.float32(0.0)))
     state = state._replace(wake=state.wake._replace(even=state.wake.even + 1))
-    after, _ = net.step(state, ShaftMotion(jnp.float32(0.8), jnp.float32(50.0)))
+    after, _ = net.step(state, Motion(jnp.float32(0.8), jnp.float32(50.0)))
 
     def in_tank(state):
         return small.turned(np.stack([state.wake.even, state.wake.odd], axis=1), state.motion.angle)

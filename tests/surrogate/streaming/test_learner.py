@@ -7,7 +7,7 @@ import pytest
 from softfin.core.errors import ConfigurationError
 from softfin.surrogate import StreamingConfig
 from softfin.surrogate.streaming.fit import StreamingLearner, drive_loss, force_loss
-from softfin.surrogate.streaming.segments import ShaftMotion, Table
+from softfin.surrogate.streaming.segments import Motion, Table
 from softfin.surrogate.training import keep_best_nets
 from tests.surrogate.streaming import small
 
@@ -19,7 +19,7 @@ KEY = jax.random.key(1)
 
 def predicted(shift=0.3):
     """Another motion than was measured."""
-    return ShaftMotion(SEGMENTS.motion.angle + shift, SEGMENTS.motion.velocity * (1 + shift))
+    return Motion(SEGMENTS.motion.angle + shift, SEGMENTS.motion.velocity * (1 + shift))
 
 
 @eqx.filter_jit
@@ -98,7 +98,7 @@ def learner():
 
 def test_each_member_draws_and_learns_for_itself_and_the_best_weights_of_each_are_kept(learner):
     twins = jax.tree.map(lambda x: jnp.stack([x, x]), small.force_net())
-    nowhere = ShaftMotion(*(jnp.zeros((2, 600)) for _ in range(2)))
+    nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     state, loss = learner.run(learner.start(twins), TABLE, nowhere, jnp.int32(0), 4, KEY)
     assert loss[0] != loss[1]
     moved = [
@@ -128,7 +128,7 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
 
     monkeypatch.setattr(learner, "loss", counted)
     state = learner.start(small.members().force)
-    nowhere = ShaftMotion(*(jnp.zeros((2, 600)) for _ in range(2)))
+    nowhere = Motion(*(jnp.zeros((2, 600)) for _ in range(2)))
     for first in (0, 1):
         state, _ = learner.run(state, TABLE, nowhere, jnp.int32(first), 4, KEY)
         state, _ = keep_best_nets(state, jnp.ones(2), jnp.asarray([1.0, 2.0], jnp.float32), "nets")

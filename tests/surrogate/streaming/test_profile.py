@@ -5,7 +5,7 @@ import pytest
 
 from softfin.core.quantities import TICK_S, Command
 from softfin.surrogate.streaming.profile import Profile
-from softfin.surrogate.streaming.segments import MAX_DELAY, ShaftMotion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion
 from softfin.tank.drive import Drive, DriveConfig
 from tests.surrogate.streaming import small
 
@@ -76,7 +76,7 @@ def test_a_lag_puts_the_shaft_behind_by_its_velocity():
 
 def test_a_profile_in_motion_begins_where_the_shaft_is_and_with_what_was_commanded_before():
     profile = Profile(lag=0.03, delay=MAX_DELAY)
-    now = ShaftMotion(jnp.float32(0.4), jnp.float32(1.5))
+    now = Motion(jnp.float32(0.4), jnp.float32(1.5))
     state = profile.start(now, Command(jnp.full(MAX_DELAY, 0.9), jnp.full(MAX_DELAY, 1.5)))
     for one, other in zip(profile.motion(state), now, strict=True):
         assert float(one) == pytest.approx(float(other), abs=1e-6)

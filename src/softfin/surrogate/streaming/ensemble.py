@@ -35,7 +35,7 @@ from softfin.surrogate.streaming.nets import (
     ForceNetConfig,
     ForceState,
 )
-from softfin.surrogate.streaming.segments import MAX_DELAY, Scales, ShaftMotion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 
 COVERAGE = 0.9
 """Share of the mean forces that an interval should hold."""
@@ -66,13 +66,13 @@ class Member(eqx.Module):
     drive: FollowingNet
     force: ForceNet
 
-    def start(self, motion: ShaftMotion, waiting: Command) -> MemberState:
+    def start(self, motion: Motion, waiting: Command) -> MemberState:
         """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
         return MemberState(self.drive.start(motion, waiting), self.force.start(motion))
 
     def step(
         self, state: MemberState, command: Command
-    ) -> tuple[MemberState, tuple[ShaftMotion, Float[Array, "2"]]]:
+    ) -> tuple[MemberState, tuple[Motion, Float[Array, "2"]]]:
         """Step by a tick under a command."""
         drive = self.drive.step(state.drive, command)
         force, predicted = self.force.step(state.force, drive.motion)
@@ -102,23 +102,19 @@ def parameters(module: eqx.Module) -> int:
     return sum(leaf.size for leaf in jax.tree.leaves(module))
 
 
-def motions(
-    drive: FollowingNet, before: ShaftMotion, waiting: Command, commands: Command
-) -> ShaftMotion:
+def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Motion:
     """The shaft's motion under one command a tick, ``(1 + ticks,)``: that of command k is what row
     k + 1 shows."""
 
-    def step(state: FollowingState, command: Command) -> tuple[FollowingState, ShaftMotion]:
+    def step(state: FollowingState, command: Command) -> tuple[FollowingState, Motion]:
         state = drive.step(state, command)
         return state, state.motion
 
     after = jax.lax.scan(step, drive.start(before, waiting), commands)[1]
-    return ShaftMotion(
-        *(jnp.append(first, rest) for first, rest in zip(before, after, strict=True))
-    )
+    return Motion(*(jnp.append(first, rest) for first, rest in zip(before, after, strict=True)))
 
 
-def forces(net: ForceNet, motion: ShaftMotion) -> Float[Array, "ticks 2"]:
+def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
     """The forces of all rows of a motion ``(1 + ticks,)`` but the first [N]."""
     before, after = (
         jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None))
@@ -126,7 +122,7 @@ def forces(net: ForceNet, motion: ShaftMotion) -> Float[Array, "ticks 2"]:
     return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), after)[1]
 
 
-def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[ShaftMotion]:
+def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     """Predict the motion of every log, ``(members, rows)``, from its commands and its first row
     alone; NumPy."""
 
@@ -134,19 +130,19 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[ShaftMotio
         # What was commanded before a log is not recorded: its first command has long been given.
         command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
         waiting = Command(*(np.repeat(x[:, :1], MAX_DELAY, axis=1) for x in command))
-        before = ShaftMotion(reading.angle[:, 0], reading.velocity[:, 0])
+        before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
         return _motions(drives, before, waiting, Command(*(x[:, :-1] for x in command)))
 
     return _together(logs, [len(log.reading.time) for log in logs], predict)
 
 
 def predict_force(
-    nets: ForceNet, motion: Sequence[ShaftMotion]
+    nets: ForceNet, motion: Sequence[Motion]
 ) -> list[Float[np.ndarray, "members rows 2"]]:
     """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and
     gets the second's."""
 
-    def predict(some: Sequence[ShaftMotion]) -> Float[np.ndarray, "members logs rows 2"]:
+    def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
         force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
         return np.concatenate([force[:, :, :1], force], axis=2)
 
@@ -176,7 +172,7 @@ def _motions(drives: FollowingNet, *given: Any) -> Any:
 
 
 @eqx.filter_jit
-def _forces(nets: ForceNet, motion: ShaftMotion) -> Any:
+def _forces(nets: ForceNet, motion: Motion) -> Any:
     return eqx.filter_vmap(lambda net, motion: jax.vmap(functools.partial(forces, net))(motion))(
         nets, motion
     )
@@ -258,7 +254,7 @@ def remembered(state: ForceState) -> Float[Array, "remembered"]:
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 
-def familiar(nets: ForceNet, motion: Sequence[ShaftMotion], burn_in: int) -> Familiarity:
+def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiarity:
     """Compute where training logs lie, from their predicted motion ``(members, rows)`` behind row
     `burn_in`."""
     some = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1][:LOGS]
@@ -274,13 +270,13 @@ def familiar(nets: ForceNet, motion: Sequence[ShaftMotion], burn_in: int) -> Fam
 
 
 @eqx.filter_jit
-def _memories(net: ForceNet, motion: ShaftMotion) -> Float[Array, "ticks remembered"]:
+def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
     """Memory behind every row of a motion ``(rows,)`` but the first."""
 
-    def step(state: ForceState, now: ShaftMotion) -> tuple[ForceState, Array]:
+    def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
         state, _ = net.step(state, now)
         return state, remembered(state)
 
     return jax.lax.scan(
-        step, net.start(ShaftMotion(*(x[0] for x in motion))), ShaftMotion(*(x[1:] for x in motion))
+        step, net.start(Motion(*(x[0] for x in motion))), Motion(*(x[1:] for x in motion))
     )[1]

@@ -39,9 +39,9 @@ from softfin.surrogate.streaming.ensemble import (
 from softfin.surrogate.streaming.nets import DriveNetConfig, FollowingNet, ForceNet, ForceNetConfig
 from softfin.surrogate.streaming.profile import identify
 from softfin.surrogate.streaming.segments import (
+    Motion,
     Scales,
     SegmentBatch,
-    ShaftMotion,
     Table,
     measure_scales,
     slices,
@@ -56,7 +56,7 @@ MAX_SCORINGS = 10
 """Times that a network is scored on the held-out logs while it is trained."""
 
 NetLoss = Callable[
-    [Any, SegmentBatch, ShaftMotion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]
+    [Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]
 ]
 """Loss of one member: (net, segments, predicted motion, part of the training done, key, config)."""
 
@@ -128,7 +128,7 @@ class StreamingLearner:
         self,
         state: TrainingState,
         table: Table,
-        predicted: ShaftMotion,
+        predicted: Motion,
         first: Int[Array, ""],
         count: int,
         key: PRNGKeyArray,
@@ -137,7 +137,7 @@ class StreamingLearner:
         losses."""
 
         def member(
-            net: Any, optimiser: Any, predicted: ShaftMotion, number: Array, key: PRNGKeyArray
+            net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray
         ) -> Any:
             draw, key = jax.random.split(key)
             segments = table.draw(draw, self.config.batch, self.config.ticks)
@@ -161,7 +161,7 @@ class StreamingLearner:
         return state._replace(nets=nets, optimiser=optimiser), losses.mean(axis=0)
 
 
-def motion_error(predicted: ShaftMotion, measured: ShaftMotion | Reading, scales: Scales) -> Any:
+def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
     """Square error of angle and velocity, each in its own unit."""
     angle = (predicted.angle - measured.angle) / scales.angle_rad
     velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
@@ -171,7 +171,7 @@ def motion_error(predicted: ShaftMotion, measured: ShaftMotion | Reading, scales
 def drive_loss(
     net: FollowingNet,
     segments: SegmentBatch,
-    _: ShaftMotion,
+    _: Motion,
     __: Array,
     ___: PRNGKeyArray,
     config: StreamingConfig,
@@ -185,7 +185,7 @@ def drive_loss(
 def force_loss(
     net: ForceNet,
     segments: SegmentBatch,
-    predicted: ShaftMotion,
+    predicted: Motion,
     done: Array,
     key: PRNGKeyArray,
     config: StreamingConfig,
@@ -237,7 +237,7 @@ def fit_streaming(
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
 
-    def learn(name: str, predicted: ShaftMotion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
+    def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
         """Do all updates of one kind of network; return the best by `errors` on held-out logs,
         ``(members, rows)``."""
         key = named_key(seed, f"fit/{name}")
@@ -273,10 +273,10 @@ def fit_streaming(
         each = zip(predict_force(nets, held_motion), holding, strict=True)
         return [((force - log.reading.force)[:, burn_in:] ** 2).sum(axis=-1) for force, log in each]
 
-    not_used = ShaftMotion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
+    not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
     drives = learn("drive", not_used, drive_errors)
     motion = predict_motion(drives, training)
-    joined = ShaftMotion(
+    joined = Motion(
         *(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True))
     )
     held_motion = predict_motion(drives, holding)

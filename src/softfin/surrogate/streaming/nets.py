@@ -17,7 +17,7 @@ from pydantic import Field, PositiveInt
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, AnyArray, Command
 from softfin.surrogate.streaming.profile import Profile, ProfileState
-from softfin.surrogate.streaming.segments import Scales, ShaftMotion
+from softfin.surrogate.streaming.segments import Motion, Scales
 
 SLOWEST = 60.0
 """Gates begin with time constants from 2 to this many ticks, so that both ripples and strokes are
@@ -126,7 +126,7 @@ class FollowingState(NamedTuple):
 
     profile: ProfileState
     memory: Parity
-    motion: ShaftMotion
+    motion: Motion
 
 
 class FollowingNet(eqx.Module):
@@ -144,7 +144,7 @@ class FollowingNet(eqx.Module):
         self.config = config
         self.scales = scales
 
-    def start(self, motion: ShaftMotion, waiting: Command) -> FollowingState:
+    def start(self, motion: Motion, waiting: Command) -> FollowingState:
         """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
         return FollowingState(
             jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion
@@ -169,7 +169,7 @@ class FollowingNet(eqx.Module):
         # Outputs of 1 move the shaft by about a tick's motion: the network is a correction.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
         return FollowingState(
-            profile, memory, ShaftMotion(angle, now.velocity + change * outputs.odd[1])
+            profile, memory, Motion(angle, now.velocity + change * outputs.odd[1])
         )
 
 
@@ -200,7 +200,7 @@ class ForceState(NamedTuple):
     memory: Parity
     wake: Parity
     """Components along and across the fin [1]."""
-    motion: ShaftMotion
+    motion: Motion
 
 
 class ForceNet(eqx.Module):
@@ -244,12 +244,12 @@ class ForceNet(eqx.Module):
         self.config = config
         self.scales = scales
 
-    def start(self, motion: ShaftMotion) -> ForceState:
+    def start(self, motion: Motion) -> ForceState:
         """State that remembers nothing but the motion of the tick before."""
         still = jnp.zeros(self.config.wake)
         return ForceState(self.core.blank(), Parity(still, still), motion)
 
-    def step(self, state: ForceState, motion: ShaftMotion) -> tuple[ForceState, Float[Array, "2"]]:
+    def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
         """Step to the motion that the shaft has come to; predicts the force (x, y) that is read
         with it [N]."""
         # Seen from a fin that has turned, what stands still in the tank has turned the other way.

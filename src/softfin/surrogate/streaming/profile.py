@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from softfin.core.quantities import TICK_S, AnyArray, Command, Log
 from softfin.core.randomness import cma_es, named_generator
-from softfin.surrogate.streaming.segments import MAX_DELAY, SegmentBatch, ShaftMotion, Table
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch, Table
 from softfin.tank.drive import delayed, next_velocity
 
 STEPS_PER_TICK = 2
@@ -64,7 +64,7 @@ class Profile(eqx.Module):
     lag: Float[Array, ""] = _coefficient(0.0)
     """Angle that the shaft is behind its profile over its velocity [s]."""
 
-    def start(self, motion: ShaftMotion, waiting: Command) -> ProfileState:
+    def start(self, motion: Motion, waiting: Command) -> ProfileState:
         """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
         return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
 
@@ -86,9 +86,9 @@ class Profile(eqx.Module):
             velocity = after
         return ProfileState(angle, velocity, Command(*(channel[:-1] for channel in queue))), target
 
-    def motion(self, state: ProfileState) -> ShaftMotion:
+    def motion(self, state: ProfileState) -> Motion:
         """Motion of the shaft that follows the profile."""
-        return ShaftMotion(state.angle - self.lag * state.velocity, state.velocity)
+        return Motion(state.angle - self.lag * state.velocity, state.velocity)
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
@@ -141,7 +141,7 @@ def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
             state, _ = profile.step(state, command)
             return state, profile.motion(state).angle
 
-        before: ShaftMotion = jax.tree.map(lambda x: x[0], segment.motion)
+        before: Motion = jax.tree.map(lambda x: x[0], segment.motion)
         _, angle = jax.lax.scan(step, profile.start(before, segment.waiting), segment.commands)
         return jnp.mean(jnp.abs(angle - segment.motion.angle[1:]))
 

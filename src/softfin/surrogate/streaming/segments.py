@@ -18,7 +18,7 @@ MAX_DELAY = 20
 """Longest delay from a command to the motion that obeys it [ticks]."""
 
 
-class ShaftMotion(NamedTuple):
+class Motion(NamedTuple):
     """Angle [rad] and angular velocity [rad/s] of the shaft."""
 
     angle: Float[AnyArray, "*shape"]
@@ -65,7 +65,7 @@ class SegmentBatch(NamedTuple):
     waiting: Command
     """Commands before the first row, newest first, ``(batch, MAX_DELAY)``."""
     commands: Command
-    motion: ShaftMotion
+    motion: Motion
     """Motion from the first row on, ``(batch, 1 + ticks)``."""
     force: Float[Array, "batch ticks 2"]
     starts: Int[Array, "batch"]
@@ -76,7 +76,7 @@ class Table(NamedTuple):
     """Logs end to end, ``(rows,)``."""
 
     command: Command
-    motion: ShaftMotion
+    motion: Motion
     force: Float[Array, "rows 2"]
     starts: Int[Array, "choices"]
     """Rows that a segment may begin at: all of it lies in one log."""
@@ -105,7 +105,7 @@ class Table(NamedTuple):
             jnp.asarray(np.concatenate(parts, dtype=np.float32))
             for parts in zip(*columns, strict=True)
         ]
-        return cls(Command(*joined[:2]), ShaftMotion(*joined[2:4]), joined[4], jnp.asarray(choices))
+        return cls(Command(*joined[:2]), Motion(*joined[2:4]), joined[4], jnp.asarray(choices))
 
     def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
         """Draw segments at random."""

@@ -34,7 +34,7 @@ from softfin.surrogate.streaming.ensemble import (
     single,
 )
 from softfin.surrogate.streaming.nets import DriveNetConfig, ForceNetConfig, products
-from softfin.surrogate.streaming.segments import MAX_DELAY, Scales, ShaftMotion
+from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 from softfin.surrogate.training import name_net_arrays, restored
 
 SETTLED = 3000
@@ -82,7 +82,7 @@ class StreamingSurrogate(eqx.Module):
         waiting, passed = (
             Command(*(jnp.full(n, value) for value in command)) for n in (MAX_DELAY, SETTLED)
         )
-        self.rest = _after(members, ShaftMotion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
+        self.rest = _after(members, Motion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
 
     @property
     def size(self) -> int:
@@ -104,7 +104,7 @@ class StreamingSurrogate(eqx.Module):
         command, reading = jax.tree.map(
             lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
         )
-        motion = ShaftMotion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
+        motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
         waiting = Command(*(part[:MAX_DELAY][::-1] for part in command))
         # The last row's command shows in the row that comes next.
         passed = Command(*(part[MAX_DELAY:-1] for part in command))
@@ -126,7 +126,7 @@ class StreamingSurrogate(eqx.Module):
         ticks)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
-        def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[ShaftMotion, Array]]:
+        def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
             return jax.lax.scan(lambda each, _: member.step(each, held), own, length=ticks)
 
         after, (motion, force) = jax.vmap(one)(self.members, state.members)
@@ -157,7 +157,7 @@ class StreamingSurrogate(eqx.Module):
         force = self.members.force
         free = predict_motion(drive, logs)
         measured = [
-            ShaftMotion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1)))
+            Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1)))
             for _, r in logs
         ]
         each: dict[str, tuple[tuple[str, ...], eqx.Module, Sequence[AnyArray]]] = {
@@ -228,7 +228,7 @@ class StreamingSurrogate(eqx.Module):
 
 
 @eqx.filter_jit
-def _after(members: Member, motion: ShaftMotion, waiting: Command, passed: Command) -> MemberState:
+def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
     """State of every member after these commands, one a tick."""
 
     def one(member: Member) -> Any:
