@@ -11,7 +11,7 @@ RUN := $(UV) run --frozen
 # A file's tests on one worker, the longest files first.
 PYTEST := $(RUN) pytest -n auto --dist loadfile --no-loadscope-reorder
 OUT ?= runs/demo
-PRESET ?= demo
+QUICK ?=
 PYTHONS ?= $(PYTHON)
 
 .PHONY: setup demo day test test-quick test-long test-ray mutants wheel test-wheel lint docs bench results results-quick figures clean
@@ -26,8 +26,8 @@ setup: .venv/.ready ## make the environment
 	$(UV) sync --frozen --python $(PYTHON)
 	touch $@
 
-demo: setup ## collect, fit, find gaits, train, evaluate, report: some minutes on 2 cores, once set up
-	$(RUN) softfin reproduce --preset $(PRESET) --plant tank --out $(OUT) --overwrite
+demo: setup ## collect, fit, find gaits, train, evaluate, report: some minutes on 2 cores, once set up; QUICK=1 for one minute
+	$(RUN) softfin demo $(if $(QUICK),--quick) --out $(OUT) --overwrite
 
 day: OUT = runs/day
 day: setup ## a whole day at an emulated rig in some minutes: check, zero, collect, fit, train, evaluate, run

@@ -114,7 +114,7 @@ def score(controller: Path, out: Path, clock: Clock, seed: int) -> dict[str, Any
             str(controller),
             "--plant",
             "tank",
-            "--seeds",
+            "--repeats",
             "1",
             "--seed",
             str(seed),

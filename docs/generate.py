@@ -64,8 +64,8 @@ def explorer(out: Path) -> None:
 def command_line() -> Iterator[str]:
     # As wide as a page, whatever the terminal is.
     os.environ["COLUMNS"] = "92"
-    for name, (_, text) in COMMANDS.items():
-        yield from (f"## {name}", "", f"{text[0].upper()}{text[1:]}.", "")
+    for name in COMMANDS:
+        yield from (f"## {name}", "")
         yield from ("```text", format_help(import_arguments(name), f"softfin {name}"), "```", "")
 
 

@@ -43,7 +43,7 @@ MAKING = {
     "minute",
 }
 SCORING = {
-    f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --seeds 5 "
+    f"{name}{trim}": f"softfin evaluate {PARTS[name]} --plant tank --repeats 5 "
     f"{trim and '--trim '}--out {name}{trim}"
     for name in CONTROLLERS
     for trim in ("", "-trim")
@@ -156,7 +156,7 @@ Trained already, small, and of softfin's virtual tank, not of a real fin.
 
 Try them:
 
-    softfin evaluate single --plant tank --reference=2,-1 --seeds 1 --out evaluation
+    softfin evaluate single --plant tank --reference=2,-1 --repeats 1 --out evaluation
     softfin view --controller single --plant tank --reference=2,-1 --out fin.html
     softfin rig emulate && softfin rig check --prove --arm && softfin rig zero --arm
     softfin run single --reference=2,-1 --seconds 10 --arm

@@ -9,6 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from softfin.cli import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 MARKDOWN = (
     *sorted(ROOT.glob("*.md")),
@@ -169,6 +171,12 @@ def softfin_words(shown: Shown) -> tuple[str, ...] | None:
     """What the command line of softfin is given; None of another program."""
     words = shown.words[2:] if shown.words[:2] == ("uv", "run") else shown.words
     return words[1:] if words and words[0] in ("softfin", ".venv/bin/softfin") else None
+
+
+def command_name(words: tuple[str, ...]) -> str:
+    """The command, of one word or two, that a line's words begin with."""
+    both = " ".join(words[:2])
+    return both if both in COMMANDS else words[0]
 
 
 def headings(path: Path) -> set[str]:

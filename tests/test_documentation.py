@@ -47,6 +47,7 @@ from tests.documents import (
     ROOT,
     Block,
     blocks,
+    command_name,
     commands,
     headings,
     links,
@@ -62,11 +63,14 @@ CONFIGURATIONS: dict[str, tuple[Configuration, ...]] = {
     "compare": (CompareConfig(),),
     "map": (MapConfig(),),
     "train": (*TRAIN_PRESETS.values(), MapConfig()),
-    "robot": (RobotEvaluateConfig(), RobotNodeConfig()),
+    "robot evaluate": (RobotEvaluateConfig(),),
+    "robot view": (RobotEvaluateConfig(),),
+    "robot ros2": (RobotNodeConfig(),),
     "evaluate": (EvaluateConfig(),),
     "baselines": (BaselinesConfig(),),
     "view": (ViewConfig(),),
     "ros2": (NodeConfig(),),
+    "demo": (PRESETS["demo"],),
     "reproduce": tuple(PRESETS.values()),
 }
 """Of each command that has one, what its --config and --set may change."""
@@ -90,18 +94,17 @@ def understood(words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> objec
     def run(arguments: object) -> None:
         raise Parsed(arguments)
 
-    if words[0] in COMMANDS:
-        monkeypatch.setattr(import_arguments(words[0]), "__call__", run)
+    name = command_name(words)
+    if name in COMMANDS:
+        monkeypatch.setattr(import_arguments(name), "__call__", run)
         # Whether what is named is there is another question.
-        monkeypatch.setattr(
-            import_arguments(words[0]), "check", lambda arguments: None, raising=False
-        )
+        monkeypatch.setattr(import_arguments(name), "check", lambda arguments: None, raising=False)
     with pytest.raises(Parsed) as parsed:
         main([*words, "--debug"])
     (arguments,) = parsed.value.args
-    bases = CONFIGURATIONS.get(words[0], ())
+    bases = CONFIGURATIONS.get(name, ())
     assert bool(bases) == hasattr(arguments, "configured"), (
-        f"{words[0]}: CONFIGURATIONS does not say what it configures"
+        f"{name}: CONFIGURATIONS does not say what it configures"
     )
     if bases:
         configured(arguments, bases)
@@ -127,7 +130,7 @@ def at_the_root(monkeypatch):
 
 
 def test_the_documents_show_commands_of_every_kind():
-    names = {words[0] for shown in WHOLE if (words := softfin_words(shown))}
+    names = {command_name(words) for shown in WHOLE if (words := softfin_words(shown))}
     assert names == set(COMMANDS), "a command that no document shows, or one that is none"
     assert {shown.words[0] for shown in WHOLE} == {"softfin", "python", "make", "pip"}
 
@@ -153,22 +156,25 @@ def test_a_command_in_a_sentence_is_understood_when_what_it_leaves_out_is_added(
 
 def test_a_command_without_its_program_is_understood_too(monkeypatch):
     """As `evaluate --trim`."""
-    found = [text for _, _, text in spans() if text.split()[0] in COMMANDS and " --" in text]
+    found = [
+        text
+        for _, _, text in spans()
+        if command_name(tuple(text.split())) in COMMANDS and " --" in text
+    ]
     assert found
     for text in found:
         completed(tuple(text.split()), monkeypatch)
 
 
 def completed(words, monkeypatch):
-    name, *rest = words
+    name = command_name(words)
+    rest = words[len(name.split()) :]
     assert name in COMMANDS
     refusals = []
     for value in ((), ("1",)):
-        for places, missing in product(
-            ((), ("x",), ("check",), ("recover", "x"), ("x", "x")), subsets(required(name))
-        ):
+        for places, missing in product(((), ("x",), ("x", "x")), subsets(required(name))):
             try:
-                understood((name, *places, *rest, *value, *missing), monkeypatch)
+                understood((*name.split(), *places, *rest, *value, *missing), monkeypatch)
             except (SystemExit, ConfigurationError, pytest.fail.Exception) as error:
                 refusals.append(error)
             else:

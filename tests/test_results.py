@@ -145,7 +145,7 @@ def test_the_robots_figures_state_the_seeds_of_their_trials(tmp_path):
         each.command for each in part.steps if each.command.startswith("softfin robot evaluate")
     ]
     assert len(commands) == 2
-    assert all(" --seeds 2 --seed 3 " in command for command in commands)
+    assert all(" --repeats 2 --seed 3 " in command for command in commands)
     rows = [
         dict.fromkeys(("position_rms_m", "position_worst_m", "attitude_rms_deg"), 1.0) | {"seed": s}
         for s in (3, 4)

@@ -14,7 +14,7 @@ MOST_ROWS = 3
 def rows_of(values: list[Any]) -> Any:
     # Why.
     first, second = values[0], [x for x in values]
-    a, b = second
+    a, b = second  # fmt: skip
     return first, a, b
 '''
 

@@ -24,7 +24,7 @@ from results.parts.common import (
 from results.record import figure
 from results.steps import Step, step
 
-JUDGED = "--seeds 1 --moving step --random 100"
+JUDGED = "--repeats 1 --moving step --random 100"
 """Options of the evaluation in the published surrogate, which has no randomness."""
 
 
@@ -86,8 +86,8 @@ def controllers_tank(seeds: Sequence[int]) -> Part:
     ways = {
         "tank": "--moving step",
         "tank-feedback": "--trim",
-        "perturbed": "--randomize 0.15 --seeds 20",
-        "perturbed-feedback": "--randomize 0.15 --seeds 20 --trim --moving step",
+        "perturbed": "--randomize 0.15 --repeats 20",
+        "perturbed-feedback": "--randomize 0.15 --repeats 20 --trim --moving step",
     }
     return _in_tank(
         "Controllers from streaming surrogates in the tank",
@@ -203,7 +203,8 @@ def baselines_tank(seeds: Sequence[int]) -> Part:
 
 def _baselines(plant: str, options: str, before: Sequence[Step], seeds: Sequence[int]) -> Part:
     tiny = (
-        "--seconds 6 --seeds 1 --set search.gaits=8 --set search.kept=1 --set search.refinements=0"
+        "--seconds 6 --repeats 1 --set search.gaits=8 --set search.kept=1 "
+        "--set search.refinements=0"
     )
     command = f"softfin baselines {options} --seed"
     steps = [
@@ -286,7 +287,9 @@ def whole_map(seeds: Sequence[int]) -> Part:
         "single": [train("map-single", options, "published", seed, 2) for seed in seeds],
     }
     judged = {
-        kind: [evaluate(each, "published", "judged", "--seeds 1 --random 100", 1) for each in those]
+        kind: [
+            evaluate(each, "published", "judged", "--repeats 1 --random 100", 1) for each in those
+        ]
         for kind, those in trained.items()
     }
 

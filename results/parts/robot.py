@@ -12,10 +12,15 @@ TINY = "--set hold_s=20 --set path_s=20 --set settled_s=6 --set wrenches=2"
 def robot(seeds: Sequence[int]) -> Part:
     """U-CAT with all fins and with one that dies: wrenches, holding, paths."""
     # Seeds of trials count on from the first.
-    command = f"softfin robot evaluate ucat --seeds {len(seeds)} --seed {seeds[0]}"
+    command = f"softfin robot evaluate ucat --repeats {len(seeds)} --seed {seeds[0]}"
     whole = step("robot", f"{command} --baselines", 4, tiny=TINY)
     # Each fin dies in one of the first four; the others have other directions of current and push.
-    dead = step("robot-dead", f"{command} --hold --lemniscate --lissajous --dead", 2, tiny=TINY)
+    dead = step(
+        "robot-dead",
+        f"{command} --task hold --task lemniscate --task lissajous --dead",
+        2,
+        tiny=TINY,
+    )
 
     def read(work: Work) -> Figures:
         figures: Figures = {}

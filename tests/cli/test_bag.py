@@ -28,7 +28,7 @@ def test_a_recording_that_was_cut_off_is_recovered_then_converted(cut, tmp_path,
     assert softfin("bag", "recover", cut) == 0
     text = capsys.readouterr().out
     assert text.startswith(f"{tmp_path / 'run.recovered.mcap'}: ")
-    assert "saved" in text
+    assert "recovered; " in text
     assert (
         softfin(
             "bag", "convert", tmp_path / "run.recovered.mcap", "--out", tmp_path / "run.parquet"
@@ -49,5 +49,5 @@ def test_what_came_of_it_is_told_as_json(cut, tmp_path, capsys):
     assert softfin("bag", "recover", tmp_path / "saved.mcap", "--json") == 0
     assert json.loads(capsys.readouterr().out)["recovered"] is None
     assert softfin("bag", "recover", tmp_path / "saved.mcap") == 0
-    assert "whole already" in capsys.readouterr().out
+    assert "not damaged" in capsys.readouterr().out
     assert not (tmp_path / "saved.recovered.mcap").exists()

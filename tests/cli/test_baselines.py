@@ -11,7 +11,7 @@ QUICK = (
     "tests.plants:AnalyticFin",
     "--seconds",
     "3",
-    "--seeds",
+    "--repeats",
     "2",
     "--set",
     "search.seconds=3",

@@ -26,7 +26,7 @@ def test_help_lists_every_command(capsys):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["colect"], "unknown command 'colect'; there are example, collect, "),
+        (["colect"], "unknown command 'colect'; use demo, example, doctor, collect, "),
         (
             ["collect", "--out", "x", "--logs", "0"],
             "logs = 0: Input should be greater than or equal to 1",
@@ -54,10 +54,7 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
     monkeypatch.setattr("softfin.stages.surrogates.fit", interrupted)
     (tmp_path / "log.csv").touch()
     line, code = fails(capsys, "fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "s"))
-    assert (
-        line
-        == "softfin fit: stopped, nothing is half-written; the same command with --resume goes on"
-    )
+    assert line == "softfin fit: stopped; no file is half-written; add --resume to continue"
     assert code == 1
 
 

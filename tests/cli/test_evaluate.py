@@ -12,7 +12,15 @@ from softfin.tank import Tank, TankConfig
 from softfin.tank.fin import FinConfig
 from tests.evaluation.test_moving import Covering
 
-QUICK = ("--plant", "tests.plants:AnalyticFin", "--seconds", "3", "--seeds", "1", "--reference=1,1")
+QUICK = (
+    "--plant",
+    "tests.plants:AnalyticFin",
+    "--seconds",
+    "3",
+    "--repeats",
+    "1",
+    "--reference=1,1",
+)
 
 TANK = Tank(TankConfig(fin=FinConfig(plates=2)))
 

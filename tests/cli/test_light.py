@@ -90,7 +90,7 @@ SLIPS: list[tuple[list[str], str]] = [
         "--bag a.txt: a recording is a file NAME.mcap",
     ),
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
-    (["bag", "convert", "no.mcap"], "convert needs --out"),
+    (["bag", "convert", "no.mcap"], "--out FILE: required, and missing"),
     (["doctor", "--rig", "no.yaml"], "no.yaml: cannot be read"),
     (["monitor", "no.mcap"], "no.mcap: no such file or folder; give a bag"),
 ]
@@ -103,7 +103,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Any:
     for name in ("full/notes", "made/controller.json", "log.csv"):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).touch()
-    asked = [[name, "--help"] for name in COMMANDS] + [words for words, _ in SLIPS]
+    asked = [[*name.split(), "--help"] for name in COMMANDS] + [words for words, _ in SLIPS]
     done = subprocess.run(
         [sys.executable, "-c", ANSWER],
         input=json.dumps(asked),

@@ -142,20 +142,20 @@ An example of a command.
 With a second paragraph.
 
 arguments:
-  SOURCE          Where it comes from.
-  MORE ...        What follows.
+  SOURCE          Where it comes from
+  MORE ...        What follows
 
 options:
-  --out PATH      Where it goes. (required)
+  --out PATH      Where it goes (required)
   --test-rows INT
-                  How many. (default: 0)
-  --rate FLOAT    How fast.
+                  How many (default: 0)
+  --rate FLOAT    How fast
   --kind first|second
-                  Which. (default: first)
+                  Which (default: first)
   --reference X,Y
-                  Forces. (may be repeated)
-  --loud          Say more.
-  -h, --help      Show this help."""
+                  Forces (may be repeated)
+  --loud          Say more
+  -h, --help      Show this help"""
     )
 
 

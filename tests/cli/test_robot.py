@@ -51,9 +51,11 @@ def test_evaluate_writes_figures_and_a_page(capsys, tmp_path):
             "robot",
             "evaluate",
             "ucat",
-            "--hold",
-            "--wrenches",
-            "--seeds",
+            "--task",
+            "hold",
+            "--task",
+            "wrenches",
+            "--repeats",
             "1",
             "--out",
             str(out),
@@ -88,7 +90,8 @@ def test_view_writes_a_page(capsys, tmp_path):
         [
             "robot",
             "view",
-            "--lemniscate",
+            "--task",
+            "lemniscate",
             "--out",
             str(page),
             "--set",
@@ -104,15 +107,12 @@ def test_view_writes_a_page(capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("check", "ucat", "--hold"), "robot check runs no trial"),
-        (("view", "--hold", "--lissajous"), "robot view shows one of"),
-        (("view", "--wrenches"), "robot view shows one of"),
+        (("check", "ucat", "--task", "hold"), "--task: unknown option"),
+        (("view", "--task", "wrenches"), "--task wrenches: choose one of hold, lemniscate"),
         (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
         (("evaluate", "nemo.yaml"), "nemo.yaml: there is no such file"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
         (("evaluate", "--set", "hold_s=60"), "must be at least 90.34 s with settled_s = 30"),
-        (("check", "--dead"), "--dead goes with robot evaluate and robot view"),
-        (("ros2", "ucat", "--hold"), "robot ros2 runs no trial"),
         (("ros2", "ucat"), "max_thrust: missing"),
         (
             ("ros2", "ucat", "--set", "max_thrust=3", "--set", "stop_topic=stop"),
@@ -154,7 +154,7 @@ def test_a_stop_by_its_topic_ends_the_node_with_the_exit_code_of_a_stop(capsys, 
     told = capsys.readouterr().err
     assert "in memory" in told
     assert told.endswith(
-        "softfin robot: emergency stop on /robot/stop; every fin was told to stop\n"
+        "softfin robot ros2: emergency stop on /robot/stop; every fin was told to stop\n"
     )
     assert all(
         transport.sent[f"/{name}_{side}/stop"][-1].data

@@ -260,7 +260,7 @@ def test_a_signal_stops_a_fin_in_simulated_time_too(controller, plant, emulated,
 def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewhere, tmp_path):
     words = {
         "collect": ["collect", "--logs", "1", "--test-logs", "0", "--rows", "20000"],
-        "evaluate": ["evaluate", controller, "--seconds", "300", "--seeds", "1"],
+        "evaluate": ["evaluate", controller, "--seconds", "300", "--repeats", "1"],
     }[command]
     with Terminal(
         [*words, "--plant", "rig:other.yaml", "--out", "out", "--arm"], tmp_path

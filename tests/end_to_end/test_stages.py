@@ -95,7 +95,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
             "--reference=1,0",
             "--seconds",
             "3",
-            "--seeds",
+            "--repeats",
             "2",
             "--out",
             judged,
@@ -183,10 +183,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
-    assert (
-        "stopped, nothing is half-written; the same command with --resume goes on"
-        in capsys.readouterr().err
-    )
+    assert "stopped; no file is half-written; add --resume to continue" in capsys.readouterr().err
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 

@@ -84,7 +84,7 @@ def test_the_recording_is_a_minute_that_imports_without_a_question(example, tmp_
 @pytest.mark.slow
 def test_its_single_controller_holds_forces_in_the_tank(example, tmp_path):
     out = tmp_path / "evaluation"
-    asked = ("--reference=2,-1", "--reference=1,1", "--seconds", "10", "--seeds", "1")
+    asked = ("--reference=2,-1", "--reference=1,1", "--seconds", "10", "--repeats", "1")
     main(["evaluate", str(example / "single"), "--plant", "tank", "--out", str(out), *asked])
     mean = json.loads((out / "evaluation.json").read_text())["mean"]
     assert max(mean[axis]["error_n"] for axis in ("x", "y")) < 0.12

@@ -8,68 +8,73 @@ import importlib
 import importlib.metadata
 import os
 import sys
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from softfin.core.printable import printable
 from softfin.core.program_cache import describe_cache, use_program_cache
 
-COMMANDS = {
-    "example": (
-        "example",
-        "write an example to begin with: a trained surrogate, controllers, a recording",
-    ),
-    "collect": (
-        "data",
-        "record motions of a fin, random or chosen by a surrogate, and its force as a dataset",
-    ),
-    "inspect": ("data", "check logs before a surrogate is fitted to them"),
-    "import-logs": ("data", "turn CSV, Parquet or ROS 2 bags into a dataset"),
-    "fit": (
-        "surrogates",
-        "fit a surrogate to logs: streaming networks, the paper's networks, or the better of both",
-    ),
-    "calibrate": ("surrogates", "fit the virtual tank to logs or to a plant"),
-    "import-keras": (
-        "surrogates",
-        "turn published .keras networks and their scalers into a surrogate",
-    ),
-    "compare": ("surrogates", "score surrogates on test logs, free-running over several horizons"),
-    "map": ("controllers", "find the mean forces that a fin can make, and gaits that make them"),
-    "train": (
-        "controllers",
-        "train force controllers inside a surrogate: by gradients, by LSTM-PPO, or gaits",
-    ),
-    "evaluate": ("evaluation", "evaluate a controller on a fin over reference forces"),
-    "baselines": (
-        "evaluation",
-        "evaluate baselines without learning: best sine, analytic model, random search",
-    ),
-    "view": ("evaluation", "show a fin in motion, as a film or as a page that plays it"),
-    "explore": (
-        "evaluation",
-        "make a page in which one drags the force and watches the fin hold it",
-    ),
-    "rig": ("rig", "the real fin: check it, zero it, or emulate its drive and sensor"),
-    "run": ("driving", "hold reference forces on the real fin"),
-    "bag": ("data", "recover a recording that was cut off; convert recordings to logs and back"),
-    "monitor": ("rig", "watch a recording while it is made, in the terminal or as a page"),
-    "ros2": ("driving", "run as a ROS 2 node: readings out, references in"),
-    "robot": (
-        "robot",
-        "a robot with several fins: what it can do, how it holds its place and follows a path",
-    ),
-    "export": (
-        "controllers",
-        "write a controller or a surrogate as ONNX, for hosts without Python",
-    ),
-    "doctor": (
-        "doctor",
-        "examine this computer and the installation: what is well, what is not, what to do",
-    ),
-    "reproduce": ("evaluation", "run all stages, with the paper's tables and figures"),
+
+class Command(NamedTuple):
+    """A command, as the list of commands shows it."""
+
+    module: str
+    """Module of this folder that holds its options."""
+    summary: str
+    """What it does."""
+
+
+GROUPS = {
+    "Start": {
+        "demo": Command("reproduce", "run every stage on a simulated fin and write a report"),
+        "example": Command("example", "write a trained surrogate, controllers and a recording"),
+        "doctor": Command("doctor", "check this computer and the installation"),
+    },
+    "Data": {
+        "collect": Command("data", "record random motions of a fin and its force as a dataset"),
+        "inspect": Command("data", "check logs before you fit a surrogate to them"),
+        "import-logs": Command("data", "convert CSV, Parquet or ROS 2 bags into a dataset"),
+        "bag recover": Command("data", "recover the readings of a damaged recording"),
+        "bag convert": Command("data", "convert recordings to Parquet or ROS 2 bags"),
+    },
+    "Model": {
+        "fit": Command("surrogates", "fit a surrogate model of the fin to logs"),
+        "compare": Command("surrogates", "score surrogates on test logs"),
+        "calibrate": Command("surrogates", "fit the virtual tank to logs or to a plant"),
+        "import-keras": Command("surrogates", "convert published .keras networks to a surrogate"),
+    },
+    "Controllers": {
+        "map": Command("controllers", "find the mean forces that a fin can produce"),
+        "train": Command("controllers", "train force controllers inside a surrogate"),
+        "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
+        "baselines": Command("evaluation", "evaluate baselines that need no training"),
+        "view": Command("evaluation", "animate a fin as a GIF, an HTML page or a picture"),
+        "explore": Command("evaluation", "write a page to try controllers in the browser"),
+        "export": Command("controllers", "write a controller or a surrogate as ONNX"),
+    },
+    "Rig": {
+        "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),
+        "rig zero": Command("rig", "set the angle and the force to zero"),
+        "rig commission": Command("rig", "go through the acceptance steps of a new rig"),
+        "rig stop": Command("rig", "stop the motor and switch it off"),
+        "rig emulate": Command("rig", "emulate a rig without hardware"),
+        "run": Command("driving", "hold reference forces on the real fin"),
+        "monitor": Command("rig", "watch a recording while it is made"),
+        "ros2": Command("driving", "hold the reference forces of a ROS 2 topic on the real fin"),
+    },
+    "Robots": {
+        "robot check": Command("robot", "check what a robot with several fins can do"),
+        "robot evaluate": Command("robot", "evaluate how a robot keeps its place and its path"),
+        "robot view": Command("robot", "show one trial as a page in three dimensions"),
+        "robot ros2": Command("robot", "share body wrenches among fins, as a ROS 2 node"),
+    },
+    "Paper": {
+        "reproduce": Command("reproduce", "run every stage of the paper, with its tables"),
+    },
 }
-"""For each command its module, and what it does."""
+"""The commands by topic."""
+
+COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 STOPPED = 1
 """Exit code after Ctrl-C: a failure midway."""
@@ -92,26 +97,46 @@ def script() -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command; exit code 0, 1 for a failure midway, 2 for input that cannot be used."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    name = words[0] if words else "--help"
-    if name in ("-h", "--help"):
+    first = words[0] if words else "--help"
+    if first in ("-h", "--help"):
         sys.stdout.write(_usage() + "\n")
-    elif name in ("-V", "--version"):
+    elif first in ("-V", "--version"):
         sys.stdout.write(f"softfin {importlib.metadata.version('softfin')}\n")
-    elif name not in COMMANDS:
-        close = difflib.get_close_matches(name, COMMANDS, n=1)
-        hint = f"; did you mean {close[0]}?" if close else ""
-        _exit(f"softfin: unknown command {name!r}; there are {', '.join(COMMANDS)}{hint}", 2)
+    elif first in COMMANDS:
+        _run(first, words[1:])
+    elif actions := list_actions(first):
+        _run_action(first, actions, words[1:])
     else:
-        _run(name, words[1:])
+        names = tuple(dict.fromkeys(name.split()[0] for name in COMMANDS))
+        _exit(f"softfin: unknown command {first!r}; use {_choices(first, names)}", 2)
+
+
+def list_actions(name: str) -> tuple[str, ...]:
+    """List the second words of a command that has them: recover and convert of bag."""
+    return tuple(each.split()[1] for each in COMMANDS if each.startswith(f"{name} "))
+
+
+def _run_action(name: str, actions: tuple[str, ...], words: list[str]) -> None:
+    action = words[0] if words else "--help"
+    if action in ("-h", "--help"):
+        group = {each: COMMANDS[each] for each in (f"{name} {action}" for action in actions)}
+        sys.stdout.write(f"usage: softfin {name} ACTION [OPTION ...]\n\n{_list(group)}\n")
+    elif action in actions:
+        _run(f"{name} {action}", words[1:])
+    else:
+        _exit(f"softfin {name}: unknown action {action!r}; use {_choices(action, actions)}", 2)
+
+
+def _choices(word: str, allowed: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(word, allowed, n=1)
+    return ", ".join(allowed) + (f"; did you mean {close[0]}?" if close else "")
 
 
 def import_arguments(name: str) -> type[Any]:
-    """Import the class of a command, such as `ImportLogsArguments`, whose fields are its
-    options."""
-    module = importlib.import_module(f"softfin.cli.{COMMANDS[name][0]}")
-    arguments: type[Any] = getattr(
-        module, "".join(map(str.capitalize, name.split("-"))) + "Arguments"
-    )
+    """Import the class of a command, such as `RigCheckArguments`, whose fields are its options."""
+    module = importlib.import_module(f"softfin.cli.{COMMANDS[name].module}")
+    words = name.replace("-", " ").split()
+    arguments: type[Any] = getattr(module, "".join(map(str.capitalize, words)) + "Arguments")
     return arguments
 
 
@@ -140,11 +165,11 @@ def _run(name: str, words: list[str]) -> None:
         if debug:
             raise
         hint = (
-            "; the same command with --resume goes on"
+            "; add --resume to continue"
             if "resume" in getattr(arguments, "model_fields", ())
             else ""
         )
-        sys.stderr.write(f"softfin {name}: stopped, nothing is half-written{hint}\n")
+        sys.stderr.write(f"softfin {name}: stopped; no file is half-written{hint}\n")
         raise SystemExit(STOPPED) from interrupt
     except Exception as error:
         if debug:
@@ -181,14 +206,16 @@ def _describe_error(error: Exception) -> tuple[str, int]:
     return f"{text} (this should not happen; --debug shows where)", STOPPED
 
 
+def _list(commands: Mapping[str, Command]) -> str:
+    return "\n".join(f"  {name:14}  {command.summary}" for name, command in commands.items())
+
+
 def _usage() -> str:
-    lines = "\n".join(
-        f"  {name:{len('import-keras')}}  {what}" for name, (_, what) in COMMANDS.items()
-    )
+    groups = "\n\n".join(f"{title}:\n{_list(commands)}" for title, commands in GROUPS.items())
     return (
         "usage: softfin COMMAND [OPTION ...]\n\nMake a soft fin produce the force you ask for.\n\n"
-        f"{lines}\n\nsoftfin COMMAND --help lists a command's options; --debug shows tracebacks;"
-        f" softfin --version prints the version.\n{describe_cache()}"
+        f"{groups}\n\nsoftfin COMMAND --help lists the options of a command; --debug shows "
+        f"tracebacks; softfin --version prints the version.\n{describe_cache()}"
     )
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TextIO, TypeAlias, TypeVar
 
 from softfin.cli import options
 from softfin.cli.options import Option
@@ -104,8 +104,10 @@ ForcePair: TypeAlias = Annotated[
 class CommandOptions(Configuration):
     """Options of every command, which is run by a call."""
 
+    HELP_TITLE: ClassVar = "general options"
+
     json_: bool = False
-    """Print the result as JSON on standard output."""
+    """Print the result as JSON."""
     debug: bool = False
     """Show the traceback of an error."""
 
@@ -129,8 +131,10 @@ class CommandOptions(Configuration):
 class Common(CommandOptions):
     """Options of every command that writes."""
 
+    HELP_TITLE: ClassVar = "general options"
+
     overwrite: bool = False
-    """Replace what is there already, and drop an unfinished run of it."""
+    """Replace existing output, and discard an unfinished run."""
 
     def stage(self, stage: Callable[..., Result], *arguments: Any, **given: Any) -> Result:
         """Run a stage and show its progress."""
@@ -141,10 +145,12 @@ class Common(CommandOptions):
 class Configured(Common):
     """Options of every command that has a configuration."""
 
+    HELP_TITLE: ClassVar = "general options"
+
     config: YamlFile | None = None
-    """YAML file that changes the configuration."""
+    """YAML file of configuration values; docs/reference/configuration.md lists the fields."""
     set: Annotated[tuple[str, ...], Option("PATH=VALUE")] = ()
-    """Change one value of the configuration."""
+    """Set one value of the configuration."""
 
     def configured(self, base: StageConfig, **given: Any) -> StageConfig:
         """Return the defaults, changed by the YAML file, then by `--set`, then by the options that
@@ -169,6 +175,8 @@ class Configured(Common):
 class LogOptions(ImportConfig):
     """Options of every command that reads recordings made by others; softfin's own need none of
     these."""
+
+    HELP_TITLE: ClassVar = "logs that softfin has not recorded"
 
     @property
     def recordings(self) -> ImportConfig:
@@ -204,10 +212,10 @@ class Armed(Configuration):
     """Options of every command that may move a real fin."""
 
     arm: bool = False
-    """Let the real fin move, once you confirm it on the terminal."""
+    """Let the real fin move, after you confirm it on the terminal."""
     yes: bool = False
-    """With --arm, do not ask: for scripts. Nobody stands by, so see that nobody can come near the
-    fin."""
+    """With --arm, do not ask for confirmation. For scripts only: make sure that nobody can reach
+    the fin."""
 
     def confirm(self, robot: "RobotSetup", motion: str | None = None, proves: bool = False) -> None:
         """Print the notes of an open machine; raise ConfigurationError unless a person confirms

@@ -19,10 +19,10 @@ MAP = "map"
 
 
 class MapArguments(Configured):
-    """Find out which mean forces a fin can make in a plant, and the gaits that make them."""
+    """Find the mean forces that a fin can produce, and gaits that produce them."""
 
     plant: Annotated[str, plant(positional=True)]
-    """Folder of a surrogate; any other plant serves too (tank, package.module:plant)."""
+    """Folder of a surrogate, or another plant: tank, package.module:plant."""
     out: Out
     """Folder to write map.json, the gaits and the figure to."""
 
@@ -49,42 +49,40 @@ class MapArguments(Configured):
 
 
 class TrainArguments(Configured):
-    """Train force controllers inside a surrogate (paper Sec. III-C): one for all references, a
-    grid, or gaits."""
+    """Train force controllers inside a surrogate (paper Sec. III-C)."""
 
     surrogate: Annotated[str, plant("SURROGATE", positional=True)]
-    """Folder of the surrogate; any other plant serves too (tank, package.module:plant)."""
+    """Folder of the surrogate, or another plant: tank, package.module:plant."""
     out: Out
     """Folder of the controller to write."""
-    controller: ControllerKind = "grid"
-    """One policy for all references, one policy per cell of a grid, or a table of gaits (no
-    network)."""
+    controller: ControllerKind = "single"
+    """single: one policy for all references; grid: one policy per cell of a grid; gaits: a table of
+    gaits, without a network."""
     algorithm: AlgorithmOption = "auto"
-    """Gradients through the plant, or LSTM-PPO: ppo as in the paper, ppo-hindsight with
-    relabelling; auto: gradients if the plant has them."""
+    """gradient: gradients through the plant; ppo: LSTM-PPO as in the paper; ppo-hindsight: LSTM-PPO
+    with relabelled references; auto: gradient if the plant is differentiable, else ppo."""
     cells: Annotated[str, Option("CELLS")] | None = None
-    """Cells of a grid: paper (the default), a lattice over --range such as 3x3, or a .yaml file of
-    boxes."""
+    """Cells of a grid: paper, a lattice over --range such as 3x3, or a .yaml file of boxes
+    (default: paper)."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
-    """References X0,Y0,X1,Y1 [N] to train for (default 0.5,-1.5,3.5,1.5), or map: all that the fin
-    can make (--map)."""
+    """Range of reference forces [N], or map for all forces in --map (default:
+    0.5,-1.5,3.5,1.5)."""
     map: Annotated[Path, folder_option("map")] | None = None
-    """Folder of a map of this surrogate (softfin map): what its fin can do, and gaits to begin
-    from."""
+    """Folder of a map of this surrogate, written by softfin map (default: compute one)."""
     steps: int | None = None
-    """Actions a policy (by LSTM-PPO the paper's 30,000 single, 10,000 a cell)."""
+    """Actions to train each policy for (default: depends on the algorithm; for ppo, the paper's
+    30000, or 10000 per cell)."""
     seed: int = 0
     """Seed of weights, exploration and references."""
     seeds: Annotated[str, Option("SEEDS")] | None = None
-    """Several controllers in one program, as OUT/seed-N: how many, from --seed on, or which, such
-    as --seeds=0,1,2."""
+    """Train several controllers at once, into OUT/seed-N: either how many, counted from --seed, or
+    a list such as --seeds=0,1,2."""
     engine: EngineName = "local"
-    """Engine of training: this process, or tasks of Ray (extra ray), for many machines."""
+    """local: this process; ray: tasks on a Ray cluster (extra ray)."""
     cluster: Annotated[str, Option("HOST:PORT")] | None = None
-    """Address HOST:PORT of the Ray cluster; by default one is started on this machine for the
-    run."""
+    """Address of the Ray cluster (default: start one on this machine)."""
     resume: bool = False
-    """Go on from the last checkpoint of an unfinished run."""
+    """Continue from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
         """Refuse options that do not go together."""
@@ -235,18 +233,15 @@ def asked_cells(
 
 
 class ExportArguments(Common):
-    """Write one step of a controller, or of a surrogate, as ONNX, with its state as inputs and
-    outputs.
-
-    It needs softfin[onnx].
-    """
+    """Write one step of a controller or of a surrogate as ONNX, with its state as inputs and
+    outputs; needs softfin[onnx]."""
 
     controller: ControllerFolder | None = None
-    """Folder of the controller; leave it out with --surrogate."""
+    """Folder of the controller; not with --surrogate."""
     surrogate: Annotated[Path, folder_option("surrogate")] | None = None
-    """Folder of a surrogate instead: a step of 10 ms, a fin for other simulators."""
+    """Folder of a surrogate to export instead: one step of 10 ms, for other simulators."""
     onnx: File
-    """File to write; what its inputs mean is in its metadata."""
+    """File to write; its metadata describe the inputs."""
 
     def check(self) -> None:
         """Refuse a controller and a surrogate, or neither."""

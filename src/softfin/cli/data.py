@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from softfin.cli.common import AnyPlant, Armed, Common, Configured, File, LogOptions, Logs, Out
 from softfin.cli.options import Option
@@ -13,23 +13,23 @@ from softfin.storage.registry import is_live
 
 
 class CollectArguments(Armed, Configured):
-    """Record motions of a fin and its force as a dataset (paper Sec. III-A)."""
+    """Record random motions of a fin and its force as a dataset (paper Sec. III-A)."""
 
     out: Out
     """Folder of the dataset to write."""
     plant: AnyPlant = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one:
-    rig, ros2, or one of these with :FILE."""
+    """The fin. Simulated: tank, YAML file of a tank, folder of a surrogate, package.module:plant.
+    Real: rig or ros2, optionally followed by :FILE."""
     logs: int | None = None
-    """Training logs to record (the paper's 100)."""
+    """Number of training logs (default: 100, as in the paper)."""
     test_logs: int | None = None
-    """Test logs to record, in perturbed tanks (the paper's 3)."""
+    """Number of test logs, each in a perturbed tank (default: 3, as in the paper)."""
     rows: int | None = None
-    """Readings a log at 100 Hz (the paper's 20,000)."""
+    """Readings per log, at 100 Hz (default: 20000, as in the paper)."""
     seed: int | None = None
-    """Seed of commands, noise and conditions (0)."""
+    """Seed of commands, noise and conditions (default: 0)."""
     resume: bool = False
-    """Go on after the logs that are finished (real fins only)."""
+    """Continue after the last complete log (real fins only)."""
 
     def check(self) -> None:
         """Refuse options that do not go with the plant."""
@@ -73,10 +73,10 @@ class CollectArguments(Armed, Configured):
 
 
 class InspectArguments(LogOptions, Common):
-    """Check logs before anyone trains on them; exit code 0 whatever is found."""
+    """Check logs before you train on them; the exit code is 0 even if there are errors."""
 
     logs: Logs
-    """A dataset, a folder of CSV, Parquet or ROS 2 bags, or one of these."""
+    """A dataset, a folder of CSV, Parquet or ROS 2 bags, or a single log."""
     out: Out | None = None
     """Folder to write inspection.json and the figure to."""
 
@@ -130,14 +130,14 @@ def issue_counts(counts: Mapping[str, int]) -> str:
 
 
 class ImportLogsArguments(LogOptions, Common):
-    """Turn CSV, Parquet or ROS 2 bags into a dataset at 100 Hz; stop where inspect finds errors."""
+    """Convert CSV, Parquet or ROS 2 bags into a dataset at 100 Hz; logs with errors are refused."""
 
     logs: Logs
-    """A folder of recordings, or one."""
+    """A folder of recordings, or a single one."""
     out: Out
     """Folder of the dataset to write."""
     ignore_errors: bool = False
-    """Take logs with errors, too."""
+    """Import logs with errors, too."""
 
     def __call__(self) -> None:
         from softfin.stages.logs import import_logs
@@ -154,25 +154,44 @@ class ImportLogsArguments(LogOptions, Common):
         )
 
 
-class BagArguments(LogOptions, Common):
-    """Mend a bag that was cut off or damaged; turn recordings of any kind into Parquet logs or ROS
-    2 bags."""
+class BagRecoverArguments(Common):
+    """Recover the readings of a recording that was cut off or damaged."""
 
-    action: Annotated[Literal["recover", "convert"], Option(positional=True)]
-    """recover: save what a damaged .mcap file holds. convert: write logs as .parquet or .mcap."""
     path: Annotated[Path, Option("RECORDING", positional=True)]
-    """File to recover (.mcap), or recording or folder of recordings to convert."""
+    """File to recover (.mcap)."""
     out: File | None = None
-    """File to write; recover: NAME.recovered.mcap by default; convert: required, its suffix is the
-    format."""
+    """File to write (default: NAME.recovered.mcap)."""
+
+    def __call__(self) -> None:
+        from softfin.storage.bag.recovery import recover, recovered_path
+
+        out = self.out or recovered_path(self.path)
+        recovery = recover(self.path, out, self.overwrite)
+        messages = counted(sum(recovery.messages.values()), "message")
+        span = f"{messages} over {recovery.seconds:.1f} s"
+        if recovery.whole:
+            result = {"recovered": None, **recovery.to_dict()}
+            self.tell(result, f"{self.path}: not damaged, {span}; nothing written")
+            return
+        lost = sum(damage.length for damage in recovery.damages)
+        reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
+        self.tell(
+            {"recovered": str(out), **recovery.to_dict()},
+            f"{out}: {span} recovered; {lost:,} bytes could not be read ({reasons[:300]})",
+        )
+
+
+class BagConvertArguments(LogOptions, Common):
+    """Convert recordings of any kind to Parquet logs or ROS 2 bags."""
+
+    path: Annotated[Path, Option("RECORDING", positional=True)]
+    """Recording, or folder of recordings."""
+    out: File
+    """File to write; its suffix, .parquet or .mcap, chooses the format."""
     ignore_errors: bool = False
     """Convert logs with errors, too."""
 
     def __call__(self) -> None:
-        if self.action == "recover":
-            return self._recover()
-        if self.out is None:
-            raise ConfigurationError("convert needs --out: a .parquet or a .mcap file")
         from softfin.data.convert import convert
 
         result = convert(
@@ -186,21 +205,4 @@ class BagArguments(LogOptions, Common):
             f"{', '.join(result['files'])}: {result['rows']:,} rows; "
             f"{issue_counts(result['counts'])}"
         )
-        return self.tell(result, f"{self.columns_read(result['columns'])}{text}")
-
-    def _recover(self) -> None:
-        from softfin.storage.bag.recovery import recover, recovered_path
-
-        out = self.out or recovered_path(self.path)
-        recovery = recover(self.path, out, self.overwrite)
-        span = (
-            f"{counted(sum(recovery.messages.values()), 'message')} over {recovery.seconds:.1f} s"
-        )
-        lost = sum(damage.length for damage in recovery.damages)
-        reasons = "; ".join(dict.fromkeys(damage.reason for damage in recovery.damages))
-        self.tell(
-            {"recovered": None if recovery.whole else str(out), **recovery.to_dict()},
-            f"{self.path}: whole already, {span}; nothing written"
-            if recovery.whole
-            else f"{out}: {span} saved; {lost:,} bytes could not be read ({reasons[:300]})",
-        )
+        self.tell(result, f"{self.columns_read(result['columns'])}{text}")

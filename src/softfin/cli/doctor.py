@@ -11,11 +11,11 @@ from softfin.rig.doctor import examine
 
 
 class DoctorArguments(CommandOptions):
-    """Examine the installation, devices, disk and bus of this computer, to be pasted into an issue;
-    nothing moves."""
+    """Check the installation, devices, disk and bus of this computer. Paste the output into an
+    issue; nothing moves."""
 
     rig: YamlFile | None = None
-    """The rig's file: its drive and sensor are asked, too, as by softfin rig check."""
+    """File of a rig whose drive and sensor are checked, too, as by softfin rig check."""
 
     def __call__(self) -> None:
         results = []

@@ -50,16 +50,16 @@ class Driving(Armed, Common):
     controller: ControllerFolder
     """Folder of the controller."""
     plant: LivePlant = "rig"
-    """The fin: rig (rig.yaml), ros2, or one of these with :FILE."""
+    """The fin: rig or ros2, optionally followed by :FILE."""
     seconds: int | None = None
-    """Duration [s]; without it until you stop it."""
+    """Duration [s] (default: until you stop it)."""
     bag: File | None = None
-    """The recording, a ROS 2 bag, NAME.mcap (run-DATE.mcap)."""
+    """Recording to write, a ROS 2 bag (default: run-DATE.mcap)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is
-    tracked, with a warning."""
+    """Refuse references that the fin cannot reach, instead of tracking the nearest
+    one that it can."""
     trim: bool = False
-    """Add force feedback, which removes the steady-state error of the measured mean force."""
+    """Add force feedback, which removes the steady error of the measured mean force."""
 
     def check(self) -> None:
         """Refuse a recording that would replace another one, before anything moves."""
@@ -219,14 +219,14 @@ def _follow(
 
 
 class RunArguments(Driving):
-    """Hold reference forces on the real fin; while it runs, type X,Y and Enter for another one,
-    Enter alone to stop."""
+    """Hold reference forces on the real fin. While it runs, type X,Y and Enter for a new reference,
+    or Enter alone to stop."""
 
     reference: ForcePair | None = None
-    """Reference force as --reference=X,Y in newton, at first."""
+    """First reference force in newtons, such as --reference=1,-0.5."""
     reference_file: ReferenceFile | None = None
-    """A moving reference instead: .csv or .parquet with time_s, force_x_n, force_y_n, each row held
-    until the next."""
+    """Recorded reference instead: .csv or .parquet with the columns time_s, force_x_n, force_y_n.
+    Each row holds until the next one."""
 
     def check(self) -> None:
         """Refuse two references, or none."""
@@ -259,27 +259,25 @@ class RunArguments(Driving):
 
 
 class Ros2Arguments(Driving, Configured):
-    """Run as a ROS 2 node: hold the reference of a topic on the real fin, publish each sample;
-    Enter or a topic stops.
+    """Run as a ROS 2 node: hold the reference force of a topic on the real fin, and publish every
+    sample. Enter or a topic stops the fin.
 
-    Topics, frames and the timeout of references: --set joint_topic=/NAME and so on (docs/rig.md has
-    them all).
+    Use --set joint_topic=/NAME and so on to change topics, frames and timeouts; see docs/ros2.md.
     """
 
     reference: ForcePair
-    """Reference force as --reference=X,Y in newton, while no other comes: at first, and when the
-    last is too old."""
+    """Reference force in newtons while the topic has none, or only an old one, such as
+    --reference=1,-0.5."""
     fin: str | None = None
-    """Name of one fin of a robot: its topics are /NAME/joint_states, /NAME/reference and so on, and
-    it stops when references end."""
+    """Name of one fin of a robot. Its topics are /NAME/joint_states, /NAME/reference and so on, and
+    it stops when no more references arrive."""
     transport: TransportName | None = None
-    """auto: rclpy where it is installed, else DDS without ROS 2."""
+    """rclpy of ROS 2, or dds without ROS 2 (default: auto, rclpy if it is installed)."""
     domain: int | None = None
-    """ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
+    """ROS domain (default: ROS_DOMAIN_ID, or 0)."""
     network: str | None = None
-    """With DDS: the network interface, as eth0, whose others may read and write the topics; else
-    this computer alone.
-    """
+    """With dds: network interface, such as eth0, whose hosts may read and write the topics
+    (default: this computer alone)."""
 
     def __call__(self) -> None:
         from softfin.rig.machine import machine_clock

@@ -1,4 +1,4 @@
-"""Commands that show what a fin does: ``evaluate``, ``baselines``, ``view`` and ``reproduce``."""
+"""Commands that show what a fin does: ``evaluate``, ``baselines``, ``view`` and ``explore``."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ from softfin.cli.common import (
     ReferenceFile,
     folder_option,
 )
-from softfin.core.choices import MovingReference, ReproducePreset
+from softfin.core.choices import MovingReference
 from softfin.core.errors import ConfigurationError
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import is_live
@@ -31,36 +31,33 @@ class EvaluateArguments(Armed, Configured):
     out: Out
     """Folder to write evaluation.json and the figures to."""
     plant: AnyPlant = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, package.module:plant; or a real one:
-    rig, ros2, or one of these with :FILE."""
+    """The fin. Simulated: tank, YAML file of a tank, folder of a surrogate, package.module:plant.
+    Real: rig or ros2, optionally followed by :FILE."""
     reference: tuple[ForcePair, ...] = ()
-    """Reference force as --reference=X,Y in newton, once for each (the paper's six)."""
+    """Reference force in newtons, such as --reference=1,-0.5 (default: the paper's six)."""
     seconds: int | None = None
-    """Length of each experiment (30)."""
-    seeds: int | None = None
-    """Repetitions (5)."""
+    """Length of each experiment [s] (default: 30)."""
+    repeats: int | None = None
+    """Repetitions of each experiment (default: 5)."""
     seed: int | None = None
-    """Seed of the plant's noise (0)."""
+    """Seed of the plant's noise (default: 0)."""
     strict: bool = False
-    """Refuse a reference that the fin cannot make; else the nearest one that it can make is
-    tracked, with a warning."""
+    """Refuse references that the fin cannot reach, instead of tracking the nearest
+    one that it can."""
     trim: bool = False
-    """Add force feedback, which removes the steady-state error of the measured mean force."""
+    """Add force feedback, which removes the steady error of the measured mean force."""
     randomize: float | None = None
-    """With the tank: each repetition in a perturbed tank, whose parameters differ by up to this
-    fraction; 0: none."""
+    """Perturb the parameters of the tank in each repetition, by up to this fraction; tank only."""
     moving: tuple[MovingReference, ...] = ()
-    """References that move too, within the controller's range: --moving step, --moving ramp,
-    --moving sine."""
+    """Also evaluate a moving reference."""
     reference_file: ReferenceFile | None = None
-    """Another that moves: .csv or .parquet with time_s, force_x_n, force_y_n, each row held until
-    the next one."""
+    """Also evaluate a recorded reference: .csv or .parquet with the columns time_s, force_x_n,
+    force_y_n. Each row holds until the next one."""
     error_map: bool = False
-    """Draw the error over the whole range of the controller, 7 x 7 references; --set error_map=N
-    for N x N."""
+    """Plot the error over the range of the controller, at 7 x 7 references; --set error_map=N for
+    N x N."""
     random: int | None = None
-    """Evaluate it on so many random references, too, over all that it was trained for and the fin
-    can make."""
+    """Also evaluate this many random references within the reachable part of the training range."""
 
     def check(self) -> None:
         """Refuse options that do not go with the plant."""
@@ -95,6 +92,7 @@ class EvaluateArguments(Armed, Configured):
             references=self.reference,
             recorded=recorded,
             strict=self.strict or None,
+            seeds=self.repeats,
         )
         if self.error_map and config.error_map is None:
             config = config.merged({"error_map": LATTICE_POINTS}, "options")
@@ -176,29 +174,28 @@ def random_line(errors: Mapping[str, Any]) -> str:
 
 
 class BaselinesArguments(Configured):
-    """Evaluate baselines without learning: still fin, best sine, inverse model, random search; or
-    RecurrentPPO."""
+    """Evaluate baselines that need no training: a still fin, the best sine, an inverse model, and
+    random search."""
 
     out: Out
     """Folder to write baselines.json to."""
     plant: PlantName = "tank"
-    """The fin that all are evaluated on: tank, a tank's YAML, the folder of a surrogate, or
-    package.module:plant."""
+    """The fin: tank, YAML file of a tank, folder of a surrogate, or package.module:plant."""
     surrogate: PlantName | None = None
-    """Plant in which sines and gaits are searched, as a rule the folder of a surrogate of the fin
-    (the fin itself)."""
+    """Plant in which sines and gaits are searched, such as a surrogate of the fin (default: the
+    fin itself)."""
     seconds: int | None = None
-    """Length of each experiment (30)."""
-    seeds: int | None = None
-    """Repetitions (5)."""
+    """Length of each experiment [s] (default: 30)."""
+    repeats: int | None = None
+    """Repetitions of each experiment (default: 5)."""
     seed: int | None = None
-    """Seed of the plant's noise and of the random gaits (0)."""
+    """Seed of the plant's noise and of the random gaits (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.evaluation.baselines.baselines import BaselinesConfig
         from softfin.stages.evaluation import baselines
 
-        config = self.configured(BaselinesConfig())
+        config = self.configured(BaselinesConfig(), seeds=self.repeats)
         result = self.stage(baselines, self.plant, self.out, config, surrogate=self.surrogate)
         self.tell(result, baselines_table(result["baselines"], result["left_out"]))
 
@@ -222,27 +219,28 @@ def baselines_table(summaries: Mapping[str, Any], left_out: Mapping[str, str]) -
 
 
 class ViewArguments(Configured):
-    """Show a fin in motion: its shape, the force on its mount, and the traces of both."""
+    """Animate a fin: its shape, the force on its mount, and traces of angle and force."""
 
     out: File
-    """File to write: a film as .gif, a page that plays it as .html, its last frame as .png."""
+    """File to write: an animation (.gif), a page with a player (.html), or the last frame
+    (.png)."""
     plant: PlantName = "tank"
-    """The fin: tank, a tank's YAML, the folder of a surrogate, or package.module:plant."""
+    """The fin: tank, YAML file of a tank, folder of a surrogate, or package.module:plant."""
     seconds: float | None = None
-    """Duration in the plant's time [s] (10)."""
+    """Duration [s] (default: 10)."""
     centre: float | None = None
-    """Angle about which the gait oscillates [rad] (0); --set gait.amplitude_rad,
-    gait.velocity_rad_s for the rest."""
+    """Angle about which the gait oscillates [rad] (default: 0); --set gait.amplitude_rad=A and
+    gait.velocity_rad_s=V change the rest."""
     excitation: bool = False
-    """Random commands, as datasets are recorded under, in place of the gait."""
+    """Send random commands, as collect does, instead of a gait."""
     controller: Annotated[Path, folder_option("controller")] | None = None
-    """Folder of a controller that moves the fin in place of the gait."""
+    """Folder of a controller that moves the fin instead of a gait."""
     reference: ForcePair | None = None
-    """Reference force of the controller, as --reference=X,Y in newton."""
+    """Reference force of the controller in newtons, such as --reference=1,-0.5."""
     next_reference: tuple[ForcePair, ...] = ()
-    """The next one, as --next-reference=X,Y; each is asked for an equal part of the time."""
+    """A later reference force; all references get an equal share of the time."""
     seed: int | None = None
-    """Seed of the plant's noise and the random commands (0)."""
+    """Seed of the plant's noise and of the random commands (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.evaluation.view.view import ViewConfig
@@ -270,16 +268,16 @@ class ViewArguments(Configured):
 
 
 class ExploreArguments(Common):
-    """Make a page to try controllers in: drag the force that you want, and watch the fin hold it;
-    no network."""
+    """Write a page to try controllers in the browser: drag the target force and watch the fin
+    follow it. The page works without a network."""
 
     controllers: tuple[ControllerFolder, ...]
-    """Folders of the controllers, which the page switches between."""
+    """Folders of the controllers."""
     out: File
-    """File to write, as .html."""
+    """File to write (.html)."""
     plant: tuple[PlantName, ...] = ("tank",)
-    """The fin: tank, a tank's YAML, or the folder of a streaming surrogate; several are switched
-    between, and the mean force that a surrogate predicts is drawn next to that of the tank."""
+    """The fin: tank, YAML file of a tank, or folder of a streaming surrogate. The page can switch
+    between several."""
 
     def check(self) -> None:
         """Refuse a file of another kind."""
@@ -297,71 +295,3 @@ class ExploreArguments(Common):
             summary,
             f"{self.out}: {held} in {moved}, {summary['bytes'] / 1e6:.1f} MB; open it in a browser",
         )
-
-
-class ReproduceArguments(Configured):
-    """Collect, fit, find gaits, train, evaluate, report in one run: results.json, report.html, the
-    paper's tables, and explore.html to try the controllers in."""
-
-    out: Out
-    """Folder of the run."""
-    preset: ReproducePreset = "demo"
-    """How much: demo takes minutes, paper is the paper's full data and budgets, streaming the same
-    with a streaming surrogate, best that surrogate, gaits and policies by gradients through it,
-    tiny only shows that all works."""
-    plant: PlantName = "tank"
-    """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and
-    fit."""
-    seed: int = 0
-    """First of the seeds."""
-    resume: bool = False
-    """Go on with a stopped run."""
-
-    def __call__(self) -> None:
-        from softfin.cli.tables import format_table_one, table_two
-        from softfin.evaluation.headline import headline
-        from softfin.stages.reproduce import reproduce
-        from softfin.stages.reproduce_config import PRESETS
-
-        config = self.configured(PRESETS[self.preset])
-        results = self.stage(
-            reproduce, self.plant, self.out, config, seed=self.seed, resume=self.resume
-        )
-        parts = (
-            []
-            if results["surrogate"] is None
-            else [format_table_one(results["surrogate"]["scores"])]
-        )
-        evaluated = {
-            f"On {self.plant}": "controllers",
-            "The same, with force feedback (--trim)": "trimmed",
-            "The same in the surrogate that they were trained in": "in_surrogate",
-        }
-        for title, key in evaluated.items():
-            if summaries := results[key]:
-                moving = {
-                    name: moving_table(rows)
-                    for name, each in summaries.items()
-                    if (rows := each.get("moving"))
-                }
-                parts.append(
-                    "\n".join(
-                        [title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())]
-                    )
-                )
-        took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
-        processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
-        parts.append(
-            f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor "
-            f"time; {results['peak_memory_gib']:.1f} GiB at most"
-        )
-        best = headline(results)
-        parts.append(
-            f"{'' if best is None else best.sentence}\n{self.out / 'report.html'} shows it"
-        )
-        pages = [stage["page"] for stage in results["stages"] if "page" in stage]
-        parts += [
-            f"{self.out / page}: drag the force yourself, and watch the fin hold it"
-            for page in pages
-        ]
-        self.tell(results, "\n\n".join(parts))

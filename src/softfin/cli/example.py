@@ -10,14 +10,14 @@ from softfin.storage.artifact import check_vacant
 
 
 class ExampleArguments(Common):
-    """Write an example of the virtual tank to begin with: a trained surrogate, controllers, a map,
-    a recording."""
+    """Write an example of the virtual tank: a trained surrogate, controllers, a map and a
+    recording."""
 
     out: Annotated[
         Path,
         Option("DIR", True, check=lambda path, own: check_vacant(path, own.overwrite, "folder")),
     ]
-    """Folder to write; its README.md says how each part was made."""
+    """Folder to write; its README.md lists how each part was made."""
 
     def __call__(self) -> None:
         result = write_example(self.out, overwrite=self.overwrite)

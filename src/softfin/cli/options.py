@@ -65,6 +65,8 @@ class Field:
     default: Any
     text: str
     """Description of the option."""
+    section: str
+    """Title under which help lists the option."""
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -126,10 +128,23 @@ def list_fields(command: type[Configuration]) -> list[Field]:
     own = [
         name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found
     ]
-    return [_field(name, hints[name], found[name]) for name in dict.fromkeys(own)]
+    return [
+        _field(name, hints[name], found[name], _section(command, name))
+        for name in dict.fromkeys(own)
+    ]
 
 
-def _field(name: str, hint: Any, info: FieldInfo) -> Field:
+def _section(command: type[Configuration], name: str) -> str:
+    """Return the `HELP_TITLE` of the base class that adds the option, if it has one."""
+    titles = [
+        vars(base)["HELP_TITLE"]
+        for base in command.__mro__
+        if "HELP_TITLE" in vars(base) and name in getattr(base, "model_fields", ())
+    ]
+    return titles[-1] if titles else "options"
+
+
+def _field(name: str, hint: Any, info: FieldInfo, section: str) -> Field:
     option = Option()
     repeats = False
     while True:
@@ -149,7 +164,7 @@ def _field(name: str, hint: Any, info: FieldInfo) -> Field:
             break
     text = " ".join((info.description or "").replace("``", "").split())
     default = info.get_default(call_default_factory=True)
-    return Field(name, option, hint, repeats, info.is_required(), default, text)
+    return Field(name, option, hint, repeats, info.is_required(), default, text, section)
 
 
 def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
@@ -237,12 +252,14 @@ def format_help(command: type[Configuration], program: str) -> str:
     lines = _wrap(" ".join(["usage:", program, *shown, "[OPTION ...]"]), width, " " * 7)
     for paragraph in (command.__doc__ or "").split("\n\n"):
         lines += ["", *_wrap(" ".join(paragraph.split()), width)]
-    for title, group in (("arguments", places), ("options", options)):
-        if group:
-            lines += ["", f"{title}:"]
+    groups = {"arguments": places} if places else {}
+    for field in options:
+        groups.setdefault(field.section, []).append(field)
+    for title, group in groups.items():
+        lines += ["", f"{title}:"]
         for field in group:
-            lines += _entry(field.usage, f"{field.text}{_notes(field)}", width)
-    return "\n".join([*lines, *_entry("-h, --help", "Show this help.", width)])
+            lines += _entry(field.usage, field.text.removesuffix(".") + _notes(field), width)
+    return "\n".join([*lines, *_entry("-h, --help", "Show this help", width)])
 
 
 def _notes(field: Field) -> str:

@@ -1,12 +1,11 @@
-"""``rig`` checks the real fin, zeroes it, or emulates it; ``monitor`` watches a recording while it
-is made."""
+"""``rig check``, ``rig zero`` and the other commands of a rig; ``monitor`` watches a recording."""
 
 import contextlib
 import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
@@ -33,49 +32,21 @@ ZEROING = "the motor is powered for a moment and holds where the fin stands, whi
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 
-class RigArguments(Armed, Common):
-    """Check, stop or zero the real fin, or emulate both devices with the virtual tank behind
-    them."""
+class RigCheckArguments(Armed, CommandOptions):
+    """Check the bus, the drive, the sensor and the settings of a rig, and print a table; nothing
+    moves.
 
-    action: Annotated[
-        Literal["check", "stop", "zero", "commission", "emulate"], Option(positional=True)
-    ]
-    """check: a table of what is well and what is not, nothing moves; stop: stop the motor and take
-    its voltage off, whoever has powered it; zero: set angle and force to zero where they are;
-    commission: the steps to take before you rely on a rig; emulate: the file of a rig whose drive,
-    sensor and tank every command emulates, as fast as the computer allows."""
+    With --prove, only prove that the drive stops by itself when softfin dies.
+    """
+
     rig: File = RIG_FILE
-    """The rig's file: written by emulate, read by the others."""
-    step: int | None = None
-    """With commission: the number of the step to run (default: the first that has not passed)."""
+    """File of the rig."""
     reset_fault: bool = False
-    """With check: acknowledge the fault that the drive is in, and print which it was."""
+    """First acknowledge the fault of the drive, and print it."""
     prove: bool = False
-    """With check: only prove that the drive stops when softfin dies; the motor is powered at rest:
-    needs --arm."""
-    angle: bool = False
-    """With zero: the fin's angle only. The motor is powered for a moment: this needs --arm."""
-    force: bool = False
-    """With zero: the force only."""
-    tank: YamlFile | None = None
-    """With emulate: YAML file of the tank behind it."""
-    seed: int = 0
-    """With emulate: seed of the tank's noise."""
-    real_time: bool = False
-    """With emulate: a drive and a sensor over sockets of this computer, in real time, until
-    Ctrl-C."""
+    """Prove that the drive stops when softfin dies. The motor is powered at rest; needs --arm."""
 
     def __call__(self) -> None:
-        actions = {
-            "check": self._check,
-            "stop": self._stop,
-            "zero": self._zero,
-            "commission": self._commission,
-            "emulate": self._emulate,
-        }
-        actions[self.action]()
-
-    def _check(self) -> None:
         config = load_rig(self.rig)
         if self.reset_fault:
             with contextlib.closing(Rig(config)) as rig:
@@ -114,12 +85,30 @@ class RigArguments(Armed, Common):
         )
         self.tell(proof.model_dump(mode="json"), text)
 
-    def _stop(self) -> None:
+
+class RigStopArguments(CommandOptions):
+    """Stop the motor and switch it off, whichever program has powered it."""
+
+    rig: File = RIG_FILE
+    """File of the rig."""
+
+    def __call__(self) -> None:
         with contextlib.closing(Rig(load_rig(self.rig))) as rig:
             rig.drive.switch_off()
         self.tell({"motor": "off"}, "the motor is off")
 
-    def _zero(self) -> None:
+
+class RigZeroArguments(Armed, CommandOptions):
+    """Set the angle and the force to zero where they are now."""
+
+    rig: File = RIG_FILE
+    """File of the rig."""
+    angle: bool = False
+    """Only the angle. The motor is powered for a moment; needs --arm."""
+    force: bool = False
+    """Only the force."""
+
+    def __call__(self) -> None:
         config = load_rig(self.rig)
         both = self.angle == self.force
         result: dict[str, Any] = {}
@@ -133,7 +122,17 @@ class RigArguments(Armed, Common):
             result |= zero_force(config)
         self.tell(result, "\n".join(f"{name}: {value}" for name, value in result.items()))
 
-    def _commission(self) -> None:
+
+class RigCommissionArguments(Armed, CommandOptions):
+    """Go through the acceptance steps of a new rig (docs/commissioning.md), and record and sign
+    each one."""
+
+    rig: File = RIG_FILE
+    """File of the rig."""
+    step: int | None = None
+    """Number of the step to run (default: the first that has not passed)."""
+
+    def __call__(self) -> None:
         from softfin.rig.commissioning.commission import commission_step
         from softfin.rig.commissioning.form import STEP_TITLES, form_file, load_form
         from softfin.rig.commissioning.operator import TerminalOperator
@@ -167,7 +166,22 @@ class RigArguments(Armed, Common):
         rest = "every step is passed and signed" if left is None else f"step {left} is next"
         self.tell({"form": str(form), "next_step": left}, f"{form}: {rest}")
 
-    def _emulate(self) -> None:
+
+class RigEmulateArguments(Common):
+    """Write the file of an emulated rig: its drive, sensor and tank run inside each command, as
+    fast as the computer allows."""
+
+    rig: File = RIG_FILE
+    """File of the rig to write."""
+    tank: YamlFile | None = None
+    """YAML file of the tank (default: softfin's own tank)."""
+    seed: int = 0
+    """Seed of the noise of the tank."""
+    real_time: bool = False
+    """Instead, emulate a drive and a sensor on sockets of this computer in real time, until
+    Ctrl-C."""
+
+    def __call__(self) -> None:
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(
                 f"{self.rig}: exists; give another --rig, or --overwrite to replace it"
@@ -212,18 +226,16 @@ class RigArguments(Armed, Common):
 
 
 class MonitorArguments(CommandOptions):
-    """Watch a recording while it is made; Ctrl-C ends the watching, never the recording."""
+    """Watch a recording while it is made. Ctrl-C ends the monitor, not the recording."""
 
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]
-    """A bag (.mcap), or a folder that bags are written to: its newest is followed, and the next one
-    when it comes."""
+    """A bag (.mcap), or a folder of bags; in a folder, the newest bag is followed."""
     web: bool = False
-    """Show a page in the browser, with live traces."""
+    """Serve a page with live traces instead of printing to the terminal."""
     port: int = 8080
-    """Port of the page; 0 takes a free one."""
+    """Port of the page; 0 for any free port."""
     host: str = LOOPBACK
-    """Address that the page is served on; on another one than this, whoever reaches it sees the
-    recording."""
+    """Address of the page. Anybody who can reach the address sees the recording."""
 
     def __call__(self) -> None:
         from rich.console import Console

@@ -1,85 +1,23 @@
-"""``robot``: a body with several fins; what it can do, how well it holds and follows, a page, a
-node of ROS 2."""
+"""Commands about a robot with several fins."""
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
-from softfin.cli.common import Configured, on_terminal
+from softfin.cli.common import CommandOptions, Configured, File, Out, on_terminal
 from softfin.cli.options import Option
 from softfin.core.choices import RobotTask, TransportName
-from softfin.core.errors import ConfigurationError
+
+Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
 
 
-class RobotArguments(Configured):
-    """Check, evaluate or show a robot with several fins, or share wrenches among real ones as a ROS
-    2 node."""
+class RobotCheckArguments(CommandOptions):
+    """Check what a robot with several fins can do: rank, singular values, reach and stability."""
 
-    action: Annotated[Literal["check", "evaluate", "view", "ros2"], Option(positional=True)]
-    """check: rank, singular values, reach and stability; evaluate: wrenches, holding and paths in
-    simulation, as JSON, figures and pages; view: one trial as a page in three dimensions; ros2: a
-    node that takes wrenches and asks the fins' nodes for forces; it moves nothing by itself, Enter
-    or a topic stops it and the fins (docs/robot.md)."""
-    robot: Annotated[str, Option("ROBOT", positional=True)] = "ucat"
-    """The robot: ucat, or a YAML file."""
-    out: Annotated[Path, Option("PATH")] | None = None
-    """Folder that evaluate writes (runs/robot), or page that view writes (robot.html)."""
-    wrenches: bool = False
-    """With evaluate: mean wrenches on a body that is held. Without any task, all are evaluated."""
-    hold: bool = False
-    """With evaluate or view: hold a place against a push and a current."""
-    lemniscate: bool = False
-    """With evaluate or view: follow a figure of eight."""
-    lissajous: bool = False
-    """With evaluate or view: follow a three-dimensional Lissajous curve."""
-    dead: bool = False
-    """A fin dies at a random moment, each in turn."""
-    baselines: bool = False
-    """With evaluate: the same with simpler drivers."""
-    seeds: int | None = None
-    """With evaluate: repetitions of each trial (5)."""
-    seed: int | None = None
-    """Seed of noise and disturbances (0)."""
-    transport: TransportName | None = None
-    """With ros2: auto: rclpy where it is installed, else DDS without ROS 2."""
-    domain: int | None = None
-    """With ros2: ROS domain (the variable ROS_DOMAIN_ID, else 0)."""
-    network: str | None = None
-    """With ros2 and DDS: the network interface, as eth0, whose others may read and write the
-    topics; else this computer alone."""
-
-    def check(self) -> None:
-        """Refuse tasks that do not go with the action."""
-        super().check()
-        if self.action in ("check", "ros2") and self._tasks():
-            raise ConfigurationError(
-                f"--{self._tasks()[0]}: robot {self.action} runs no trial; see robot evaluate"
-            )
-        for option, actions in (
-            ("baselines", ("evaluate",)),
-            ("dead", ("evaluate", "view")),
-        ):
-            if getattr(self, option) and self.action not in actions:
-                raise ConfigurationError(
-                    f"--{option} goes with robot {' and robot '.join(actions)}"
-                )
-        if self.action == "view" and (len(self._tasks()) > 1 or self.wrenches):
-            raise ConfigurationError("robot view shows one of --hold, --lemniscate, --lissajous")
-
-    def _tasks(self) -> tuple[RobotTask, ...]:
-        names: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
-        return tuple(name for name in names if getattr(self, name))
+    robot: Robot = "ucat"
+    """Name of a robot, or its YAML file."""
 
     def __call__(self) -> None:
-        actions = {
-            "check": self._check,
-            "evaluate": self._evaluate,
-            "view": self._view,
-            "ros2": self._ros2,
-        }
-        actions[self.action]()
-
-    def _check(self) -> None:
         from softfin.stages.robot import check_robot_file
 
         found = check_robot_file(self.robot)
@@ -107,33 +45,89 @@ class RobotArguments(Configured):
         lines.extend(f"warning: {problem}" for problem in found["problems"])
         self.tell(found, "\n".join(lines))
 
-    def _evaluate(self) -> None:
+
+class RobotEvaluateArguments(Configured):
+    """Evaluate a robot in simulation: wrenches, holding a place, and following paths; write JSON,
+    figures and pages."""
+
+    robot: Robot = "ucat"
+    """Name of a robot, or its YAML file."""
+    out: Out = Path("runs/robot")
+    """Folder to write."""
+    task: tuple[RobotTask, ...] = ()
+    """wrenches: mean wrenches on a body that is held; hold: hold a place against a push and a
+    current; lemniscate: follow a figure of eight; lissajous: follow a curve in three dimensions
+    (default: all four)."""
+    dead: bool = False
+    """A fin fails at a random moment; each fin in turn."""
+    baselines: bool = False
+    """Evaluate simpler controllers, too."""
+    repeats: int | None = None
+    """Repetitions of each trial (default: 5)."""
+    seed: int | None = None
+    """Seed of noise and disturbances (default: 0)."""
+
+    def __call__(self) -> None:
         from softfin.robot.evaluate import RobotEvaluateConfig
         from softfin.stages.robot import evaluate
 
         config = self.configured(
             RobotEvaluateConfig(),
-            tasks=self._tasks(),
+            tasks=self.task,
             dead=self.dead or None,
             baselines=self.baselines or None,
+            seeds=self.repeats,
         )
-        out = self.out or Path("runs/robot")
-        found = self.stage(evaluate, self.robot, out, config)
-        self.tell(found, "\n".join([*_table(found), f"{out}: pages, figures and robot.json"]))
+        found = self.stage(evaluate, self.robot, self.out, config)
+        self.tell(found, "\n".join([*_table(found), f"{self.out}: pages, figures and robot.json"]))
 
-    def _view(self) -> None:
+
+class RobotViewArguments(Configured):
+    """Show one trial of a robot as a page in three dimensions."""
+
+    robot: Robot = "ucat"
+    """Name of a robot, or its YAML file."""
+    out: File = Path("robot.html")
+    """File to write."""
+    task: Literal["hold", "lemniscate", "lissajous"] | None = None
+    """hold: hold a place against a push and a current (default); lemniscate: follow a figure of
+    eight; lissajous: follow a three-dimensional curve."""
+    dead: bool = False
+    """A fin fails at a random moment."""
+    seed: int | None = None
+    """Seed of noise and disturbances (default: 0)."""
+
+    def __call__(self) -> None:
         from softfin.stages.robot import VIEWED, view
 
-        config = self.configured(VIEWED, tasks=self._tasks(), dead=self.dead or None)
-        out = self.out or Path("robot.html")
-        row = self.stage(view, self.robot, out, config)
+        tasks = () if self.task is None else (self.task,)
+        config = self.configured(VIEWED, tasks=tasks, dead=self.dead or None)
+        row = self.stage(view, self.robot, self.out, config)
         self.tell(
             row,
-            f"{out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open it "
-            "in a browser",
+            f"{self.out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open "
+            "it in a browser",
         )
 
-    def _ros2(self) -> None:
+
+class RobotRos2Arguments(Configured):
+    """Share the wrenches of a topic among the fins of a robot, as a ROS 2 node.
+
+    The node publishes a reference force for each fin's own node (softfin ros2 --fin NAME) and moves
+    nothing itself. Enter or a topic stops it and the fins. See docs/robot.md.
+    """
+
+    robot: Robot = "ucat"
+    """Name of a robot, or its YAML file."""
+    transport: TransportName | None = None
+    """rclpy of ROS 2, or dds without ROS 2 (default: auto, rclpy if it is installed)."""
+    domain: int | None = None
+    """ROS domain (default: ROS_DOMAIN_ID, or 0)."""
+    network: str | None = None
+    """With dds: network interface, such as eth0, whose hosts may read and write the topics
+    (default: this computer alone)."""
+
+    def __call__(self) -> None:
         from softfin.cli.driving import say, typed
         from softfin.rig.ros2.config import RobotNodeConfig
         from softfin.rig.ros2.plant import open_transport

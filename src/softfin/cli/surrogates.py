@@ -36,22 +36,22 @@ HORIZONS = Option(
 
 
 class FitArguments(LogOptions, Configured):
-    """Learn a surrogate from logs; print Table I (paper Sec. III-B)."""
+    """Fit a surrogate to logs, and print its scores (paper Sec. III-B, Table I)."""
 
     dataset: Logs
-    """Folder of a dataset, or of recordings: CSV, Parquet, ROS 2 bags."""
+    """Folder of a dataset, or of CSV, Parquet or ROS 2 bags."""
     out: Out
     """Folder of the surrogate to write."""
     model: ModelName = "streaming"
     """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet."""
     ignore_errors: bool = False
-    """Take logs with errors, too."""
+    """Fit to logs with errors, too."""
     epochs: int | None = None
-    """Most passes over the data, of --model paper."""
+    """Maximum number of passes over the data, with --model paper."""
     seed: int = 0
-    """Seed of weights, order and dropout."""
+    """Seed of weights, shuffling and dropout."""
     resume: bool = False
-    """Go on from the last checkpoint of an unfinished run."""
+    """Continue from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
         """Refuse options that do not go with the model."""
@@ -135,23 +135,22 @@ class ImportKerasArguments(Common):
 
 
 class CompareArguments(Configured):
-    """Compare surrogates, free-running under the commands of a dataset's test logs for several
-    horizons."""
+    """Score surrogates on the test logs of a dataset: simulate the recorded commands without
+    correction (open loop) over several horizons."""
 
     surrogates: Annotated[tuple[Path, ...], folder_option("surrogate", positional=True)]
-    """Folders of the surrogates; seeds of one configuration, fitted to the same data, become one
-    group."""
+    """Folders of the surrogates. Those that differ only in the seed are averaged."""
     dataset: Annotated[Path, folder_option("dataset")]
-    """Folder of the dataset whose test logs they are scored on."""
+    """Folder of the dataset with the test logs."""
     out: Out
     """Folder to write comparison.json and the figure to."""
     horizons: Annotated[tuple[float, ...], HORIZONS] | None = None
-    """How long they run free, as 1,5,30 in seconds (1,5,30)."""
+    """Open-loop horizons in seconds (default: 1,5,30)."""
     noise_floor: PlantName | None = None
-    """A plant that records the same commands once more, such as the tank that was recorded: the
-    error that noise, drift and perturbed tanks leave."""
+    """A plant to record the same commands again, such as the recorded tank. Shows the error that
+    noise, drift and perturbed tanks leave."""
     seed: int | None = None
-    """Seed of the second recording's noise (0)."""
+    """Seed of the noise of that second recording (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.stages.surrogates import compare
@@ -255,24 +254,25 @@ def _cell(cell: Mapping[str, Any] | None, factor: int) -> str:
 
 
 class CalibrateArguments(Configured):
-    """Fit the virtual tank to logs or to a plant; report how well each parameter is determined."""
+    """Fit the virtual tank to logs or to a plant, and report how well each parameter is
+    determined."""
 
     data: Data
-    """Folder of a dataset, or a plant to move: a surrogate's folder, tank, a tank's YAML, or
+    """Folder of a dataset, or a plant: tank, YAML file of a tank, folder of a surrogate, or
     package.module:plant."""
     out: Out
     """Folder to write calibration.json, tank.yaml and the figures to."""
     preset: CalibratePreset = "full"
-    """Parameters to fit: full is fin, water, drive and recording; quick is six numbers, in a
+    """full: fit the parameters of fin, water, drive and recording; quick: fit six numbers, in a
     minute."""
     evaluations: int | None = None
-    """Tanks that the global search tries (4000); 0 leaves it to the local one."""
+    """Number of tanks that the global search tries; 0 for local search only (default: 4000)."""
     velocity: Annotated[tuple[float, ...], VELOCITY_RANGE] | None = None
-    """Range of the commands that move a plant, as LOW,HIGH in rad/s (all that it takes)."""
+    """Range of command velocities of a plant in rad/s (default: the limits of the plant)."""
     seed: int = 0
-    """Seed of the search, and of the commands that move a plant."""
+    """Seed of the search and of the commands."""
     resume: bool = False
-    """Go on with a stopped run."""
+    """Continue a stopped run."""
 
     def __call__(self) -> None:
         from softfin.stages.surrogates import calibrate

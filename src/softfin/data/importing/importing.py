@@ -39,43 +39,43 @@ class ImportConfig(Configuration):
     """How recordings are read; the defaults suit softfin's own logs."""
 
     columns: dict[Channel, str] = pydantic.Field(default_factory=dict)
-    """Name of each channel's column, as ``angle=position,force_x=Fx``, or ``-`` for none; columns
-    whose names are understood need no such pair."""
+    """Column of each channel, such as ``angle=position,force_x=Fx``, or ``-`` for none. Only for
+    columns whose names softfin does not recognise."""
     topics: dict[Topic, str] = pydantic.Field(default_factory=dict)
-    """Topics of a ROS 2 bag: command, joint, wrench; by default /fin/command, /fin/joint_states,
-    /fin/wrench. A joint among several is named behind a colon, as ``joint=/joint_states:fin``."""
+    """Topics of a ROS 2 bag, such as ``joint=/joint_states:fin``, where fin names one joint of
+    several (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench)."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
-    """Rows per second [Hz], where no column holds the time."""
+    """Rows per second [Hz], for files without a time column."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
-    """Velocity of all commands [rad/s], where no column holds it."""
+    """Velocity of all commands [rad/s], for files without such a column."""
     time_unit: TimeUnit | None = None
-    """Unit of the column of time; by default the one in its name, else s."""
+    """Unit of the time column (default: from the name of the column, or s)."""
     angles: dict[AngleChannel, str] = pydantic.Field(default_factory=dict)
-    """Unit of the angle's channels, as ``deg`` for all or
-    ``command_angle=deg,command_velocity=rpm``; by default the ones in their names, else rad. For a
-    velocity, deg means deg/s."""
+    """Unit of all angle channels, such as ``deg``, or of each, such as
+    ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s (default: from the
+    names of the columns, or rad)."""
     force_unit: ForceUnit | None = None
-    """Unit of both columns of force; by default the one in their names, else N."""
+    """Unit of the force columns (default: from their names, or N)."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
-    """Axes of the recording that are +x (thrust that pushes the robot forward) and +y: ``y,-x``."""
+    """Axes of the recording that are softfin's +x (thrust, which drives the robot forward)
+    and +y."""
     negate: tuple[SignedChannel, ...] = ()
-    """Angle channels of the wrong sign, as ``command_angle``; the velocity goes with its angle
-    where it has a sign."""
+    """Angle channels with the wrong sign, such as ``command_angle``. A signed velocity
+    changes its sign, too."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Time by which the commands were stamped later than the angle [ms]; they are moved earlier by
-    it."""
+    """Delay of the time stamps of the commands relative to the angle [ms]; softfin removes it."""
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Time by which the force was stamped later than the angle [ms]; it is moved earlier by it."""
+    """Delay of the time stamps of the force relative to the angle [ms]; softfin removes it."""
     rows_per_log: int | None = pydantic.Field(default=None, ge=2)
-    """Rows of each log where one file holds several, end to end; the paper's are 20,000 rows."""
+    """Rows per log, for files with several logs end to end; 20000 in the paper."""
     test: str | None = None
-    """Pattern of the files that are test logs; by default names that begin with test, and all in a
-    folder test."""
+    """Pattern for the names of test logs (default: names that start with test, and all files in a
+    folder test)."""
+    # Five samples: the motion of a fin at 3 Hz is smooth for that long.
     gap_s: float = pydantic.Field(default=0.05, gt=0)
-    """Longest gap that is bridged by interpolation [s]; a longer one splits the log. 5 samples: a
-    fin at 3 Hz moves smoothly for as long."""
+    """Longest gap to fill by interpolation [s]; a longer gap splits the log."""
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
-    """Shortest piece that is kept as a log [s]; the window of the paper's networks is 1 s."""
+    """Shortest piece to keep as a log [s]; the window of the paper's networks is 1 s."""
 
     @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
     @classmethod

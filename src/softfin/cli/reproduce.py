@@ -1,0 +1,92 @@
+"""Commands that run every stage: ``demo``, and ``reproduce`` for the paper."""
+
+from pathlib import Path
+
+from softfin.cli.common import Configured, Out, PlantName
+from softfin.core.choices import ReproducePreset
+
+
+class DemoArguments(Configured):
+    """Run every stage on the virtual tank in some minutes: collect, fit, train, evaluate; write a
+    report and a page to try the controllers in."""
+
+    out: Out = Path("runs/demo")
+    """Folder of the run."""
+    quick: bool = False
+    """Take one minute: shows that everything works, but learns next to nothing."""
+    seed: int = 0
+    """Seed of data and training."""
+    resume: bool = False
+    """Continue a stopped run."""
+
+    def __call__(self) -> None:
+        _run_stages(self, "tank", "tiny" if self.quick else "demo")
+
+
+class ReproduceArguments(Configured):
+    """Run every stage of the paper: collect, fit, train, evaluate; write its tables and figures,
+    a report, and a page to try the controllers in."""
+
+    out: Out
+    """Folder of the run."""
+    preset: ReproducePreset = "paper"
+    """paper: the data and training of the paper, hours; streaming: the same with a streaming
+    surrogate; best: that surrogate, gaits, and policies trained by gradients; demo: minutes; tiny:
+    only shows that everything works."""
+    plant: PlantName = "tank"
+    """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and
+    fit."""
+    seed: int = 0
+    """First seed."""
+    resume: bool = False
+    """Continue a stopped run."""
+
+    def __call__(self) -> None:
+        _run_stages(self, self.plant, self.preset)
+
+
+def _run_stages(
+    command: DemoArguments | ReproduceArguments, plant: str, preset: ReproducePreset
+) -> None:
+    from softfin.cli.evaluation import moving_table
+    from softfin.cli.tables import format_table_one, table_two
+    from softfin.evaluation.headline import headline
+    from softfin.stages.reproduce import reproduce
+    from softfin.stages.reproduce_config import PRESETS
+
+    config = command.configured(PRESETS[preset])
+    results = command.stage(
+        reproduce, plant, command.out, config, seed=command.seed, resume=command.resume
+    )
+    parts = (
+        [] if results["surrogate"] is None else [format_table_one(results["surrogate"]["scores"])]
+    )
+    evaluated = {
+        f"On {plant}": "controllers",
+        "The same, with force feedback (--trim)": "trimmed",
+        "The same in the surrogate that they were trained in": "in_surrogate",
+    }
+    for title, key in evaluated.items():
+        if summaries := results[key]:
+            moving = {
+                name: moving_table(rows)
+                for name, each in summaries.items()
+                if (rows := each.get("moving"))
+            }
+            parts.append(
+                "\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())])
+            )
+    took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
+    processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
+    parts.append(
+        f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor "
+        f"time; {results['peak_memory_gib']:.1f} GiB at most"
+    )
+    best = headline(results)
+    parts.append(f"{'' if best is None else best.sentence}\n{command.out / 'report.html'} shows it")
+    pages = [stage["page"] for stage in results["stages"] if "page" in stage]
+    parts += [
+        f"{command.out / page}: drag the force yourself, and watch the fin hold it"
+        for page in pages
+    ]
+    command.tell(results, "\n\n".join(parts))
