@@ -7,8 +7,9 @@ two comments.
 
 ``results/blocks/NAME.md`` is the template of the block. In it ``{PART.FIGURE}`` is a figure,
 ``{PART.FIGURE:.2f}`` has other digits than three and ``{PART.FIGURE:.2f plain}`` another summary
-(mean, plain for a mean without its interval, median, worst). A line below a table names the sources
-of its figures and their age; elsewhere ``{PART}`` does so.
+(mean, plain for a mean without its interval, median, worst). A line below a table names the files,
+seeds and dates of its figures; elsewhere ``{PART}`` does so. The evidence page of the site adds
+commands, commits, machine and age.
 """
 
 import math
@@ -18,24 +19,19 @@ from pathlib import Path
 from typing import Any
 
 from results import ROOT
-from results.history import UNKNOWN_AGE
-from results.record import load, shown, source
+from results.record import load, shown, short_source
 
 BLOCKS = ROOT / "results" / "blocks"
 
 BLOCK = re.compile(r"(<!-- results: ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 PLACE = re.compile(r"\{([a-z][\w-]*)(?:\.([^{}:]+))?(?::(\S+?)(?: (\w+))?)?\}")
 
-
-AGE = re.compile(rf"\d+ commits? old on \d{{4}}-\d\d-\d\d|{UNKNOWN_AGE}")
-"""The age of a source, which each commit changes."""
-
 DEFAULT_FORM = ".3f"
 
 
 def documents() -> list[Path]:
     """Return the paths of README and all docs."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/[!_]*.md"))]
 
 
 def names(text: str) -> list[str]:
@@ -61,7 +57,7 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
         part, name, form, summary = found.groups()
         record = read(part)
         if name is None:
-            return source(part, record)
+            return short_source(part, record)
         if name not in record["figures"]:
             raise KeyError(
                 f"results/{part}.json has no figure {name}; it has {', '.join(record['figures'])}"
@@ -76,7 +72,7 @@ def block(text: str, read: Callable[[str], dict[str, Any]] = load) -> str:
     # Files with the same note share it.
     files: dict[str, list[str]] = {}
     for part, record in records.items():
-        file, _, note = source(part, record).partition(" ")
+        file, _, note = short_source(part, record).partition(" ")
         files.setdefault(note, []).append(file)
     joined = "; ".join(
         f"{', '.join(names_of_files)} {note}" for note, names_of_files in files.items()
@@ -103,18 +99,12 @@ def last_digit(form: str) -> float:
 
 
 def differing(read: Callable[[str], dict[str, Any]] = load) -> list[Path]:
-    """Return the documents whose blocks, but for the age of their sources, are not as the JSON
-    files have them."""
-    paths = []
-    for path in documents():
-        text = path.read_text()
-        if AGE.sub("", filled(text, read)) != AGE.sub("", text):
-            paths.append(path)
-    return paths
+    """Return the documents whose blocks differ from the JSON files."""
+    return [path for path in documents() if filled(path.read_text(), read) != path.read_text()]
 
 
 def write() -> list[Path]:
-    """Write all blocks with the age of today; return the documents that this changed."""
+    """Write all blocks; return the documents that this changed."""
     changed = []
     for path in documents():
         text = path.read_text()

@@ -135,6 +135,17 @@ def _summed(values: np.ndarray, form: str, summary: str) -> str:
     return f"{mean} \N{PLUS-MINUS SIGN} {format(half, form)}"
 
 
+def short_source(part: str, record: Mapping[str, Any]) -> str:
+    """Return the file, seeds and date of the figures of a part, for the line below a table."""
+    return f"`{part}.json` ({count_seeds(record)}, {record['date']})"
+
+
+def count_seeds(record: Mapping[str, Any]) -> str:
+    """Return the number of seeds of the figures of a part, such as ``5 seeds``."""
+    num_seeds = max(len(each["values"]) for each in record["figures"].values())
+    return f"{num_seeds} seed{'s' if num_seeds > 1 else ''}"
+
+
 def source(part: str, record: Mapping[str, Any]) -> str:
     """Return where the figures of a part come from: its file, commits, date, seeds, machine and
     age."""
@@ -143,8 +154,7 @@ def source(part: str, record: Mapping[str, Any]) -> str:
     steps = record["steps"].values()
     if any(step["changed"] for step in steps):
         commits += " with uncommitted changes"
-    num_seeds = max(len(each["values"]) for each in record["figures"].values())
-    seeds = f"{num_seeds} seed{'s' if num_seeds > 1 else ''}"
+    seeds = count_seeds(record)
     machine = f"{record['machine']['processor']} with {record['machine']['cores']} cores"
     busy_cores = max((step["others_cores"] or 0.0 for step in steps), default=0.0)
     load = (

@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 from softfin.cli import main
-from softfin.core.program_cache import JAX_SETTINGS, cache_folder, describe_cache
+from softfin.core.program_cache import (
+    JAX_SETTINGS,
+    cache_folder,
+    delete_old_programs,
+    describe_cache,
+)
 
 PROGRAM = """
 from softfin.core.program_cache import use_program_cache
@@ -98,3 +103,17 @@ def test_a_folder_that_cannot_be_written_stops_nothing(
     )
     assert done.stdout == "6.0\n"
     assert "persistent compilation cache" in done.stderr
+
+
+def test_the_programs_that_were_used_least_recently_are_deleted_first(tmp_path: Path) -> None:
+    for age, name in enumerate(("newest", "middle", "oldest")):
+        file = tmp_path / name
+        file.write_bytes(bytes(100))
+        os.utime(file, (1e9 - age, 1e9 - age))
+    delete_old_programs(tmp_path, 300)
+    assert {file.name for file in tmp_path.iterdir()} == {"newest", "middle", "oldest"}
+    delete_old_programs(tmp_path, 299)
+    assert {file.name for file in tmp_path.iterdir()} == {"newest", "middle"}
+    delete_old_programs(tmp_path, 0)
+    assert not list(tmp_path.iterdir())
+    delete_old_programs(tmp_path / "missing", 0)
