@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from results import ROOT
-from results.record import load, shown, short_source
+from results.record import load, short_source, shown
 
 BLOCKS = ROOT / "results" / "blocks"
 

@@ -14,9 +14,10 @@ import pytest
 from softfin.cli import main
 from softfin.control import onnx as exporting
 from softfin.control.controller import Measured
-from softfin.control.onnx import OPSET, export_onnx
+from softfin.control.onnx import export_onnx
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError, RunError
+from softfin.storage.onnx_file import OPSET
 from tests.control.folders import KINDS, folder_option
 
 
@@ -130,7 +131,7 @@ def test_what_is_there_is_kept_unless_it_may_be_replaced(
     onnx.checker.check_model(str(file))
 
 
-@pytest.mark.parametrize("name", ["ndonnx", "onnx", "onnxruntime"])
+@pytest.mark.parametrize("name", ["spox", "onnx", "onnxruntime"])
 def test_without_the_extra_one_line_says_how_to_get_it(
     name: str, folders: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -156,5 +157,5 @@ def test_the_command_line_tells_the_signature(
 
 
 def test_the_module_can_be_imported_without_the_extra() -> None:
-    for name in ("ndonnx", "onnxruntime"):
+    for name in ("spox", "onnxruntime"):
         assert name not in vars(importlib.import_module("softfin.control.onnx"))

@@ -1,12 +1,11 @@
 """A controller's step as ONNX: measurements, reference and state in, command and next state out,
-three times a second.
+three times per second.
 
-The step is traced from the formulas that NumPy runs on the robot, with ndonnx in its place; before
-the file is kept, onnxruntime plays an episode from it and the two are compared. Needs the extra
-``softfin[onnx]``.
+The step is translated from the formulas that NumPy runs on the robot, traced by JAX. Before the
+file is written, onnxruntime and NumPy run an episode and their commands are compared. Needs the
+extra ``softfin[onnx]``.
 """
 
-import importlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,12 @@ import numpy as np
 
 from softfin.control.controller import LoadedController, Measured
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
-from softfin.core.operations import Array, Number, Operations
+from softfin.core.operations import Array, jax_operations
 from softfin.core.quantities import action_to_command
 from softfin.storage.artifact import check_file
 from softfin.storage.onnx_file import (
     FORCE_FRAME,
     NEXT,
-    OPSET,
     Exported,
     encode_model,
     import_extra,
@@ -30,66 +28,13 @@ from softfin.storage.onnx_file import (
 )
 
 COMMAND_OUTPUTS = ("command_angle", "command_velocity")
-
-NEEDED = ("ndonnx", "onnx", "onnxruntime", "onnx.version_converter", "spox.opset.ai.onnx.v17")
-"""Modules of the extra; ndonnx builds graphs with spox."""
+MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
 """A file whose commands differ by more from NumPy's is not written [rad, rad/s]."""
 
 EPISODE = 240
 """Actions that are compared."""
-
-
-class OnnxOperations(Operations):
-    """The operations of ndonnx; both of two choices are in the graph."""
-
-    def __init__(self, ndonnx: Any) -> None:
-        self.xp = ndonnx
-        self._operators = importlib.import_module(NEEDED[-1])
-        self._constants: dict[int, tuple[np.ndarray, Array]] = {}
-
-    def row(self, table: Array, index: Number) -> Array:
-        """Add a Gather."""
-        if isinstance(index, int):
-            return table[index, ...]
-        return self.xp.take(table, self.xp.reshape(index, (1,)), axis=0)[0, ...]
-
-    def choose(
-        self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]
-    ) -> Any:
-        """Add a Where for each part, unless the choice is known now."""
-        if isinstance(condition, bool | np.bool_):
-            return then() if condition else otherwise()
-        one = then()
-        other = otherwise()
-        if isinstance(one, tuple):
-            return tuple(self.xp.where(condition, a, b) for a, b in zip(one, other, strict=True))
-        return self.xp.where(condition, self.xp.asarray(one), self.xp.asarray(other))
-
-    def dot(self, vector: Array, matrix: Array) -> Array:
-        """Add a plain MatMul: that of ndonnx comes with branches for arrays without elements."""
-        product = self._operators.matmul(vector.unwrap_spox(), matrix.unwrap_spox())
-        return self.xp.asarray(product)
-
-    def whole(self, number: Number) -> Number:
-        """Add a Cast."""
-        return self.xp.astype(number, self.xp.int64)
-
-    def real(self, number: Number) -> Number:
-        """Add a Cast."""
-        return self.xp.astype(number, self.xp.float32)
-
-    def clip(self, number: Number, low: Number, high: Number) -> Number:
-        """Add a Clip."""
-        return self.xp.clip(number, low, high)
-
-    def constant(self, values: Any) -> Any:
-        """Add one constant for each array."""
-        if isinstance(values, tuple):
-            return type(values)(*map(self.constant, values))
-        # The array is kept, so that its id stays its own.
-        return self._constants.setdefault(id(values), (values, self.xp.asarray(values)))[1]
 
 
 def export_onnx(controller: LoadedController, file: Path, overwrite: bool = False) -> Exported:
@@ -101,49 +46,47 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
         RunError: the exported step gives other commands than NumPy; nothing is written.
     """
     check_file(file, overwrite, "--onnx")
-    ndonnx, onnx, *_ = import_extra(*NEEDED)
+    import_extra("spox", "onnx", "onnxruntime")
+    from softfin.storage.onnx_graph import build_graph
+
     initial = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
-    model = _traced(ndonnx, onnx, controller)
+    measured = {name: np.zeros(shape, np.float32) for name, shape in MEASURED_SHAPES.items()}
+    model = build_graph(_step_function(controller), measured | initial)
     data = encode_model(model, f"{controller.kind} controller", initial, _metadata(controller))
     return keep_model(file, data, "commands", _difference(data, controller), MAX_COMMAND_DIFFERENCE)
 
 
-def _traced(ndonnx: Any, onnx: Any, controller: LoadedController) -> Any:
-    """Build the graph, with the names and shapes of the file's signature."""
-    initial = controller.step.init()
-    start = {name: np.asarray(value) for name, value in initial._asdict().items()}
-    state = {
-        name: ndonnx.argument(shape=value.shape, dtype=ndonnx.from_numpy_dtype(value.dtype))
-        for name, value in start.items()
-    }
-    shapes = {"angle": (), "force": (2,), "reference": (2,)}
-    measured = {
-        name: ndonnx.argument(shape=shape, dtype=ndonnx.float32) for name, shape in shapes.items()
-    }
-    now = ndonnx.concat([ndonnx.reshape(measured["angle"], (1,)), measured["reference"]])
-    after, action = controller.step.act(OnnxOperations(ndonnx), type(initial)(**state), now)
-    commands = dict(zip(COMMAND_OUTPUTS, action_to_command(controller.limits, action), strict=True))
-    for name, low, high in zip(
-        COMMAND_OUTPUTS, controller.limits[::2], controller.limits[1::2], strict=True
-    ):
-        # Rounding must not lead out of the limits: the nearest float32 that is not beyond each.
-        least = np.float32(low)
-        most = np.float32(high)
-        least = np.nextafter(least, np.float32(np.inf)) if least < low else least
-        most = np.nextafter(most, np.float32(-np.inf)) if most > high else most
-        commands[name] = ndonnx.clip(commands[name], float(least), float(most))
-    following = {
-        f"{NEXT}{name}": ndonnx.reshape(value, start[name].shape)
-        for name, value in after._asdict().items()
-    }
-    model = onnx.version_converter.convert_version(
-        ndonnx.build(measured | state, commands | following), OPSET
-    )
-    for cast in (node for node in model.graph.node if node.op_type == "Cast"):
-        # The converter leaves what concerns numbers of eight bits, which came later and are not
-        # here.
-        cast.attribute.remove(next(each for each in cast.attribute if each.name == "saturate"))
-    return model
+def _step_function(controller: LoadedController) -> Callable[..., dict[str, Array]]:
+    """Return the step as a JAX function of the file's inputs, which returns its outputs."""
+    operations = jax_operations()
+    jnp = operations.xp
+    limits = controller.limits
+    ranges = ((limits.angle_min, limits.angle_max), (limits.velocity_min, limits.velocity_max))
+
+    def step(angle: Array, force: Array, reference: Array, **state: Array) -> dict[str, Array]:
+        now = jnp.concatenate([angle[None], reference])
+        before = type(controller.step.init())(**state)
+        after, action = controller.step.act(operations, before, now)
+        outputs = {}
+        command = action_to_command(limits, action)
+        for name, value, (low, high) in zip(COMMAND_OUTPUTS, command, ranges, strict=True):
+            outputs[name] = jnp.clip(value, *_round_inwards(low, high))
+        for name, value in after._asdict().items():
+            outputs[f"{NEXT}{name}"] = jnp.reshape(value, jnp.shape(state[name]))
+        return outputs
+
+    return step
+
+
+def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
+    """Return the nearest float32 values that are not outside a range."""
+    first = np.float32(low)
+    last = np.float32(high)
+    if first < low:
+        first = np.nextafter(first, np.float32(np.inf))
+    if last > high:
+        last = np.nextafter(last, np.float32(-np.inf))
+    return first, last
 
 
 def _metadata(controller: LoadedController) -> dict[str, Any]:

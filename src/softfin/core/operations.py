@@ -1,8 +1,7 @@
 """The operations that controllers' formulas are written in: the array API, and what differs between
 its libraries.
 
-So each formula stands once. NumPy runs it on the robot, JAX compiles it, and the ONNX exporter
-traces it.
+So each formula exists once: NumPy runs it on the robot, and JAX compiles it and traces it for ONNX.
 """
 
 from collections.abc import Callable

@@ -81,5 +81,5 @@ def delete_old_programs(folder: Path, max_bytes: int) -> None:
         if size <= max_bytes:
             return
         with contextlib.suppress(OSError):
-            os.unlink(path)
+            Path(path).unlink()
         size -= program_bytes

@@ -1,7 +1,7 @@
 """A surrogate's step of 10 ms as ONNX: command and state in, readings and next state out, for
 Simulink or Gazebo.
 
-The step is traced from the surrogate's own formulas in JAX (`softfin.surrogate.onnx_graph`); before
+The step is traced from the surrogate's own formulas in JAX (`softfin.storage.onnx_graph`); before
 the file is kept, onnxruntime runs free for 30 s of random commands and is compared with JAX. Needs
 the extra ``softfin[onnx]``.
 """
@@ -27,7 +27,6 @@ from softfin.storage.onnx_file import (
     keep_model,
     open_session,
 )
-from softfin.surrogate.onnx_graph import OPERATORS, build_graph
 from softfin.surrogate.store import SURROGATE_KIND, AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
@@ -52,7 +51,9 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
         RunError: the exported step gives other readings than JAX; nothing is written.
     """
     artifacts.check_file(file, overwrite, "--onnx")
-    import_extra("ndonnx", "onnx", "onnxruntime", OPERATORS)
+    import_extra("spox", "onnx", "onnxruntime")
+    from softfin.storage.onnx_graph import build_graph
+
     surrogate = load_surrogate(folder)
     start: Any = surrogate.init(jax.random.key(0))
     flat, unpack = ravel_pytree(start[1:])
@@ -72,8 +73,9 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
         own = {name: getattr(reading, name)[0] for name in COMPARED_OUTPUTS}
         return {**own, **more, f"{NEXT}state": ravel_pytree(after[1:])[0]}
 
-    model = build_graph(step, {"command_angle": (), "command_velocity": (), "state": flat.shape})
     initial = {"state": np.asarray(flat)}
+    number = np.zeros((), np.float32)
+    model = build_graph(step, {"command_angle": number, "command_velocity": number} | initial)
     data = encode_model(
         model, f"{surrogate.model} surrogate", initial, _metadata(surrogate, folder)
     )

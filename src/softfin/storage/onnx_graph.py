@@ -1,0 +1,361 @@
+"""A JAX function as an ONNX graph: each primitive of its jaxpr becomes operators of opset 17.
+
+Controllers and surrogates are exported from the formulas that softfin runs, so that no formula
+exists twice. Values that do not depend on the inputs, such as transposed weights, become constants.
+Primitives that softfin does not use are refused by name. Needs the extra ``softfin[onnx]``.
+"""
+
+import importlib.metadata
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, SupportsIndex, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import spox
+import spox.opset.ai.onnx.v17 as op
+from jax.extend.core import Jaxpr, JaxprEqn, Literal
+
+from softfin.core.errors import RunError
+from softfin.storage.onnx_file import NEXT, OPSET
+
+Value: TypeAlias = np.ndarray | np.generic | jax.Array | spox.Var
+"""An array if the value is known while the graph is built, else a variable of the graph."""
+
+Results: TypeAlias = Value | list[Value]
+
+
+def build_graph(
+    function: Callable[..., Mapping[str, jax.Array]], inputs: Mapping[str, np.ndarray]
+) -> Any:
+    """Build the ONNX model of a function of named arrays that returns named arrays.
+
+    Args:
+        function: Called with keyword arguments of the names in `inputs`.
+        inputs: An example of each input, for its shape and dtype. The output ``next_NAME`` gets
+            the dtype of the input NAME.
+
+    Raises:
+        RunError: the function uses a primitive that is not translated.
+    """
+    names: list[str] = []
+
+    def traced(values: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        results = dict(function(**values))
+        names.extend(results)
+        return results
+
+    examples = {name: jnp.asarray(value) for name, value in inputs.items()}
+    closed = jax.make_jaxpr(traced)(examples)
+    arguments = {
+        name: spox.argument(spox.Tensor(value.dtype, value.shape)) for name, value in inputs.items()
+    }
+    # JAX flattens dictionaries in the order of their keys, and its integers have 32 bits.
+    given = [_cast(arguments[name], examples[name].dtype) for name in sorted(arguments)]
+    found = dict(zip(sorted(names), _translate(closed.jaxpr, closed.consts, given), strict=True))
+    outputs = {}
+    for name in names:
+        like = inputs.get(name.removeprefix(NEXT))
+        outputs[name] = _variable(found[name])
+        if name.startswith(NEXT) and like is not None:
+            outputs[name] = _cast(outputs[name], like.dtype)
+    model = spox.build(arguments, outputs)
+    # spox sets the oldest opset that has these operators.
+    model.opset_import[0].version = OPSET
+    return model
+
+
+def _translate(jaxpr: Jaxpr, consts: Sequence[Value], arguments: Sequence[Value]) -> list[Value]:
+    """Translate the equations one by one; return the outputs of the jaxpr."""
+    values: dict[Any, Value] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values |= dict(zip(jaxpr.invars, arguments, strict=True))
+
+    def read(atom: Any) -> Value:
+        if isinstance(atom, Literal):
+            return np.asarray(atom.val, dtype=_dtype(atom))
+        return values[atom]
+
+    for equation in jaxpr.eqns:
+        found = _translate_equation(equation, [read(atom) for atom in equation.invars])
+        results = found if isinstance(found, list) else [found]
+        values |= dict(zip(equation.outvars, results, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
+    name = equation.primitive.name
+    params = equation.params
+    if name == "scan":
+        return _unroll_scan(equation, values)
+    inner = params.get("jaxpr", params.get("call_jaxpr"))
+    if inner is not None:
+        is_closed = hasattr(inner, "consts")
+        consts = inner.consts if is_closed else ()
+        return _translate(inner.jaxpr if is_closed else inner, consts, values)
+    if all(_is_known(value) for value in values):
+        bind: Callable[..., Any] = equation.primitive.bind
+        known = bind(*values, **params)
+        results = known if equation.primitive.multiple_results else [known]
+        return [np.asarray(each) for each in results]
+    if name in SAME_OPERANDS:
+        return SAME_OPERANDS[name](*map(_variable, values))
+    if name not in TRANSLATORS:
+        raise RunError(
+            f"ONNX: JAX {importlib.metadata.version('jax')} uses the primitive {name!r}, which "
+            "softfin cannot export; use another version of JAX, or report it to softfin's authors"
+        )
+    return TRANSLATORS[name](equation, values)
+
+
+def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
+    """Write out every iteration: a step has few of them.
+
+    Versions of JAX state the number of carried values in different ways. They are the values
+    without a leading axis of iterations.
+    """
+    params = equation.params
+    body = params["jaxpr"]
+    num_carried = sum(
+        _rank(out) == inner.ndim
+        for out, inner in zip(equation.outvars, body.out_avals, strict=True)
+    )
+    num_unscanned = sum(
+        _rank(given) == inner.ndim
+        for given, inner in zip(equation.invars, body.in_avals, strict=True)
+    )
+    constants = values[: num_unscanned - num_carried]
+    carried = values[num_unscanned - num_carried : num_unscanned]
+    scanned = values[num_unscanned:]
+    order = range(params["length"])
+    rows: list[list[Value]] = [[] for _ in order]
+    for index in reversed(order) if params["reverse"] else order:
+        now = [_row(value, index) for value in scanned]
+        found = _translate(body.jaxpr, body.consts, [*constants, *carried, *now])
+        carried = found[:num_carried]
+        rows[index] = found[num_carried:]
+    return [*carried, *(_stack(each, 0) for each in zip(*rows, strict=True))]
+
+
+def _is_known(value: Value) -> bool:
+    return not isinstance(value, spox.Var)
+
+
+def _variable(value: Value) -> spox.Var:
+    return value if isinstance(value, spox.Var) else op.const(np.asarray(value))
+
+
+def _integers(numbers: Sequence[SupportsIndex] | np.ndarray) -> spox.Var:
+    return op.const(np.asarray(numbers, np.int64))
+
+
+def _cast(value: Value, dtype: Any) -> spox.Var:
+    return op.cast(_variable(value), to=np.dtype(dtype).type)
+
+
+def _shape(atom: Any) -> tuple[int, ...]:
+    shape: tuple[int, ...] = atom.aval.shape
+    return shape
+
+
+def _rank(atom: Any) -> int:
+    return len(_shape(atom))
+
+
+def _dtype(atom: Any) -> Any:
+    return atom.aval.dtype
+
+
+def _row(value: Value, index: int) -> Value:
+    if isinstance(value, spox.Var):
+        return op.gather(value, op.const(np.int64(index)), axis=0)
+    row: np.ndarray = np.asarray(value)[index]
+    return row
+
+
+def _stack(values: Sequence[Value], axis: int) -> Value:
+    if all(_is_known(value) for value in values):
+        return np.stack([np.asarray(value) for value in values], axis)
+    rows = [op.unsqueeze(_variable(value), _integers([axis])) for value in values]
+    return op.concat(rows, axis=axis)
+
+
+def _reshape(equation: JaxprEqn, values: list[Value]) -> Value:
+    return op.reshape(_variable(values[0]), _integers(_shape(equation.outvars[0])))
+
+
+def _broadcast_in_dim(equation: JaxprEqn, values: list[Value]) -> Value:
+    shape = equation.params["shape"]
+    sizes = [1] * len(shape)
+    places = equation.params["broadcast_dimensions"]
+    for place, size in zip(places, _shape(equation.invars[0]), strict=True):
+        sizes[place] = size
+    value = op.reshape(_variable(values[0]), _integers(sizes))
+    return value if tuple(sizes) == tuple(shape) else op.expand(value, _integers(shape))
+
+
+def _transpose(equation: JaxprEqn, values: list[Value]) -> Value:
+    return op.transpose(_variable(values[0]), perm=equation.params["permutation"])
+
+
+def _concatenate(equation: JaxprEqn, values: list[Value]) -> Value:
+    return op.concat([_variable(value) for value in values], axis=equation.params["dimension"])
+
+
+def _stack_along_axis(equation: JaxprEqn, values: list[Value]) -> Value:
+    return _stack(values, equation.params["axis"])
+
+
+def _slice(equation: JaxprEqn, values: list[Value]) -> Value:
+    params = equation.params
+    starts = params["start_indices"]
+    axes = range(len(starts))
+    steps = params["strides"] or [1] * len(starts)
+    limits = (starts, params["limit_indices"], axes, steps)
+    return op.slice(_variable(values[0]), *(_integers(list(numbers)) for numbers in limits))
+
+
+def _dynamic_slice(equation: JaxprEqn, values: list[Value]) -> Value:
+    """Cut out a part; as in JAX, the place is moved so that the part lies inside."""
+    value, *starts = values
+    sizes = np.asarray(equation.params["slice_sizes"], np.int64)
+    last_starts = np.asarray(_shape(equation.invars[0]), np.int64) - sizes
+    axes = _integers(list(range(len(sizes))))
+    rows = [op.reshape(_cast(start, np.int64), _integers([1])) for start in starts]
+    begin = op.min([op.max([op.concat(rows, axis=0), _integers([0])]), op.const(last_starts)])
+    return op.slice(_variable(value), begin, op.add(begin, op.const(sizes)), axes)
+
+
+def _split(equation: JaxprEqn, values: list[Value]) -> Results:
+    sizes = equation.params["sizes"]
+    axis = equation.params["axis"]
+    parts = op.split(_variable(values[0]), _integers(sizes), outputs_count=len(sizes), axis=axis)
+    return list(parts)
+
+
+def _tile(equation: JaxprEqn, values: list[Value]) -> Value:
+    return op.tile(_variable(values[0]), _integers(equation.params["reps"]))
+
+
+def _gather(equation: JaxprEqn, values: list[Value]) -> Value:
+    """Take whole rows along one axis, at places that are known while the graph is built."""
+    value, indices = values
+    shape = _shape(equation.invars[0])
+    numbers = equation.params["dimension_numbers"]
+    (axis,) = numbers.start_index_map
+    sizes = tuple(1 if place == axis else size for place, size in enumerate(shape))
+    num_batch_axes = _rank(equation.outvars[0]) - len(shape) + 1
+    num_later_axes = len(shape) - axis - 1
+    first_later_axis = axis + num_batch_axes
+    row_axes = (*range(axis), *range(first_later_axis, first_later_axis + num_later_axes))
+    takes_rows = (
+        numbers.collapsed_slice_dims == (axis,)
+        and numbers.offset_dims == row_axes
+        and equation.params["slice_sizes"] == sizes
+    )
+    if isinstance(indices, spox.Var) or not takes_rows:
+        raise RunError("ONNX: softfin can export a gather only of whole rows at fixed places")
+    places = np.clip(np.asarray(indices)[..., 0], 0, shape[axis] - 1)
+    return op.gather(_variable(value), _integers(places), axis=axis)
+
+
+def _dot_general(equation: JaxprEqn, values: list[Value]) -> Value:
+    """Multiply matrices ``(batch, rows, sum)`` and ``(batch, sum, columns)``."""
+    (left, right), (left_batch, right_batch) = equation.params["dimension_numbers"]
+    left_shape, right_shape = (_shape(atom) for atom in equation.invars)
+    rows = [axis for axis in range(len(left_shape)) if axis not in (*left, *left_batch)]
+    columns = [axis for axis in range(len(right_shape)) if axis not in (*right, *right_batch)]
+    num_batches = math.prod(left_shape[axis] for axis in left_batch)
+    num_summed = math.prod(left_shape[axis] for axis in left)
+    first = _arrange(values[0], (*left_batch, *rows, *left), (num_batches, -1, num_summed))
+    second = _arrange(values[1], (*right_batch, *right, *columns), (num_batches, num_summed, -1))
+    return _reshape(equation, [op.matmul(_variable(first), _variable(second))])
+
+
+def _arrange(value: Value, axes: tuple[int, ...], shape: tuple[int, ...]) -> Value:
+    if not isinstance(value, spox.Var):
+        return np.transpose(np.asarray(value), axes).reshape(shape)
+    is_in_order = list(axes) == sorted(axes)
+    return op.reshape(value if is_in_order else op.transpose(value, perm=axes), _integers(shape))
+
+
+def _reduce_sum(equation: JaxprEqn, values: list[Value]) -> Value:
+    return op.reduce_sum(_variable(values[0]), _integers(equation.params["axes"]), keepdims=0)
+
+
+def _argmin(equation: JaxprEqn, values: list[Value]) -> Value:
+    (axis,) = equation.params["axes"]
+    place = op.arg_min(_variable(values[0]), axis=axis, keepdims=0)
+    return _cast(place, equation.params["index_dtype"])
+
+
+def _integer_pow(equation: JaxprEqn, values: list[Value]) -> Value:
+    value = _variable(values[0])
+    power = equation.params["y"]
+    return op.mul(value, value) if power == 2 else op.pow(value, op.const(np.float32(power)))
+
+
+def _select_n(_: JaxprEqn, values: list[Value]) -> Value:
+    condition, if_false, if_true = map(_variable, values)
+    return op.where(condition, if_true, if_false)
+
+
+def _convert_element_type(equation: JaxprEqn, values: list[Value]) -> Value:
+    return _cast(values[0], equation.params["new_dtype"])
+
+
+SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
+    "abs": op.abs,
+    "add": op.add,
+    "and": op.and_,
+    "atanh": op.atanh,
+    "copy": op.identity,
+    "copy_p": op.identity,
+    "cos": op.cos,
+    "div": op.div,
+    "eq": op.equal,
+    "exp": op.exp,
+    "ge": op.greater_or_equal,
+    "gt": op.greater,
+    "le": op.less_or_equal,
+    "log": op.log,
+    "logistic": op.sigmoid,
+    "lt": op.less,
+    "max": lambda *values: op.max(values),
+    "min": lambda *values: op.min(values),
+    "mul": op.mul,
+    "ne": lambda one, other: op.not_(op.equal(one, other)),
+    "neg": op.neg,
+    "pow": op.pow,
+    # The sign of a remainder is that of the dividend, as in C.
+    "rem": lambda one, other: op.mod(one, other, fmod=1),
+    "sign": op.sign,
+    "sin": op.sin,
+    "sqrt": op.sqrt,
+    "square": lambda value: op.mul(value, value),
+    "stop_gradient": op.identity,
+    "sub": op.sub,
+    "tanh": op.tanh,
+}
+"""Operators for primitives that have no parameters."""
+
+TRANSLATORS: Mapping[str, Callable[[JaxprEqn, list[Value]], Results]] = {
+    "argmin": _argmin,
+    "broadcast_in_dim": _broadcast_in_dim,
+    "concatenate": _concatenate,
+    "convert_element_type": _convert_element_type,
+    "dot_general": _dot_general,
+    "dynamic_slice": _dynamic_slice,
+    "gather": _gather,
+    "integer_pow": _integer_pow,
+    "reduce_sum": _reduce_sum,
+    "reshape": _reshape,
+    "select_n": _select_n,
+    "slice": _slice,
+    "split": _split,
+    "squeeze": _reshape,
+    "stack": _stack_along_axis,
+    "tile": _tile,
+    "transpose": _transpose,
+}
+"""Translators of the other primitives."""
