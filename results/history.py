@@ -17,9 +17,9 @@ STEP_INPUTS = (
     "benchmarks",
     "examples",
     "results/scripts.py",
-    "docs/ablation.py",
-    "docs/data_efficiency.py",
-    "docs/faster_reaction.py",
+    "studies/ablation.py",
+    "studies/data_efficiency.py",
+    "studies/faster_reaction.py",
     "docs/calibration.yaml",
 )
 """Files that decide what a step computes, besides its command."""

@@ -54,8 +54,8 @@ def tank_r2(published: str, out: str, *seeds: str) -> None:
 
 
 def efficiency(out: str, *runs: str) -> None:
-    """Gather the seeds of ``docs/data_efficiency.py``, a run each, and draw its figure."""
-    script = runpy.run_path(str(ROOT / "docs" / "data_efficiency.py"))
+    """Gather the seeds of ``studies/data_efficiency.py``, a run each, and draw its figure."""
+    script = runpy.run_path(str(ROOT / "studies" / "data_efficiency.py"))
     for run in runs:
         shutil.copytree(Path(run) / "scores", Path(out) / "scores", dirs_exist_ok=True)
     script["draw"](script["gathered"](Path(out)), Path(out) / "data_efficiency.png")

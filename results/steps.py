@@ -25,7 +25,7 @@ from results.record import machine, versions
 
 RESUMED = {
     **dict.fromkeys(("fit", "train", "calibrate", "reproduce"), ("--resume",)),
-    **dict.fromkeys(("docs/ablation.py", "docs/data_efficiency.py"), ()),
+    **dict.fromkeys(("studies/ablation.py", "studies/data_efficiency.py"), ()),
 }
 """Commands that can continue after a stop, and the option for it."""
 

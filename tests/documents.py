@@ -22,6 +22,7 @@ CELL = "code-cell"
 SHOWING = (
     ROOT / "src/softfin/__init__.py",
     *sorted((ROOT / "docs").glob("*.py")),
+    *sorted((ROOT / "studies").glob("*.py")),
     *sorted((ROOT / "examples").glob("*.py")),
 )
 """Python files whose first docstring is a document, too."""

@@ -210,7 +210,9 @@ def options() -> set[str]:
     }
     names |= {"help", "version"}
     scripts = "".join(
-        path.read_text() for folder in ("docs", "examples") for path in (ROOT / folder).glob("*.py")
+        path.read_text()
+        for folder in ("docs", "examples", "studies")
+        for path in (ROOT / folder).glob("*.py")
     )
     names |= set(re.findall(r'add_argument\("--([\w-]+)"', scripts))
     names |= set(re.findall(r"^    (\w+): .* = ", scripts, re.MULTILINE))
@@ -395,5 +397,7 @@ def test_files_and_names_of_the_code_are_there():
 
 
 def code(folder: Path) -> Iterator[Path]:
-    tops = ("src", "tests", "docs", "examples", "benchmarks") if folder == ROOT else (".",)
+    tops = (
+        ("src", "tests", "docs", "examples", "benchmarks", "studies") if folder == ROOT else (".",)
+    )
     return (path for top in tops for path in (folder / top).rglob("*.py"))

@@ -79,6 +79,10 @@ IN_THE_DAY = (
 """Commands that need devices, which CI does at emulated ones: `make day`, examples/rig_day.py."""
 
 ELSEWHERE = {
+    "demo": "tests/cli/test_demo.py",
+    "reproduce --plant tank --out run --resume": "tests/end_to_end/test_stages.py",
+    "rig stop": "tests/cli/test_rig.py",
+    "ros2 example/single --reference=2,0 --plant rig --arm": "tests/cli/test_ros2.py",
     "doctor --rig rig.yaml": "tests/cli/test_doctor.py",
     "run example/single --reference=2,0 --arm": "tests/test_wheel.py",
     "rig emulate --real-time": "tests/test_wheel.py",

@@ -167,7 +167,7 @@ def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_i
     tmp_path, monkeypatch
 ):
     spec = importlib.util.spec_from_file_location(
-        "faster_reaction", ROOT / "docs" / "faster_reaction.py"
+        "faster_reaction", ROOT / "studies" / "faster_reaction.py"
     )
     study = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(study)

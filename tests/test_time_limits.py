@@ -14,7 +14,7 @@ from tests.patience import HANG_S
 
 SCRIPTS = [
     path
-    for folder in ("tests", "docs", "examples")
+    for folder in ("tests", "docs", "examples", "studies")
     for path in sorted((ROOT / folder).rglob("*.py"))
 ]
 

@@ -127,7 +127,7 @@ OPENINGS = re.compile(
 def main() -> int:
     """Print what is to be written another way; the exit code."""
     found = [line for file in sorted(PACKAGE.rglob("*.py")) for line in check_code(file)]
-    for file in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+    for file in [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/[!_]*.md"))]:
         found += check_text(file, 1, file.read_text())
     sys.stdout.write("".join(f"{line}\n" for line in dict.fromkeys(found)))
     sys.stdout.write(f"{len(dict.fromkeys(found))} words to change\n")

@@ -315,7 +315,7 @@ def faster(seeds: Sequence[int]) -> Part:
     """Settling time against ripple, with other action rates and windows."""
     first = seeds[0]
     command = (
-        f"python docs/faster_reaction.py streaming-{first} faster --seeds {len(seeds)} "
+        f"python studies/faster_reaction.py streaming-{first} faster --seeds {len(seeds)} "
         f"--seed {first}"
     )
     study = step("faster", command, 20, tiny="--tiny")

@@ -90,7 +90,7 @@ def _means(horizon: dict[str, Any]) -> dict[str, float]:
 
 def ablation(seeds: Sequence[int]) -> Part:
     """What each part of the streaming surrogate is worth."""
-    command = "python docs/ablation.py ablation-{0} --dataset dataset-{0} --seed {0}"
+    command = "python studies/ablation.py ablation-{0} --dataset dataset-{0} --seed {0}"
     tiny = "--minutes 1 --updates 2 --members 1 --batch 4 --horizon 2"
     steps = [step(f"ablation-{seed}", command.format(seed), 8, seed, tiny) for seed in seeds]
 
@@ -110,7 +110,9 @@ def ablation(seeds: Sequence[int]) -> Part:
 
 def data_efficiency(seeds: Sequence[int]) -> Part:
     """How long to record."""
-    command = "python docs/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --seeds {0} "
+    command = (
+        "python studies/data_efficiency.py efficiency-{0} --minutes 2,5,10,30,100 --seeds {0} "
+    )
     command += "--set members=3 --set drive_updates=300 --set force_updates=800"
     tiny = "--minutes 2 --set members=2 --set force_updates=2 --set drive_updates=2"
     runs = [step(f"efficiency-{seed}", command.format(seed), 12, seed, tiny) for seed in seeds]

@@ -8,7 +8,7 @@ import pytest
 
 from tests.documents import ROOT
 
-STUDY = runpy.run_path(str(ROOT / "docs/quarter_turn.py"))
+STUDY = runpy.run_path(str(ROOT / "studies/quarter_turn.py"))
 
 
 @pytest.mark.parametrize("name", ["default", "span 0.040 m", "span 0.160 m"])

@@ -21,7 +21,7 @@ class Command(NamedTuple):
     module: str
     """Module of this folder that holds its options."""
     summary: str
-    """What it does."""
+    """Description in the list of commands."""
 
 
 GROUPS = {

@@ -286,11 +286,11 @@ def held_figure(recording: ExperimentRecording) -> Figure:
                     linestyle="--",
                     linewidth=1,
                     zorder=3,
-                    label="asked for (reference)",
+                    label="target (reference)",
                 )
                 axes.plot(time, average[:, axis], color=colour, linewidth=1.8, label=name)
             x, y = recording.reference[index]
-            axes.set_title(with_minus_signs(f"asked for: x {x:g} N, y {y:g} N"), weight="bold")
+            axes.set_title(with_minus_signs(f"target: x {x:g} N, y {y:g} N"), weight="bold")
             axes.set_xlim(0, time[-1])
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")

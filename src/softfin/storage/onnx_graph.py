@@ -95,8 +95,8 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
         return _translate(inner.jaxpr if is_closed else inner, consts, values)
     if all(_is_known(value) for value in values):
         bind: Callable[..., Any] = equation.primitive.bind
-        known = bind(*values, **params)
-        results = known if equation.primitive.multiple_results else [known]
+        computed = bind(*values, **params)
+        results = computed if equation.primitive.multiple_results else [computed]
         return [np.asarray(each) for each in results]
     if name in SAME_OPERANDS:
         return SAME_OPERANDS[name](*map(_variable, values))

@@ -67,8 +67,7 @@ def test_references_follow_one_another_for_equal_parts_of_the_time():
     np.testing.assert_allclose(footage.command.angle, 0.1 * footage.reference[:, 0], rtol=1e-6)
     title = view_title("tank", config, (1.0, -1.0))
     assert (
-        title
-        == "A soft fin in the virtual tank, asked for (1, \u22121), then (2, 0), then (3, 1) N"
+        title == "A soft fin in the virtual tank, target (1, \u22121), then (2, 0), then (3, 1) N"
     )
 
 
@@ -224,7 +223,7 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
         reference=(2.0, 0.0),
     )
     assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot make it")
-    assert metadata["title"].endswith("asked for (1, 0), then (0.5, 0) N")
+    assert metadata["title"].endswith("target (1, 0), then (0.5, 0) N")
 
 
 def test_strokes_go_to_either_side_of_the_centre_on_the_action_clock():

@@ -84,7 +84,7 @@ def test_watching_ends_with_the_recording(tmp_path, terminal):
     watch(Follower(bag), out, sleep=sleep)
     assert len(slept) == 3
     text = out.file.getvalue()
-    assert "ended" in text
+    assert "recording complete" in text
     assert text.removesuffix("\x1b[?25h").endswith("armed\n")
     assert text.count("armed") == 1 or terminal
 

@@ -138,7 +138,7 @@ def view_title(plant: str, config: ViewConfig, reference: Reference | None) -> s
         asked = ", then ".join(
             f"({x:.3g}, {y:.3g})" for x, y in (reference, *config.next_references)
         )
-        return with_minus_signs(f"A soft fin {where}, asked for {asked} N")
+        return with_minus_signs(f"A soft fin {where}, target {asked} N")
     if config.random:
         return f"A soft fin {where}, random commands"
     return with_minus_signs(f"A soft fin {where}, beating about {config.gait.centre_rad:g} rad")

@@ -40,11 +40,11 @@ ROLES = {
 
 STATES = {
     "waiting": "no rows yet",
-    "reading": "reading what was recorded before",
+    "reading": "reading earlier rows",
     "recording": "recording",
-    "silent": "no new rows: the run was stopped, or its disk cannot be seen from here",
-    "ended": "the recording has ended",
-    "damaged": "damaged: nothing more can be read",
+    "silent": "no new rows: the run has stopped, or its disk is not reachable",
+    "ended": "recording complete",
+    "damaged": "damaged: the rest cannot be read",
 }
 
 Summary: TypeAlias = dict[str, Any]

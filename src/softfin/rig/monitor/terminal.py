@@ -66,7 +66,7 @@ def render(summary: Summary, traces: Mapping[str, Trace]) -> Group:
 def _table(summary: Summary, traces: Mapping[str, Trace]) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     last = f"last {SHOWN_S:.0f} s"
-    for title in ("", "now", "2 s mean", "asked for", "least", last, "most"):
+    for title in ("", "now", "2 s mean", "target", "min", last, "max"):
         table.add_column(title, justify="left" if title in ("", last) else "right", no_wrap=True)
     pairs = [summary[name] or (None, None) for name in ("force_n", "mean_force_n", "reference_n")]
     rows = [

@@ -1,4 +1,4 @@
-"""Draws thrust against stiffness and against bending lag: ``python docs/quarter_turn.py
+"""Draws thrust against stiffness and against bending lag: ``python studies/quarter_turn.py
 docs/quarter_turn.png``.
 
 The shaft of the virtual tank beats as a sine, with fins of many stiffnesses. Bend: the direction

@@ -1,7 +1,7 @@
 """What each part of the streaming surrogates is worth: the same fit with one thing changed at a
 time.
 
-    python docs/ablation.py RUN --dataset dataset --minutes 10 --updates 800 --members 2 --batch 16
+    python studies/ablation.py RUN --dataset dataset --minutes 10 --updates 800 --members 2 --batch 16
 
 Prints a table of free-running errors over 30 s, on the test logs of a dataset, as Markdown, and
 writes ablation.json. Each variant keeps its folder in RUN, so a stopped run goes on where it was.

@@ -1,7 +1,7 @@
 """How fast a controller can react: settling time against ripple, with other action rates and other
 windows.
 
-    python docs/faster_reaction.py surrogate RUN
+    python studies/faster_reaction.py surrogate RUN
 
 softfin acts 3 times a second and judges by the mean force over six actions, 2 s. Both are
 constants, in `softfin.core.action_clock`: every row here is trained and judged in processes in
