@@ -2,11 +2,11 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 from softfin.cli.common import CommandOptions, Configured, File, Out, on_terminal
 from softfin.cli.options import Option
-from softfin.core.choices import RobotTask, TransportName
+from softfin.core.choices import RobotTask, TransportName, ViewedTask
 
 Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
 
@@ -89,7 +89,7 @@ class RobotViewArguments(Configured):
     """Name of a robot, or its YAML file."""
     out: File = Path("robot.html")
     """File to write."""
-    task: Literal["hold", "lemniscate", "lissajous"] | None = None
+    task: ViewedTask | None = None
     """hold: hold a place against a push and a current (default); lemniscate: follow a figure of
     eight; lissajous: follow a three-dimensional curve."""
     dead: bool = False

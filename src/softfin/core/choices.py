@@ -33,6 +33,9 @@ EngineName: TypeAlias = Literal["local", "ray"]
 RobotTask: TypeAlias = Literal["wrenches", "hold", "lemniscate", "lissajous"]
 """Tasks by which a robot is evaluated."""
 
+ViewedTask: TypeAlias = Literal["hold", "lemniscate", "lissajous"]
+"""Tasks whose motion a page can show."""
+
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
 """How a ROS 2 node reaches others; auto: rclpy where it is installed, else DDS."""
 

@@ -9,6 +9,7 @@ import socket
 import sys
 import time
 
+import numpy as np
 import pytest
 
 from softfin.core.clock import REAL, Clock
@@ -97,8 +98,10 @@ def test_a_full_buffer_keeps_the_oldest_and_a_drain_is_bounded(pair):
     numbers = [arrival.record.rdt_sequence for arrival in first + rest]
     assert numbers == sent[: len(numbers)]
     assert len(first) == min(len(numbers), stream.MAX_DATAGRAMS)
-    times = [arrival.time for arrival in first + rest]
-    assert times == sorted(times)
+    # Each drain measures the offset between the clocks anew, to some microseconds; records of a
+    # sensor come 1 ms apart.
+    times = np.array([arrival.time for arrival in first + rest])
+    assert np.diff(times).min() > -1e-4
 
 
 @pytest.mark.parametrize("step_s", [-1e6, -1.0, 1.0, 1e6])
