@@ -61,7 +61,7 @@ def day(quick: bool) -> None:
     )
 
     # Afternoon: hold forces, judge, hand on.
-    amount = ("--seconds=5", "--seeds=1") if quick else ("--seconds=20", "--seeds=2")
+    amount = ("--seconds=5", "--repeats=1") if quick else ("--seconds=20", "--repeats=2")
     judged = (
         "evaluate",
         "controller",
