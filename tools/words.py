@@ -71,7 +71,6 @@ NAMES = {
     "facts": "metadata",
     "Finding": "Issue",
     "also": "extra_files",
-    "described": "to_dict",
     "Workspace": "RunDirectory",
     "workspace": "run_directory",
     "Bench": "RobotSetup",

@@ -169,7 +169,7 @@ def test_references_of_ones_own_have_no_column_of_the_paper(tmp_path):
     words = Page((tmp_path / "report.html").read_text()).words
     assert "(0.5, 0)" in words
     assert "as printed" not in words.split("Definitions")[1].split("Control")[-1]
-    assert "One seed, hence no intervals" in words
+    assert "One seed, so there are no intervals" in words
     assert "±" not in words.partition("Definitions")[0]
 
 
@@ -222,8 +222,7 @@ def test_the_page_begins_with_the_headline(page):
 @pytest.mark.parametrize(("seeds", "shown"), [(1, ""), (2, " (0.100 to 0.300)"), (3, " ±0.25")])
 def test_behind_an_error_stand_two_seeds_values_or_an_interval(seeds, shown):
     values = np.array([0.1, 0.3, 0.2][:seeds])
-    scores = {"error_interval_n": interval(values), "error_seeds_n": values.tolist()}
-    assert over_seeds(scores, "error") == shown.strip()
+    assert over_seeds(interval(values), values.tolist()) == shown.strip()
 
 
 def test_text_is_escaped(results, tmp_path):

@@ -1,8 +1,8 @@
 """Commands that show what a fin does: ``evaluate``, ``baselines``, ``view`` and ``explore``."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from softfin.cli.common import (
     AnyPlant,
@@ -21,6 +21,9 @@ from softfin.core.choices import MovingReference
 from softfin.core.errors import ConfigurationError
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import is_live
+
+if TYPE_CHECKING:
+    from softfin.evaluation.results import ErrorMapRows, EvaluationSummary, MovingRow, RandomErrors
 
 
 class EvaluateArguments(Armed, Configured):
@@ -119,20 +122,19 @@ class EvaluateArguments(Armed, Configured):
                 randomize=self.randomize,
                 overwrite=self.overwrite,
             )
-        parts: dict[str, Callable[[Any], str]]
-        parts = {
-            "moving": moving_table,
-            "error_map": map_line,
-            "random": random_line,
-            "warning": "warning: {}".format,
-        }
-        lines = [
-            show(found) for name, show in parts.items() if (found := summary.get(name)) is not None
-        ]
-        self.tell(summary, "\n".join([table_two({summary["conditions"]["kind"]: summary}), *lines]))
+        lines = [table_two({summary["conditions"]["kind"]: summary})]
+        if "moving" in summary:
+            lines.append(moving_table(summary["moving"]))
+        if "error_map" in summary:
+            lines.append(map_line(summary["error_map"]))
+        if "random" in summary:
+            lines.append(random_line(summary["random"]))
+        if summary["warning"] is not None:
+            lines.append(f"warning: {summary['warning']}")
+        self.tell(summary, "\n".join(lines))
 
 
-def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
+def moving_table(rows: "Sequence[MovingRow]") -> str:
     """Return a line for every signal: errors, and the longest settling time of its steps over all
     seeds."""
     from softfin.cli.tables import aligned
@@ -143,12 +145,17 @@ def moving_table(rows: Sequence[Mapping[str, Any]]) -> str:
             row["settles"]
         ]
         cells.append(
-            [f"  {row['described']}", *(f"{row[axis]['error_n']:.3f}" for axis in "xy"), settling]
+            [
+                f"  {row['described']}",
+                f"{row['x']['error_n']:.3f}",
+                f"{row['y']['error_n']:.3f}",
+                settling,
+            ]
         )
     return "\n".join(aligned(cells))
 
 
-def map_line(errors: Mapping[str, Any]) -> str:
+def map_line(errors: "ErrorMapRows") -> str:
     """Return the error map in one line."""
     (x0, y0) = errors["low_n"]
     (x1, y1) = errors["high_n"]
@@ -164,13 +171,15 @@ def map_line(errors: Mapping[str, Any]) -> str:
     )
 
 
-def random_line(errors: Mapping[str, Any]) -> str:
+def random_line(errors: "RandomErrors") -> str:
     """Return the errors over random references in one line."""
-    words = (
-        f"{name} " + ", ".join(f"{errors[axis][key]:.3f}" for axis in "xy")
-        for name, key in (("mean", "mean_n"), ("95% within", "p95_n"), ("worst", "worst_n"))
+    x = errors["x"]
+    y = errors["y"]
+    return (
+        f"{errors['count']} random references: error x, y mean {x['mean_n']:.3f}, "
+        f"{y['mean_n']:.3f}, 95% within {x['p95_n']:.3f}, {y['p95_n']:.3f}, worst "
+        f"{x['worst_n']:.3f}, {y['worst_n']:.3f} N"
     )
-    return f"{errors['count']} random references: error x, y {', '.join(words)} N"
 
 
 class BaselinesArguments(Configured):
@@ -200,7 +209,9 @@ class BaselinesArguments(Configured):
         self.tell(result, baselines_table(result["baselines"], result["left_out"]))
 
 
-def baselines_table(summaries: Mapping[str, Any], left_out: Mapping[str, str]) -> str:
+def baselines_table(
+    summaries: "Mapping[str, EvaluationSummary]", left_out: Mapping[str, str]
+) -> str:
     """Return Table II of every baseline, then one line for each, with how often limits of plant or
     model change it."""
     from softfin.cli.tables import aligned, table_two
@@ -208,7 +219,9 @@ def baselines_table(summaries: Mapping[str, Any], left_out: Mapping[str, str]) -
     limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")
     rows = [["mean over the references [N]", "x error", "y error", "x std", "y std", ""]]
     for name, summary in summaries.items():
-        means = (summary["mean"][axis][score] for score in ("error_n", "std_n") for axis in "xy")
+        x = summary["mean"]["x"]
+        y = summary["mean"]["y"]
+        means = (x["error_n"], y["error_n"], x["std_n"], y["std_n"])
         clipped = sum(
             any(row["commanded"].get(limit) for limit in limited) for row in summary["references"]
         )

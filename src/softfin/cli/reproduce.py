@@ -62,12 +62,12 @@ def _run_stages(
         [] if results["surrogate"] is None else [format_table_one(results["surrogate"]["scores"])]
     )
     evaluated = {
-        f"On {plant}": "controllers",
-        "The same, with force feedback (--trim)": "trimmed",
-        "The same in the surrogate that they were trained in": "in_surrogate",
+        f"On {plant}": results["controllers"],
+        "The same, with force feedback (--trim)": results["trimmed"],
+        "The same in the surrogate that they were trained in": results["in_surrogate"],
     }
-    for title, key in evaluated.items():
-        if summaries := results[key]:
+    for title, summaries in evaluated.items():
+        if summaries:
             moving = {
                 name: moving_table(rows)
                 for name, each in summaries.items()

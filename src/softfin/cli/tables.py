@@ -7,6 +7,7 @@ from typing import Any
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import over_seeds
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
+from softfin.evaluation.results import EvaluationSummary, MeanScores
 from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 
@@ -48,7 +49,7 @@ def format_table_one(scores: dict[str, Any] | None) -> str:
     return "\n".join(aligned(rows))
 
 
-def table_two(controllers: Mapping[str, Any]) -> str:
+def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
     """Table II: error and std of the 200-sample moving average, beside the paper's.
 
     Behind an error stands half of its 95% interval over the seeds, of two seeds their values.
@@ -77,7 +78,7 @@ def table_two(controllers: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def describe_errors(summary: Mapping[str, Any]) -> str:
+def describe_errors(summary: EvaluationSummary) -> str:
     """Return a line about the force behind the errors, with the error of the sensor's reading if
     that is another."""
     mean = summary["mean"]
@@ -89,10 +90,12 @@ def describe_errors(summary: Mapping[str, Any]) -> str:
     )
 
 
-def _scores(row: Mapping[str, Any]) -> list[str]:
+def _scores(row: MeanScores) -> list[str]:
     cells = []
     for axis in AXES:
-        error = f"{row[axis]['error_n']:.3f} {over_seeds(row[axis], 'error')}"
+        interval = row[axis]["error_interval_n"]
+        errors = row[axis]["error_seeds_n"]
+        error = f"{row[axis]['error_n']:.3f} {over_seeds(interval, errors)}"
         cells += [error.rstrip(), f"{row[axis]['std_n']:.3f}"]
     return cells
 

@@ -6,7 +6,7 @@ Axes: thrust that pushes the robot forward is +x. At angle theta the fin points 
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -207,4 +207,5 @@ def command_limits(logs: Sequence[Log]) -> Limits:
 PAPER_LIMITS = Limits(-np.pi / 2, np.pi / 2, 1.0, np.pi)
 """Sec. III-A: target position in (-pi/2, pi/2) rad, velocity in (1, pi) rad/s."""
 
-AXES = ("x", "y")
+Axis: TypeAlias = Literal["x", "y"]
+AXES: tuple[Axis, Axis] = ("x", "y")

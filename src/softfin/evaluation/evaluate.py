@@ -18,7 +18,7 @@ from softfin.control.references import resolve_reference
 from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
-from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.quantities import RATE_HZ
 from softfin.core.randomness import named_key
 from softfin.core.window import CONFIDENCE, interval
 from softfin.evaluation.experiment import (
@@ -31,6 +31,14 @@ from softfin.evaluation.experiment import (
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving_references import MovingScores, moving_together, plan_moving
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
+from softfin.evaluation.results import (
+    AxisScores,
+    EvaluationSummary,
+    MeanScores,
+    RandomErrors,
+    ReferenceScores,
+    add_reading_error,
+)
 from softfin.evaluation.scores import (
     STILL_RAD_S,
     Scores,
@@ -110,15 +118,17 @@ class Evaluation:
     """Experiments whose reference moves, those of one length together."""
     error_map: ErrorMap | None = None
     """Errors over the controller's range."""
-    random: dict[str, Any] | None = None
-    """Errors over random references, for JSON."""
+    random: RandomErrors | None = None
+    """Errors over random references."""
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> EvaluationSummary:
         """Conditions, scores by reference and their mean; the first part of what `write_evaluation`
         writes."""
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
-        return {
-            **artifacts.head("evaluation"),
+        head = artifacts.head("evaluation")
+        summary: EvaluationSummary = {
+            "kind": head["kind"],
+            "format": head["format"],
             "conditions": {
                 "duration_s": self.config.seconds,
                 "seeds": self.repetitions,
@@ -133,45 +143,64 @@ class Evaluation:
                 "still_below_rad_s": STILL_RAD_S,
             },
             "references": [
-                {
-                    "reference_n": list(reference),
-                    "tracked_reference_n": [
-                        round(float(x), 4) for x in self.recording.reference[i]
-                    ],
-                    **_row(jax.tree.map(lambda field, i=i: field[i], self.scores)),
-                    "still": bool((self.scores.late_travel[i] < STILL_RAD_S).all()),
-                    **(
-                        {}
-                        if self.uncertainty is None
-                        else {"surrogate": self.uncertainty.to_dict(i)}
-                    ),
-                }
-                for i, reference in enumerate(self.config.references)
+                self._reference_scores(index) for index in range(len(self.config.references))
             ],
-            "mean": _row(jax.tree.map(lambda field: field.mean(axis=0), self.scores)),
+            "mean": mean_scores(jax.tree.map(lambda field: field.mean(axis=0), self.scores)),
             "warning": "; ".join([*self.warnings, *([uncertain] if uncertain else [])]) or None,
-            **(
-                {"moving": [row for moving in self.moving for row in moving.rows]}
-                if self.moving
-                else {}
-            ),
-            **({} if self.error_map is None else {"error_map": self.error_map.to_dict()}),
-            **({} if self.random is None else {"random": self.random}),
         }
+        if self.moving:
+            summary["moving"] = [row for moving in self.moving for row in moving.rows]
+        if self.error_map is not None:
+            summary["error_map"] = self.error_map.to_dict()
+        if self.random is not None:
+            summary["random"] = self.random
+        return summary
+
+    def _reference_scores(self, index: int) -> ReferenceScores:
+        tracked = self.recording.reference[index]
+        scores = mean_scores(jax.tree.map(lambda field: field[index], self.scores))
+        row: ReferenceScores = {
+            "reference_n": list(self.config.references[index]),
+            "tracked_reference_n": [round(float(force), 4) for force in tracked],
+            "x": scores["x"],
+            "y": scores["y"],
+            "command_travel_rad_s": scores["command_travel_rad_s"],
+            "shaft_travel_rad_s": scores["shaft_travel_rad_s"],
+            "still": bool((self.scores.late_travel[index] < STILL_RAD_S).all()),
+        }
+        if self.uncertainty is not None:
+            row["surrogate"] = self.uncertainty.to_dict(index)
+        return row
 
 
-def _row(scores: Scores) -> dict[str, Any]:
+def mean_scores(scores: Scores) -> MeanScores:
     """Scores of one reference, or the mean of all: fields ``(seeds, 2)`` and ``(seeds,)``."""
-    row: dict[str, Any] = {axis: {} for axis in AXES}
-    names = ["error", "std", "raw_std"]
+    return {
+        "x": _axis_scores(scores, 0),
+        "y": _axis_scores(scores, 1),
+        "command_travel_rad_s": float(scores.command_travel.mean()),
+        "shaft_travel_rad_s": float(scores.shaft_travel.mean()),
+    }
+
+
+def _axis_scores(scores: Scores, axis: int) -> AxisScores:
+    error = scores.error[:, axis]
+    std = scores.std[:, axis]
+    raw_std = scores.raw_std[:, axis]
+    row: AxisScores = {
+        "error_n": float(error.mean()),
+        "error_interval_n": interval(error),
+        "error_seeds_n": error.tolist(),
+        "std_n": float(std.mean()),
+        "std_interval_n": interval(std),
+        "std_seeds_n": std.tolist(),
+        "raw_std_n": float(raw_std.mean()),
+        "raw_std_interval_n": interval(raw_std),
+        "raw_std_seeds_n": raw_std.tolist(),
+    }
     if scores.reading_error is not None:
-        names.append("reading_error")
-    for name in names:
-        for axis, values in zip(AXES, getattr(scores, name).T, strict=True):
-            row[axis] |= {f"{name}_n": float(values.mean()), f"{name}_interval_n": interval(values)}
-            row[axis] |= {f"{name}_seeds_n": values.tolist()}
-    travels = {"command": scores.command_travel, "shaft": scores.shaft_travel}
-    return row | {f"{name}_travel_rad_s": float(travel.mean()) for name, travel in travels.items()}
+        add_reading_error(row, scores.reading_error[:, axis])
+    return row
 
 
 def score_controller(
@@ -247,7 +276,7 @@ def write_evaluation(
     out: Path,
     metadata: Mapping[str, Any] | None = None,
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> EvaluationSummary:
     """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns
     the JSON.
 

@@ -2,15 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import cast
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib import colormaps
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
+from matplotlib.projections.polar import PolarAxes
 
 from softfin.core.action_clock import WINDOW
-from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.quantities import AXES, RATE_HZ, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving_references import MovingScores
@@ -39,7 +41,7 @@ def experiments_figure(recording: ExperimentRecording) -> Figure:
     high = np.ceil(np.maximum(shown.max(axis=(0, 1)), recording.reference.max(axis=0)))
     with styled():
         figure = new_figure(6.6 * columns, 0.5 + 3.1 * rows)
-        panels: Any = figure.subfigures(rows, columns, squeeze=False).flat
+        panels = figure.subfigures(rows, columns, squeeze=False).flat
         for index in range(count):
             _draw_experiment(panels[index], recording, index, np.stack([low, high], axis=1))
         handles, labels = figure.get_axes()[1].get_legend_handles_labels()
@@ -48,13 +50,15 @@ def experiments_figure(recording: ExperimentRecording) -> Figure:
 
 
 def _draw_experiment(
-    panel: SubFigure, recording: ExperimentRecording, index: int, limits: Any
+    panel: SubFigure,
+    recording: ExperimentRecording,
+    index: int,
+    limits: Float[np.ndarray, "axes 2"],
 ) -> None:
     reference = recording.reference[index]
     grid = panel.add_gridspec(2, 2, width_ratios=(1, 1.7))
-    _draw_trajectory(
-        panel.add_subplot(grid[:, 0], projection="polar"), recording.reading.angle[index, 0]
-    )
+    polar = cast(PolarAxes, panel.add_subplot(grid[:, 0], projection="polar"))
+    _draw_trajectory(polar, recording.reading.angle[index, 0])
     above = panel.add_subplot(grid[0, 1])
     below = panel.add_subplot(grid[1, 1], sharex=above)
     above.tick_params(labelbottom=False)
@@ -89,7 +93,7 @@ def _draw_experiment(
     )
 
 
-def _draw_trajectory(axes: Any, angle: Any) -> None:
+def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
     """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at
     positive ones up (+y)."""
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]

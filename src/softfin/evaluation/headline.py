@@ -1,10 +1,11 @@
 """The outcome of a whole run in one sentence: does the controller hold the target forces?"""
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from softfin.core.quantities import AXES
+from softfin.evaluation.results import EvaluationSummary, MeanScores, RunResults
 from softfin.evaluation.scores import SETTLED_N
 from softfin.storage.figures import with_minus_signs
 
@@ -24,7 +25,7 @@ class Headline(NamedTuple):
     """Whether its error at every reference is at most `SETTLED_N` on both axes."""
 
 
-def headline(results: Mapping[str, Any]) -> Headline | None:
+def headline(results: RunResults) -> Headline | None:
     """Choose the best controller of a run's ``results.json``, with force feedback if evaluated;
     None if there is none.
 
@@ -34,7 +35,7 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
     if not evaluated:
         return None
 
-    def still_or_error(item: tuple[str, Any]) -> tuple[bool, float]:
+    def still_or_error(item: tuple[str, EvaluationSummary]) -> tuple[bool, float]:
         return any(row["still"] for row in item[1]["references"]), greatest_error(item[1]["mean"])
 
     name, summary = min(evaluated.items(), key=still_or_error)
@@ -75,9 +76,9 @@ def headline(results: Mapping[str, Any]) -> Headline | None:
     return Headline(name, f"{sentence}.", caption, not too_far and not still)
 
 
-def greatest_error(row: Mapping[str, Any]) -> float:
+def greatest_error(row: MeanScores) -> float:
     """The greater of both axes' errors [N]."""
-    return max(float(row[axis]["error_n"]) for axis in AXES)
+    return max(row[axis]["error_n"] for axis in AXES)
 
 
 def within(error_n: float) -> str:
@@ -85,11 +86,9 @@ def within(error_n: float) -> str:
     return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
 
 
-def over_seeds(scores: Mapping[str, Any], name: str, digits: int = 3) -> str:
-    """Text behind a mean over seeds: half its interval, the range of both of two seeds, nothing of
-    one."""
-    interval = scores[f"{name}_interval_n"]
-    seeds = scores.get(f"{name}_seeds_n") or []
+def over_seeds(interval: list[float] | None, values: Sequence[float]) -> str:
+    """Text behind a mean over seeds: half its interval, the range of the values of two seeds,
+    nothing for one seed."""
     if interval is not None:
-        return f"±{(interval[1] - interval[0]) / 2:.{digits - 1}f}"
-    return f"({min(seeds):.{digits}f} to {max(seeds):.{digits}f})" if len(set(seeds)) > 1 else ""
+        return f"±{(interval[1] - interval[0]) / 2:.2f}"
+    return f"({min(values):.3f} to {max(values):.3f})" if len(set(values)) > 1 else ""

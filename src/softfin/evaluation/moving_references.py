@@ -21,6 +21,7 @@ from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import interval, moving_error
 from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, independent
 from softfin.evaluation.range_errors import controller_range
+from softfin.evaluation.results import MovingRow, TrackingErrors, add_reading_error
 from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import (
@@ -49,15 +50,13 @@ SIGNALS: dict[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int
     "ramp": (Ramp, (UP, FORWARDS), 20),
     "sine": (_sine, (UP, FORWARDS), 30),
 }
-"""Default signals by kind: from where to where in the range, and length of the experiment [s]; in
-the paper's range:
+"""Default signals by kind: start and end in the range, and length of the experiment [s].
 
-========
-==============================================================================================================
-``step`` at 10 s: (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1), (3, 0) to (1, -1) N
-``ramp`` from 5 s to 15 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N ``sine`` of 10 s: (2, -1) to (2,
-1), (2, 0) to (3, 0) N ========
-==============================================================================================================
+In the paper's range:
+
+- ``step`` at 10 s: (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1), (3, 0) to (1, -1) N
+- ``ramp`` from 5 s to 15 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N
+- ``sine`` of 10 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N
 """
 
 
@@ -90,8 +89,8 @@ class MovingScores(NamedTuple):
     recording: ExperimentRecording
     """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1,
     ticks)``."""
-    rows: list[dict[str, Any]]
-    """Scores of each signal, for JSON."""
+    rows: list[MovingRow]
+    """Scores of each signal."""
 
 
 class MovingPlan(NamedTuple):
@@ -135,20 +134,21 @@ def _row(
     forces: np.ndarray,
     error: Float[np.ndarray, "seeds 2"],
     reading_error: Float[np.ndarray, "seeds 2"] | None,
-) -> dict[str, Any]:
+) -> MovingRow:
     responses = [step_responses(force, tracked) for force in forces]
     # Against the reference of that very instant, so the window's own delay counts too.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
-    axes = {
-        axis: _errors("error", error[:, k])
-        | {"instantaneous_error_n": float(instantaneous[:, k].mean())}
-        for k, axis in enumerate(AXES)
-    }
-    if reading_error is not None:
-        for k, axis in enumerate(AXES):
-            axes[axis] |= _errors("reading_error", reading_error[:, k])
+    x, y = (
+        _errors(
+            error[:, axis],
+            float(instantaneous[:, axis].mean()),
+            None if reading_error is None else reading_error[:, axis],
+        )
+        for axis in range(len(AXES))
+    )
     times = [step["settling_s"] for seed in responses for step in seed]
-    settles = None not in times if times else None
+    settled = [time for time in times if time is not None]
+    settles = len(settled) == len(times) if times else None
     # The rows of a recorded signal may be many; they stand in its file.
     left_out = {"kind", "time_s", "force_n"} if isinstance(signal, Recorded) else {"kind"}
     return {
@@ -157,9 +157,10 @@ def _row(
         "signal": signal.model_dump(mode="json", exclude=left_out),
         "duration_s": len(tracked) / RATE_HZ,
         "replaced_s": int(np.any(tracked != signal.sample(len(tracked)), axis=1).sum()) / RATE_HZ,
-        **axes,
+        "x": x,
+        "y": y,
         "settles": settles,
-        "longest_settling_s": max(times) if settles else None,
+        "longest_settling_s": max(settled) if settles else None,
         "steps": [list(step) for step in zip(*responses, strict=True)],
     }
 
@@ -173,38 +174,45 @@ def moving_together(each: Sequence[MovingScores]) -> MovingScores:
     )
 
 
-def _row_together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    axes = {}
-    for axis in AXES:
-        instantaneous = float(np.mean([row[axis]["instantaneous_error_n"] for row in rows]))
-        axes[axis] = {"instantaneous_error_n": instantaneous}
-        for name in ("error", "reading_error"):
-            if f"{name}_n" in rows[0][axis]:
-                axes[axis] |= _errors(
-                    name, np.concatenate([row[axis][f"{name}_seeds_n"] for row in rows])
-                )
+def _row_together(rows: Sequence[MovingRow]) -> MovingRow:
     settles = None if rows[0]["settles"] is None else all(row["settles"] for row in rows)
-    return (
-        rows[0]
-        | axes
-        | {
-            "settles": settles,
-            "longest_settling_s": max(row["longest_settling_s"] for row in rows)
-            if settles
-            else None,
-            "steps": [
-                list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)
-            ],
-        }
+    times = [time for row in rows if (time := row["longest_settling_s"]) is not None]
+    steps = [list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)]
+    return {
+        **rows[0],
+        "x": _errors_together([row["x"] for row in rows]),
+        "y": _errors_together([row["y"] for row in rows]),
+        "settles": settles,
+        "longest_settling_s": max(times) if settles else None,
+        "steps": steps,
+    }
+
+
+def _errors_together(rows: Sequence[TrackingErrors]) -> TrackingErrors:
+    reading_error = None
+    if "reading_error_seeds_n" in rows[0]:
+        reading_error = np.concatenate([row["reading_error_seeds_n"] for row in rows])
+    return _errors(
+        np.concatenate([row["error_seeds_n"] for row in rows]),
+        float(np.mean([row["instantaneous_error_n"] for row in rows])),
+        reading_error,
     )
 
 
-def _errors(name: str, errors: Float[np.ndarray, " seeds"]) -> dict[str, Any]:
-    return {
-        f"{name}_n": float(errors.mean()),
-        f"{name}_interval_n": interval(errors),
-        f"{name}_seeds_n": errors.tolist(),
+def _errors(
+    error: Float[np.ndarray, " seeds"],
+    instantaneous_error: float,
+    reading_error: Float[np.ndarray, " seeds"] | None,
+) -> TrackingErrors:
+    row: TrackingErrors = {
+        "error_n": float(error.mean()),
+        "error_interval_n": interval(error),
+        "error_seeds_n": error.tolist(),
+        "instantaneous_error_n": instantaneous_error,
     }
+    if reading_error is not None:
+        add_reading_error(row, reading_error)
+    return row
 
 
 def _resolve_signal(

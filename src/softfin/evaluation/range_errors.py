@@ -6,7 +6,7 @@ at one seed.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +15,9 @@ from jaxtyping import Float, PRNGKeyArray
 from softfin.control.controller import Controller
 from softfin.control.references import controller_cells, reachable_set
 from softfin.core.errors import CoverageError
-from softfin.core.quantities import AXES
 from softfin.core.randomness import named_generator
 from softfin.evaluation.experiment import EvaluationTarget, independent, run
+from softfin.evaluation.results import ErrorMapPoint, ErrorMapRows, RandomAxisErrors, RandomErrors
 from softfin.evaluation.scores import score
 from softfin.gaits.reachable import Cell, ForceVector, Reachable, bounding_box
 from softfin.task.references import PAPER_RANGE
@@ -52,9 +52,9 @@ class ErrorMap(NamedTuple):
     not_reachable: int = 0
     """References of the lattice that the controller covers and the fin cannot make."""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> ErrorMapRows:
         """Values for JSON."""
-        rows = [
+        rows: list[ErrorMapPoint] = [
             {"reference_n": reference, "error_x_n": x, "error_y_n": y}
             for reference, (x, y) in zip(self.references.tolist(), self.error.tolist(), strict=True)
         ]
@@ -66,8 +66,10 @@ class ErrorMap(NamedTuple):
             "not_covered": self.points**2 - len(rows) - self.not_reachable,
             "not_reachable": self.not_reachable,
             "references": rows,
-            **{f"mean_{axis}_n": float(self.error[:, i].mean()) for i, axis in enumerate(AXES)},
-            **{f"worst_{axis}_n": float(self.error[:, i].max()) for i, axis in enumerate(AXES)},
+            "mean_x_n": float(self.error[:, 0].mean()),
+            "mean_y_n": float(self.error[:, 1].mean()),
+            "worst_x_n": float(self.error[:, 0].max()),
+            "worst_y_n": float(self.error[:, 1].max()),
         }
 
 
@@ -133,9 +135,8 @@ def random_errors(
     seed: int,
     seconds: int,
     key: PRNGKeyArray,
-) -> dict[str, Any]:
-    """Errors at references drawn from `seed` over the controller's cells and the fin's reach, for
-    JSON.
+) -> RandomErrors:
+    """Errors at references drawn from `seed` over the controller's cells and the fin's reach.
 
     The 95th percentile is over the references.
     """
@@ -144,16 +145,19 @@ def random_errors(
         cells, reachable_set(controller), count, named_generator(seed, "evaluate/random")
     )
     errors = errors_at(controller, plant, references, seconds, key)
-    axes = {
-        axis: {
-            "mean_n": float(error.mean()),
-            "p95_n": float(np.percentile(error, 95)),
-            "worst_n": float(error.max()),
-            "worst_reference_n": references[error.argmax()].round(4).tolist(),
-        }
-        for axis, error in zip(AXES, errors.T, strict=True)
+    x, y = (_random_errors(references, error) for error in errors.T)
+    return {"count": count, "seeds": 1, "x": x, "y": y}
+
+
+def _random_errors(
+    references: ReferenceForces, error: Float[np.ndarray, "references"]
+) -> RandomAxisErrors:
+    return {
+        "mean_n": float(error.mean()),
+        "p95_n": float(np.percentile(error, 95)),
+        "worst_n": float(error.max()),
+        "worst_reference_n": references[error.argmax()].round(4).tolist(),
     }
-    return {"count": count, "seeds": 1, **axes}
 
 
 def draw_references(

@@ -6,21 +6,34 @@ the page.
 """
 
 import importlib.resources
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import NamedTuple
 
 import jinja2
 import numpy as np
 import yaml
 from jaxtyping import Float
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.quantities import AXES, RATE_HZ, Axis
 from softfin.evaluation.headline import headline, over_seeds
-from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II, recomputed_means
+from softfin.evaluation.paper import (
+    PAPER_PRINTED_MEANS,
+    PAPER_TABLE_II,
+    PaperScores,
+    recomputed_means,
+)
+from softfin.evaluation.results import (
+    AxisScores,
+    EvaluationSummary,
+    MeanScores,
+    MovingRow,
+    RunResults,
+)
 from softfin.evaluation.scores import SETTLED_N
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import (
@@ -46,24 +59,10 @@ CONTROLLER_COLOURS = {"gaits": GREEN, "single": BLUE, "grid": ORANGE}
 
 
 def write_report(
-    path: Path, results: Mapping[str, Any], figures: Mapping[str, Figures] = MappingProxyType({})
+    path: Path, results: RunResults, figures: Mapping[str, Figures] = MappingProxyType({})
 ) -> None:
-    """Write the page, with `figures` of the parts named in `PARTS`.
-
-    `results` may hold any of these; what it lacks is left out:
-
-    ================= ========================================================================
-    ``title``         text of the heading
-    ``plant``         what the controllers were evaluated on, in words
-    ``surrogate``     ``{"scores": ...}`` of `compare.scores.table_one`, or None (imported)
-    ``stages``        what was done, each with ``what`` and ``wall_s``
-    ``controllers``   by name (``gaits``, ``single``, ``grid``), what `write_evaluation` gives
-    ``trimmed``       the same of these controllers with force feedback
-    ``in_surrogate``  the same of these controllers in the surrogate that they were trained in
-    ``configuration`` nested mappings
-    ``provenance``    a mapping
-    ================= ========================================================================
-    """
+    """Write the page, with `figures` of the parts named in `PARTS`; leave out what `results`
+    lacks."""
     controllers = results.get("controllers") or {}
     configuration = results.get("configuration")
     scores = (results.get("surrogate") or {}).get("scores") or {}
@@ -119,78 +118,112 @@ def _number(value: float) -> str:
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 
-def _table_two(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
-    """Rows of cells in the order of the columns: x and y, error and std of each, then what the
-    paper does not have."""
+class Cell(NamedTuple):
+    """A mean over the seeds [N], and what stands behind it."""
+
+    mean: float
+    over_seeds: str
+    reading: float | None = None
+    """Mean of the sensor's reading [N]."""
+    paper: float | None = None
+
+
+class TableRow(NamedTuple):
+    """One line of Table II."""
+
+    label: str
+    cells: list[Cell]
+    """x error, x std, y error, y std."""
+    raw: list[Cell]
+    travel: float
+    still: bool
+
+
+class Table(NamedTuple):
+    """Table II of one controller."""
+
+    rows: list[TableRow]
+    paper: bool
+    """Whether the paper has scores of this controller at one of these references."""
+    printed: PaperScores | None
+    """The paper's mean as printed; None unless all references are the paper's."""
+
+
+class OverviewRow(NamedTuple):
+    """One controller: on the plant, with force feedback, in the surrogate."""
+
+    name: str
+    errors: list[list[Cell] | None]
+    settling: list[str | None]
+
+
+def _table_two(name: str, summary: EvaluationSummary) -> Table:
     published = PAPER_TABLE_II.get(name, {})
-    references = [tuple(row["reference_n"]) for row in summary["references"]]
-    complete = bool(published) and set(references) == set(published)
-    papers: list[Any] = [
-        *map(published.get, references),
-        recomputed_means(name) if complete else None,
+    rows = []
+    for row in summary["references"]:
+        x, y = row["reference_n"]
+        still = row.get("still", False)
+        rows.append(_table_row(_force((x, y)), row, published.get((x, y)), still))
+    papers = any(row.cells[0].paper is not None for row in rows)
+    complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(published)
+    means = recomputed_means(name) if complete else None
+    rows.append(_table_row("mean", summary["mean"], means))
+    return Table(rows, papers, PAPER_PRINTED_MEANS[name] if complete else None)
+
+
+def _table_row(
+    label: str, row: MeanScores, paper: Sequence[float] | None, still: bool = False
+) -> TableRow:
+    cells = [cell(row[axis]) for axis in AXES for cell in (_error_cell, _std_cell)]
+    if paper is not None:
+        cells = [cell._replace(paper=value) for cell, value in zip(cells, paper, strict=True)]
+    raw = [
+        Cell(scores["raw_std_n"], over_seeds(scores["raw_std_interval_n"], []))
+        for scores in (row["x"], row["y"])
     ]
-    rows = [
-        {
-            "label": label,
-            "cells": [
-                _cell(row[axis], score) | {"paper": next(paper)}
-                for axis in AXES
-                for score in ("error", "std")
-            ],
-            "raw": [_cell(row[axis], "raw_std") for axis in AXES],
-            "travel": row["shaft_travel_rad_s"],
-            "still": row.get("still", False),
-        }
-        for label, row, paper in zip(
-            [*map(_force, references), "mean"],
-            [*summary["references"], summary["mean"]],
-            (iter(paper or (None,) * 4) for paper in papers),
-            strict=True,
-        )
-    ]
-    return {
-        "rows": rows,
-        "paper": any(papers),
-        "printed": PAPER_PRINTED_MEANS[name] if complete else None,
-    }
+    return TableRow(label, cells, raw, row["shaft_travel_rad_s"], still)
 
 
-def _cell(scores: Mapping[str, Any], name: str) -> dict[str, Any]:
-    reading = scores.get("reading_error_n") if name == "error" else None
-    return {"mean": scores[f"{name}_n"], "over_seeds": over_seeds(scores, name), "reading": reading}
+def _error_cell(scores: AxisScores) -> Cell:
+    text = over_seeds(scores["error_interval_n"], scores["error_seeds_n"])
+    return Cell(scores["error_n"], text, scores.get("reading_error_n"))
 
 
-def _overview(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def _std_cell(scores: AxisScores) -> Cell:
+    return Cell(scores["std_n"], over_seeds(scores["std_interval_n"], scores["std_seeds_n"]))
+
+
+def _overview(results: RunResults) -> list[OverviewRow]:
     """A row for each controller: mean errors in the plant, with force feedback, in the surrogate;
     settling times."""
-    parts = [results.get(part) or {} for part in ("controllers", "trimmed", "in_surrogate")]
-    return [
-        {
-            "name": name,
-            "errors": [
-                [_cell(part[name]["mean"][axis], "error") for axis in AXES]
-                if name in part
-                else None
-                for part in parts
-            ],
-            "settling": [
-                _settling(part[name].get("moving", [])) if name in part else None
-                for part in parts[:2]
-            ],
-        }
-        for name in parts[0]
+    parts = [
+        results.get("controllers") or {},
+        results.get("trimmed") or {},
+        results.get("in_surrogate") or {},
     ]
+    rows = []
+    for name in parts[0]:
+        summaries = [part.get(name) for part in parts]
+        errors = [
+            None if summary is None else [_error_cell(summary["mean"][axis]) for axis in AXES]
+            for summary in summaries
+        ]
+        settling = [
+            None if summary is None else _settling(summary.get("moving", []))
+            for summary in summaries[:2]
+        ]
+        rows.append(OverviewRow(name, errors, settling))
+    return rows
 
 
-def _settling(rows: Iterable[Mapping[str, Any]]) -> str | None:
+def _settling(rows: Iterable[MovingRow]) -> str | None:
     """The longest time that a step takes at any seed, or that there is one that never settles; None
     without steps."""
     stepped = [row for row in rows if row["settles"] is not None]
     if not stepped:
         return None
-    if not all(row["settles"] for row in stepped):
-        return "never"
-    return f"{max(row['longest_settling_s'] for row in stepped):.1f} s"
+    times = [time for row in stepped if (time := row["longest_settling_s"]) is not None]
+    return "never" if len(times) < len(stepped) else f"{max(times):.1f} s"
 
 
 def _force(reference: Iterable[float | int]) -> str:
@@ -202,49 +235,72 @@ def _svgs(figures: Figures) -> dict[str, Markup]:
     return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
 
 
-def table_two_figure(summaries: Mapping[str, Mapping[str, Any]]) -> Figure:
+class Bars(NamedTuple):
+    """The bars of one controller: a reference each, then the mean."""
+
+    label: str
+    error_n: list[float]
+    colour: str
+    half_n: Float[np.ndarray, "2 bars"] | None = None
+    """Lengths of the error bars, down and up [N]; None without."""
+    is_paper: bool = False
+
+    def draw(self, axes: Axes, places: Float[np.ndarray, "bars"], width: float) -> None:
+        """Draw them about `places`."""
+        axes.bar(
+            places,
+            self.error_n,
+            width,
+            yerr=self.half_n,
+            label=self.label,
+            facecolor="white" if self.is_paper else self.colour,
+            edgecolor=self.colour,
+            hatch="////" if self.is_paper else None,
+            ecolor=BLACK,
+            capsize=2,
+        )
+
+
+def _bars(name: str, summary: EvaluationSummary, axis: Axis) -> Bars:
+    scores = [row[axis] for row in (*summary["references"], summary["mean"])]
+    half = np.zeros((2, len(scores)))
+    for index, score in enumerate(scores):
+        seeds = score["error_seeds_n"]
+        low, high = score["error_interval_n"] or (min(seeds), max(seeds))
+        half[:, index] = score["error_n"] - low, high - score["error_n"]
+    several = len(scores[0]["error_seeds_n"]) > 1
+    errors = [score["error_n"] for score in scores]
+    colour = CONTROLLER_COLOURS.get(name, GREY)
+    return Bars(name, errors, colour, half if several else None)
+
+
+def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
     """Errors by reference: each controller's ``evaluation.json``, beside the paper's figures where
     it has them."""
-    references = [tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]]
+    references: list[tuple[float, ...]] = [
+        tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]
+    ]
     places = np.arange(len(references) + 1)
     with styled():
         figure = new_figure(10, 5.2)
         for index, (axes, axis) in enumerate(
             zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)
         ):
-            bars: list[tuple[list[float], dict[str, Any]]] = []
+            groups = []
             for name, summary in summaries.items():
-                rows = [row[axis] for row in (*summary["references"], summary["mean"])]
-                ends = [
-                    row["error_interval_n"]
-                    or (min(row["error_seeds_n"]), max(row["error_seeds_n"]))
-                    for row in rows
-                ]
-                marks = np.abs(
-                    np.transpose(
-                        [
-                            np.subtract(row["error_n"], end)
-                            for row, end in zip(rows, ends, strict=True)
-                        ]
-                    )
-                )
-                half = marks if len(rows[0]["error_seeds_n"]) > 1 else None
-                colour = CONTROLLER_COLOURS.get(name, GREY)
+                bars = _bars(name, summary, axis)
+                groups.append(bars)
                 published = PAPER_TABLE_II.get(name, {})
-                looks = {"label": name, "yerr": half, "facecolor": colour, "edgecolor": colour}
-                bars.append(([row["error_n"] for row in rows], looks))
                 if published and set(references) <= published.keys():
-                    values = [published[reference][2 * index] for reference in references]
-                    looks = {
-                        "label": f"{name}, paper (real fin)",
-                        "facecolor": "white",
-                        "hatch": "////",
-                    }
-                    bars.append(([*values, float(np.mean(values))], looks | {"edgecolor": colour}))
-            width = min(0.25, 0.8 / len(bars))
-            for k, (errors, looks) in enumerate(bars):
-                at = places + (k - (len(bars) - 1) / 2) * width
-                axes.bar(at, errors, 0.92 * width, ecolor=BLACK, capsize=2, **looks)
+                    # Each row of the paper is x error, x std, y error, y std.
+                    values = [published[x, y][2 * index] for x, y in references]
+                    errors = [*values, float(np.mean(values))]
+                    groups.append(
+                        Bars(f"{name}, paper (real fin)", errors, bars.colour, is_paper=True)
+                    )
+            width = min(0.25, 0.8 / len(groups))
+            for k, bars in enumerate(groups):
+                bars.draw(axes, places + (k - (len(groups) - 1) / 2) * width, 0.92 * width)
             axes.axvline(len(references) - 0.5, color=GREY, linewidth=0.8)
             axes.grid(visible=False, axis="x")
             axes.set_ylabel(f"error {axis} [N]")
@@ -273,8 +329,7 @@ def prediction_figure(
             ):
                 axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
             axes.set_ylabel(f"force {axis} [N]")
-        last: Any = axes
-        last.set(xlabel="time [s]", xlim=(time[0], time[-1]))
-        handles, labels = last.get_legend_handles_labels()
+        axes.set(xlabel="time [s]", xlim=(time[0], time[-1]))
+        handles, labels = axes.get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure

@@ -23,7 +23,7 @@ neither.
 """
 
 from itertools import pairwise
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -34,9 +34,10 @@ from jaxtyping import Array, Float
 from softfin.core.action_clock import ACTION_TICKS, WINDOW, action_ticks
 from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
-from softfin.core.quantities import AXES, RATE_HZ, Command
+from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.window import moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
+from softfin.evaluation.results import StepResponse, UncertaintyRow
 
 STILL_RAD_S = 0.1
 """A shaft that travels less than this in the second half of the experiment stands still; a working
@@ -118,9 +119,9 @@ def list_steps(reference: ForceSeries) -> list[tuple[int, int]]:
     return [(start, stop) for start, stop in held if start in starts]
 
 
-def step_responses(force: ForceSeries, reference: ForceSeries) -> list[dict[str, Any]]:
+def step_responses(force: ForceSeries, reference: ForceSeries) -> list[StepResponse]:
     """Responses of the moving average to every step of a reference, up to its next change or the
-    end, for JSON.
+    end.
 
     ``rise_x_s`` is the time from 10% to 90% of the step [s], ``overshoot_x_percent`` how far the
     force goes beyond the new reference in parts of the step, ``settling_s`` the time until both
@@ -134,29 +135,30 @@ def step_responses(force: ForceSeries, reference: ForceSeries) -> list[dict[str,
 
 def _response(
     average: Float[np.ndarray, "windows 2"], reference: ForceSeries, first: int, stop: int
-) -> dict[str, Any]:
+) -> StepResponse:
     start = reference[first - 1]
     to = reference[first]
     # Window k ends with tick k + WINDOW - 1, and the force before was held long enough for one.
     after = average[first - WINDOW + 1 : stop - WINDOW + 1]
-    response: dict[str, Any] = {
-        "at_s": first / RATE_HZ,
-        "start_n": start.tolist(),
-        "to_n": to.tolist(),
-    }
-    response |= {f"rise_{axis}_s": None for axis in AXES} | {
-        f"overshoot_{axis}_percent": None for axis in AXES
-    }
+    rise_s: list[float | None] = [None, None]
+    overshoot: list[float | None] = [None, None]
     for i in np.flatnonzero(start != to).tolist():
         part = (after[:, i] - start[i]) / (to[i] - start[i])
         low, high = (np.flatnonzero(part >= level) for level in (0.1, 0.9))
-        response[f"rise_{AXES[i]}_s"] = (
-            (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
-        )
-        response[f"overshoot_{AXES[i]}_percent"] = 100 * max(float(part.max()) - 1, 0.0)
+        rise_s[i] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
+        overshoot[i] = 100 * max(float(part.max()) - 1, 0.0)
     outside = np.flatnonzero(np.abs(after - to).max(axis=1) > SETTLED_N)
     settled = 0 if not outside.size else int(outside[-1]) + 2
-    return response | {"settling_s": settled / RATE_HZ if settled <= len(after) else None}
+    return {
+        "at_s": first / RATE_HZ,
+        "start_n": start.tolist(),
+        "to_n": to.tolist(),
+        "rise_x_s": rise_s[0],
+        "rise_y_s": rise_s[1],
+        "overshoot_x_percent": overshoot[0],
+        "overshoot_y_percent": overshoot[1],
+        "settling_s": settled / RATE_HZ if settled <= len(after) else None,
+    }
 
 
 class SurrogateUncertainty(NamedTuple):
@@ -170,15 +172,13 @@ class SurrogateUncertainty(NamedTuple):
     half_width: Float[np.ndarray, "references 2"]
     """Half-width of the stated interval of the mean force, mean over the windows [N]."""
 
-    def to_dict(self, index: int) -> dict[str, Any]:
+    def to_dict(self, index: int) -> UncertaintyRow:
         """Values of one reference, for JSON."""
         return {
             "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),
             "furthest": float(self.furthest[index]),
-            **{
-                f"half_width_{axis}_n": float(self.half_width[index, i])
-                for i, axis in enumerate(AXES)
-            },
+            "half_width_x_n": float(self.half_width[index, 0]),
+            "half_width_y_n": float(self.half_width[index, 1]),
         }
 
     def warning(self) -> str | None:

@@ -23,6 +23,7 @@ from softfin.evaluation.evaluate import (
     write_evaluation,
 )
 from softfin.evaluation.experiment import EvaluationTarget
+from softfin.evaluation.results import EvaluationSummary
 from softfin.evaluation.view.files import shown_ticks
 from softfin.evaluation.view.view import ViewConfig, draw, record_footage, view_title
 from softfin.storage import artifact as artifacts
@@ -39,7 +40,7 @@ def evaluate(
     *,
     randomize: float | int | DomainRandomization | None = None,
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> EvaluationSummary:
     """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and
     figures to `out`.
 

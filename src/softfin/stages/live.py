@@ -28,6 +28,7 @@ from softfin.data.collect import CollectConfig
 from softfin.data.importing.clocks import held_command, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.results import EvaluationSummary
 from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
@@ -172,7 +173,7 @@ def evaluate_live(
     overwrite: bool = False,
     stop: StopRequest | None = None,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> EvaluationSummary:
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does
     on a plant."""
     artifacts.check_vacant(out, overwrite)

@@ -23,6 +23,7 @@ from softfin.evaluation.evaluate import Evaluation, together, write_evaluation
 from softfin.evaluation.figures import experiments_figure, held_figure, moving_figure
 from softfin.evaluation.headline import headline
 from softfin.evaluation.report import prediction_figure, write_report
+from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
 from softfin.learning.controllers import learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.controllers import find_gaits, map_forces, train
@@ -43,7 +44,7 @@ PAGE = "explore.html"
 SHOWN_TEST_S = 8
 """Length of the stretch of a test log in the report [s]."""
 
-Evaluated: TypeAlias = dict[str, tuple[dict[str, Any], Evaluation]]
+Evaluated: TypeAlias = dict[str, tuple[EvaluationSummary, Evaluation]]
 """By kind of controller, what its ``evaluation.json`` holds, and the evaluation."""
 
 
@@ -56,7 +57,7 @@ def reproduce(
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> RunResults:
     """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and
     ``report.html``.
 
@@ -69,8 +70,8 @@ def reproduce(
     if resume and (out / RESULTS).is_file():
         # It was complete; a second evaluation would only replace the times of its stages by
         # nothing.
-        results: dict[str, Any] = json.loads((out / RESULTS).read_text())
-        return results
+        complete: RunResults = json.loads((out / RESULTS).read_text())
+        return complete
     scores = None if is_surrogate(plant) else run.learn_surrogate()
     run.make_controllers()
     evaluated = run.evaluate(plant, "evaluation")
@@ -86,14 +87,7 @@ def reproduce(
     )
     run.make_page()
 
-    def summaries(evaluated: Evaluated | None) -> dict[str, Any] | None:
-        return (
-            None
-            if evaluated is None
-            else {kind: summary for kind, (summary, _) in evaluated.items()}
-        )
-
-    results = {
+    results: RunResults = {
         **artifacts.head(REPRODUCTION_KIND),
         "title": "softfin: force control of a soft fin",
         "preset": next((name for name, preset in PRESETS.items() if preset == config), "custom"),
@@ -102,8 +96,8 @@ def reproduce(
         "seeds": config.seeds,
         "surrogate": None if scores is None else {"scores": scores},
         "controllers": summaries(evaluated),
-        "trimmed": summaries(observed),
-        "in_surrogate": summaries(within),
+        "trimmed": None if observed is None else summaries(observed),
+        "in_surrogate": None if within is None else summaries(within),
         "stages": run.stages,
         "wall_s": {
             stage["stage"]: stage["wall_s"] for stage in run.stages if stage["wall_s"] is not None
@@ -137,6 +131,11 @@ def reproduce(
     return results
 
 
+def summaries(evaluated: Evaluated) -> dict[str, EvaluationSummary]:
+    """Return the ``evaluation.json`` of each kind of controller."""
+    return {kind: summary for kind, (summary, _) in evaluated.items()}
+
+
 class _Reproduction:
     """One run and where its parts lie."""
 
@@ -149,7 +148,7 @@ class _Reproduction:
         self.seed = seed
         self.progress = progress
         self.dataset = out / "dataset"
-        self.stages = list[dict[str, Any]]()
+        self.stages: list[StageRow] = []
         self.surrogate = Path(plant) if is_surrogate(plant) else out / "surrogate"
         self.seeds = tuple(range(seed, seed + config.seeds))
         self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")

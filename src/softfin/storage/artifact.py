@@ -20,7 +20,7 @@ import tempfile
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypedDict
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.storage.formats import FOLDERS, check_format
@@ -192,8 +192,15 @@ def save(
     write_folder(path, write, overwrite)
 
 
-def head(kind: str) -> dict[str, Any]:
-    """Return the entries that begin a description: its kind and its format number."""
+class Head(TypedDict):
+    """The entries that begin a description."""
+
+    kind: str
+    format: int
+
+
+def head(kind: str) -> Head:
+    """Return the entries that begin a description."""
     return {"kind": kind, "format": FOLDERS[kind].number}
 
 
@@ -204,7 +211,7 @@ def write_description(folder: Path, kind: str, description: Mapping[str, Any]) -
 
 def encode_description(kind: str, description: Mapping[str, Any]) -> str:
     """JSON of a description, which its kind and format number begin."""
-    return dump_json(head(kind) | dict(description))
+    return dump_json({**head(kind), **description})
 
 
 def encode(weights: Mapping[str, Any], metadata: dict[str, str] | None = None) -> bytes:

@@ -1,0 +1,211 @@
+"""The rows of ``evaluation.json``, ``baselines.json`` and ``results.json``, defined once.
+
+They are plain dictionaries, since they are written as JSON and read from it. docs/files.md explains
+the keys.
+"""
+
+from typing import Any, NotRequired, TypedDict
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.core.window import interval
+
+
+class AxisScores(TypedDict):
+    """Scores on one axis [N]: the mean over the repetitions, its 95% interval, and each value."""
+
+    error_n: float
+    error_interval_n: list[float] | None
+    error_seeds_n: list[float]
+    std_n: float
+    std_interval_n: list[float] | None
+    std_seeds_n: list[float]
+    raw_std_n: float
+    raw_std_interval_n: list[float] | None
+    raw_std_seeds_n: list[float]
+    reading_error_n: NotRequired[float]
+    reading_error_interval_n: NotRequired[list[float] | None]
+    reading_error_seeds_n: NotRequired[list[float]]
+
+
+class MeanScores(TypedDict):
+    """Scores of one reference, or their mean over all references."""
+
+    x: AxisScores
+    y: AxisScores
+    command_travel_rad_s: float
+    shaft_travel_rad_s: float
+
+
+class UncertaintyRow(TypedDict):
+    """Uncertainty that a surrogate states at one reference."""
+
+    out_of_distribution_fraction: float
+    furthest: float
+    half_width_x_n: float
+    half_width_y_n: float
+
+
+class ReferenceScores(MeanScores):
+    """Scores of one reference."""
+
+    reference_n: list[float]
+    tracked_reference_n: NotRequired[list[float]]
+    still: bool
+    surrogate: NotRequired[UncertaintyRow]
+    commanded: NotRequired[dict[str, Any]]
+    """Commands of a baseline: a sine, or the actions of a gait."""
+
+
+class StepResponse(TypedDict):
+    """Response of the moving average to one step of the reference."""
+
+    at_s: float
+    start_n: list[float]
+    to_n: list[float]
+    rise_x_s: float | None
+    rise_y_s: float | None
+    overshoot_x_percent: float | None
+    overshoot_y_percent: float | None
+    settling_s: float | None
+
+
+class TrackingErrors(TypedDict):
+    """Errors on one axis while the reference moves [N]."""
+
+    error_n: float
+    error_interval_n: list[float] | None
+    error_seeds_n: list[float]
+    instantaneous_error_n: float
+    reading_error_n: NotRequired[float]
+    reading_error_interval_n: NotRequired[list[float] | None]
+    reading_error_seeds_n: NotRequired[list[float]]
+
+
+class MovingRow(TypedDict):
+    """Scores of one moving reference."""
+
+    kind: str
+    described: str
+    signal: dict[str, Any]
+    """Configuration of the reference, without the rows of a recorded signal."""
+    duration_s: float
+    replaced_s: float
+    x: TrackingErrors
+    y: TrackingErrors
+    settles: bool | None
+    longest_settling_s: float | None
+    steps: list[list[StepResponse]]
+    """For each step of the reference, the response in each repetition."""
+
+
+class ErrorMapPoint(TypedDict):
+    """Errors at one reference of an error map [N]."""
+
+    reference_n: list[float]
+    error_x_n: float
+    error_y_n: float
+
+
+class ErrorMapRows(TypedDict):
+    """An error map [N]."""
+
+    points: int
+    low_n: list[float]
+    high_n: list[float]
+    seeds: int
+    not_covered: int
+    not_reachable: int
+    references: list[ErrorMapPoint]
+    mean_x_n: float
+    mean_y_n: float
+    worst_x_n: float
+    worst_y_n: float
+
+
+class RandomAxisErrors(TypedDict):
+    """Errors on one axis over random references [N]."""
+
+    mean_n: float
+    p95_n: float
+    worst_n: float
+    worst_reference_n: list[float]
+
+
+class RandomErrors(TypedDict):
+    """Errors over random references."""
+
+    count: int
+    seeds: int
+    x: RandomAxisErrors
+    y: RandomAxisErrors
+
+
+class EvaluationSummary(TypedDict):
+    """``evaluation.json``, and each baseline of ``baselines.json``."""
+
+    kind: str
+    format: int
+    conditions: dict[str, Any]
+    """Duration, repetitions and rates, and what the caller adds, such as controller and plant."""
+    references: list[ReferenceScores]
+    mean: MeanScores
+    warning: str | None
+    moving: NotRequired[list[MovingRow]]
+    error_map: NotRequired[ErrorMapRows]
+    random: NotRequired[RandomErrors]
+    configuration: NotRequired[dict[str, Any]]
+    provenance: NotRequired[dict[str, Any]]
+
+
+class Baselines(TypedDict):
+    """The scores of ``baselines.json``."""
+
+    baselines: dict[str, EvaluationSummary]
+    left_out: dict[str, str]
+    """Reason for each baseline that has no scores."""
+
+
+class StageRow(TypedDict):
+    """One stage of a run; a stage that an earlier run finished has no times."""
+
+    stage: str
+    what: str
+    wall_s: float | None
+    processor_s: float | None
+    page: NotRequired[str]
+
+
+class RunResults(TypedDict, total=False):
+    """``results.json`` of a run; a report leaves out what is missing."""
+
+    kind: str
+    format: int
+    title: str
+    preset: str
+    plant: str
+    seed: int
+    seeds: int
+    surrogate: dict[str, Any] | None
+    """``{"scores": ...}`` of `compare.scores.table_one`; None if the surrogate was given."""
+    controllers: dict[str, EvaluationSummary]
+    """Evaluation of each kind of controller (``gaits``, ``single``, ``grid``)."""
+    trimmed: dict[str, EvaluationSummary] | None
+    """Evaluations with force feedback."""
+    in_surrogate: dict[str, EvaluationSummary] | None
+    """Evaluations in the surrogate that the controllers were trained in."""
+    stages: list[StageRow]
+    wall_s: dict[str, float]
+    peak_memory_gib: float
+    configuration: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def add_reading_error(
+    row: AxisScores | TrackingErrors, errors: Float[np.ndarray, " repetitions"]
+) -> None:
+    """Add the error of the sensor's reading to the scores on one axis [N]."""
+    row["reading_error_n"] = float(errors.mean())
+    row["reading_error_interval_n"] = interval(errors)
+    row["reading_error_seeds_n"] = errors.tolist()
