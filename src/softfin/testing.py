@@ -226,5 +226,5 @@ def _numbers(state: State) -> list[Any]:
     return [leaf for leaf in jax.tree.leaves(state) if not _is_key(leaf)]
 
 
-def _is_key(leaf: Any) -> bool:
+def _is_key(leaf: object) -> bool:
     return bool(jnp.issubdtype(jnp.asarray(leaf).dtype, jax.dtypes.prng_key))

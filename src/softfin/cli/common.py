@@ -49,7 +49,7 @@ def plant(metavar: str = "PLANT", positional: bool = False) -> Option:
     return Option(metavar, positional, check=lambda name, _: resolve_plant(name))
 
 
-def _check_data(name: str, _: Any) -> None:
+def _check_data(name: str, _: object) -> None:
     path = Path(name)
     if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
         artifacts.find_description(path, "dataset")
@@ -121,7 +121,7 @@ class CommandOptions(Configuration):
             )
         options.check_values(self)
 
-    def tell(self, result: Any, text: str) -> None:
+    def tell(self, result: object, text: str) -> None:
         """Print the result: as JSON, or as text for people."""
         sys.stdout.write(
             artifacts.dump_json(result) if self.json_ else printable(text.rstrip("\n"), "\n") + "\n"
@@ -136,7 +136,7 @@ class Common(CommandOptions):
     overwrite: bool = False
     """Replace existing output, and discard an unfinished run."""
 
-    def stage(self, stage: Callable[..., Result], *arguments: Any, **given: Any) -> Result:
+    def stage(self, stage: Callable[..., Result], *arguments: object, **given: object) -> Result:
         """Run a stage and show its progress."""
         with progress() as report:
             return stage(*arguments, **given, overwrite=self.overwrite, progress=report)
@@ -152,7 +152,7 @@ class Configured(Common):
     set: Annotated[tuple[str, ...], Option("PATH=VALUE")] = ()
     """Set one value of the configuration."""
 
-    def configured(self, base: StageConfig, **given: Any) -> StageConfig:
+    def configured(self, base: StageConfig, **given: object) -> StageConfig:
         """Return the defaults, changed by the YAML file, then by `--set`, then by the options that
         were given.
 

@@ -144,7 +144,7 @@ def _section(command: type[Configuration], name: str) -> str:
     return titles[-1] if titles else "options"
 
 
-def _field(name: str, hint: Any, info: FieldInfo, section: str) -> Field:
+def _field(name: str, hint: object, info: FieldInfo, section: str) -> Field:
     option = Option()
     repeats = False
     while True:

@@ -50,7 +50,7 @@ class Controller(Protocol):
         ...
 
     def act(
-        self, state: ControllerState, measured: Measured, reference: Any
+        self, state: ControllerState, measured: Measured, reference: object
     ) -> tuple[ControllerState, Command]:
         """Compute the next state and command for a reference force (x, y) [N]."""
         ...
@@ -71,7 +71,7 @@ class ControllerStep(Protocol):
         """Return the state before the first action: a named tuple of arrays and numbers."""
         ...
 
-    def act(self, ops: Operations, state: Any, now: Array) -> tuple[Any, Array]:
+    def act(self, ops: Operations, state: object, now: Array) -> tuple[Any, Array]:
         """Compute the next state and the action in [-1, 1]^2; `now` is (angle [rad], reference x,
         reference y [N])."""
         ...

@@ -7,7 +7,7 @@ be small.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -36,7 +36,7 @@ class GaitStep:
     @classmethod
     def load(
         cls,
-        description: Mapping[str, Any],
+        description: Mapping[str, object],
         arrays: Mapping[str, np.ndarray],
         limits: Limits,
         cells: tuple[Cell, ...],

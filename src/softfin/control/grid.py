@@ -10,7 +10,7 @@ of the cycle before (bumpless transfer).
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat
@@ -82,7 +82,7 @@ class GridStep:
     @classmethod
     def load(
         cls,
-        description: Mapping[str, Any],
+        description: Mapping[str, object],
         arrays: Mapping[str, np.ndarray],
         limits: Limits,
         cells: tuple[Cell, ...],

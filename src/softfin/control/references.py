@@ -15,13 +15,13 @@ EDGE_N = 1e-4
 come out even."""
 
 
-def controller_cells(controller: Any) -> tuple[Cell, ...]:
+def controller_cells(controller: object) -> tuple[Cell, ...]:
     """Return the cells that a controller was trained for; none of one that has no `cells` and
     covers everything."""
     return cast(tuple[Cell, ...], getattr(controller, "cells", None) or ())
 
 
-def reachable_set(controller: Any) -> Reachable | None:
+def reachable_set(controller: object) -> Reachable | None:
     """Return the mean forces that the fin can make, where the controller knows them."""
     return cast(Reachable | None, getattr(controller, "reachable", None))
 
@@ -44,7 +44,7 @@ def check_within(cells: Sequence[Cell], reference: ForceVector) -> None:
 
 
 def resolve_reference(
-    controller: Any, reference: ForceVector, strict: bool
+    controller: object, reference: ForceVector, strict: bool
 ) -> tuple[ForceVector, str | None]:
     """Return the reference to track, and a warning where that is another: the nearest force that
     the fin can make.

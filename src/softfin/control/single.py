@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class SingleStep:
     @classmethod
     def load(
         cls,
-        description: Mapping[str, Any],
+        description: Mapping[str, object],
         arrays: Mapping[str, np.ndarray],
         limits: Limits,
         cells: tuple[Cell, ...],

@@ -104,7 +104,7 @@ def write_controller(
     path: Path,
     kind: str,
     limits: Limits,
-    keys: Mapping[str, Any],
+    keys: Mapping[str, object],
     arrays: Mapping[str, np.ndarray],
     extra_files: Callable[[Path], None] | None,
     overwrite: bool,
@@ -125,9 +125,9 @@ def save_gaits(
     force_map: ForceMap,
     config: Configuration,
     limits: Limits,
-    provenance: dict[str, Any],
+    provenance: Mapping[str, object],
     extra_files: Callable[[Path], None] | None = None,
-    learnt: Mapping[str, Any] = MappingProxyType({"training_range": None, "fin": None}),
+    learnt: Mapping[str, object] = MappingProxyType({"training_range": None, "fin": None}),
     overwrite: bool = False,
 ) -> None:
     """Write a map's gaits as a controller, whole or not at all; `extra_files` adds to the folder.

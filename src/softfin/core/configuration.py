@@ -34,7 +34,7 @@ class Configuration(pydantic.BaseModel):
 
     @classmethod
     def build(
-        cls: type[Config], values: Mapping[str, Any], source: str = "configuration"
+        cls: type[Config], values: Mapping[str, object], source: str = "configuration"
     ) -> Config:
         """Build from nested mappings; raises ConfigurationError that names the key, the value and
         what is allowed."""
@@ -69,7 +69,7 @@ class Configuration(pydantic.BaseModel):
             group[name] = value
         return self.build(values, "--set")
 
-    def merged(self: Config, values: Mapping[str, Any], source: str) -> Config:
+    def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
         """Return a copy with a mapping, such as a part of a YAML file, laid over it."""
         return self.build(_merge(self.model_dump(), values), source)
 
@@ -175,6 +175,6 @@ def _alternative(place: Sequence[int | str]) -> str | None:
     )
 
 
-def _nearest(name: str, allowed: Mapping[str, Any]) -> str:
+def _nearest(name: str, allowed: Mapping[str, object]) -> str:
     close = difflib.get_close_matches(name, list(allowed), n=1)
     return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(allowed)}"

@@ -29,7 +29,7 @@ class Operations:
         return table[index]
 
     def choose(
-        self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]
+        self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
         """Return one of two values, or tuples of values; the other one may be computed or not."""
         return then() if condition else otherwise()
@@ -50,7 +50,7 @@ class Operations:
         """Limit a number."""
         return min(max(number, low), high)
 
-    def constant(self, values: Any) -> Any:
+    def constant(self, values: object) -> Any:
         """Convert an array, or a named tuple of arrays, to the library's."""
         return values
 
@@ -69,7 +69,7 @@ class JaxOperations(Operations):
         return self.xp.asarray(table)[index]
 
     def choose(
-        self, condition: Number, then: Callable[[], Any], otherwise: Callable[[], Any]
+        self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
         """Select with ``where``, part by part."""
         return self._map(
@@ -88,7 +88,7 @@ class JaxOperations(Operations):
         """Limit a number."""
         return self.xp.clip(number, low, high)
 
-    def constant(self, values: Any) -> Any:
+    def constant(self, values: object) -> Any:
         """Convert to JAX arrays."""
         return self._map(self.xp.asarray, values)
 
@@ -98,7 +98,7 @@ jax_operations = cache(JaxOperations)
 """The operations with JAX, imported when first used."""
 
 
-def select_operations(*values: Any) -> Operations:
+def select_operations(*values: object) -> Operations:
     """Return NumPy's operations where all values are Python's or NumPy's, else JAX's."""
     for value in values:
         if not isinstance(value, (float, int, np.ndarray, np.generic, tuple)):

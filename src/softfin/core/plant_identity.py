@@ -132,21 +132,21 @@ class TracedEnsemble(TracedPlant):
     advance_members, distance = map(_of_simulator, ("advance_members", "distance"))
 
 
-def _is_own(plant: Plant, static: PyTree[Any]) -> bool:
+def _is_own(plant: Plant, static: PyTree) -> bool:
     module = type(plant).__module__
     return module.startswith("softfin.") and all(
         isinstance(leaf, PLAIN) for leaf in jax.tree.leaves(static)
     )
 
 
-def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
+def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
     """Everything that a plant does, as a lowered program; its arrays are arguments, other constants
     stand in it.
 
     For one platform whatever the machine has, so that the text is the same on all.
     """
 
-    def everything(arrays: PyTree[Any], key: PRNGKeyArray, command: Command) -> Any:
+    def everything(arrays: PyTree, key: PRNGKeyArray, command: Command) -> Any:
         whole: Plant = eqx.combine(arrays, static)
         state = whole.init(key)
         own = getattr(whole, "hold_action", None)
@@ -176,7 +176,7 @@ def _program(plant: Plant, arrays: PyTree[Any], static: PyTree[Any]) -> str:
         ) from error
 
 
-def _digest(arrays: PyTree[Any], text: str) -> str:
+def _digest(arrays: PyTree, text: str) -> str:
     digest = hashlib.sha256()
     for leaf in jax.tree.leaves(arrays):
         # Types and shapes stand in a simulator's program, and go with the kind of softfin's own

@@ -122,7 +122,7 @@ class Limits(NamedTuple):
         }
 
     @classmethod
-    def of(cls, description: Any, one_velocity: bool = False) -> "Limits":
+    def of(cls, description: object, one_velocity: bool = False) -> "Limits":
         """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
         values = []
         for name in cls(0, 0, 0, 0).to_dict():

@@ -24,7 +24,7 @@ def named_generator(seed: int, name: str) -> np.random.Generator:
 
 
 def cma_es(
-    start: Float[np.ndarray, "n"], step: float, random: np.random.Generator, **options: Any
+    start: Float[np.ndarray, "n"], step: float, random: np.random.Generator, **options: object
 ) -> Any:
     """CMA-ES (Hansen 2016, arXiv:1604.00772) from `start` with that step: ``ask`` for points,
     ``tell`` losses.

@@ -81,7 +81,7 @@ def _begin(
 ) -> tuple[State, Command]:
     """States and all commands of a batch."""
 
-    def one(arrays: PyTree[Any], key: PRNGKeyArray) -> tuple[State, Command]:
+    def one(arrays: PyTree, key: PRNGKeyArray) -> tuple[State, Command]:
         plant = eqx.combine(arrays, fleet.static)
         plant_key, command_key = jax.random.split(key)
         return plant.init(plant_key), commands(command_key, rows, Limits(*plant.limits))
@@ -94,7 +94,7 @@ def _begin(
 def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
     """One piece of a batch."""
 
-    def one(arrays: PyTree[Any], state: State, issued: Command) -> tuple[State, Reading]:
+    def one(arrays: PyTree, state: State, issued: Command) -> tuple[State, Reading]:
         return roll(eqx.combine(arrays, fleet.static), state, issued)
 
     rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(

@@ -9,6 +9,7 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
+from numpy.typing import ArrayLike
 
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserverConfig
@@ -27,7 +28,7 @@ COLD_C = 5.0
 """Temperature of the cold water that the page offers [degrees Celsius]."""
 
 
-def encode_arrays(array: Any) -> dict[str, Any]:
+def encode_arrays(array: ArrayLike) -> dict[str, Any]:
     """Shape of an array, and its numbers in single precision as base64."""
     values = np.asarray(array, np.float32)
     return {

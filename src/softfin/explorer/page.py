@@ -5,7 +5,6 @@ import importlib.resources
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -30,8 +29,8 @@ def read_script(*names: str) -> str:
 def write_explorer_page(
     path: Path,
     title: str,
-    controllers: Sequence[Mapping[str, Any]],
-    plants: Sequence[Mapping[str, Any]],
+    controllers: Sequence[Mapping[str, object]],
+    plants: Sequence[Mapping[str, object]],
 ) -> None:
     """Write the page: nothing is fetched, so it opens by a double click."""
     template = (

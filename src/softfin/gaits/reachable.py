@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from softfin.core.configuration import Configuration
@@ -100,7 +101,7 @@ class Reachable(NamedTuple):
     directions from +x."""
 
     @classmethod
-    def from_dict(cls, description: Any) -> "Reachable":
+    def from_dict(cls, description: object) -> "Reachable":
         """Build it from what `to_dict` gave; raises KeyError, TypeError or ValueError for anything
         else."""
         if not isinstance(description, dict):
@@ -131,7 +132,7 @@ class Reachable(NamedTuple):
             self.centre + np.asarray(self.radius)[:, None] * directions(len(self.radius))
         )
 
-    def project(self, force: Any) -> Any:
+    def project(self, force: ArrayLike) -> Any:
         """Return each force, or where the line from it to the centre meets the edge; NumPy arrays
         or JAX's."""
         ops = select_operations(force, self.radius)
@@ -156,12 +157,14 @@ class Reachable(NamedTuple):
         edge = xp.asarray([self.centre[0] + x * reach, self.centre[1] + y * reach])
         return xp.where(reach >= 1, along, edge).T
 
-    def contains(self, force: Any, tolerance_n: float = TOLERANCE_N) -> Bool[np.ndarray, "*forces"]:
+    def contains(
+        self, force: ArrayLike, tolerance_n: float = TOLERANCE_N
+    ) -> Bool[np.ndarray, "*forces"]:
         """Whether each force is inside, or its projection is within the tolerance of it."""
         force = np.asarray(force, float)
         return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
 
-    def nearest(self, force: Any) -> Forces:
+    def nearest(self, force: ArrayLike) -> Forces:
         """Return each force that is inside, else the nearest point of the edge [N]."""
         at = np.asarray(force, float)
         corners = self.corners().astype(float)

@@ -81,9 +81,9 @@ def save_controller(
     path: Path,
     trained: TrainingResult,
     seed: int,
-    provenance: dict[str, Any],
+    provenance: Mapping[str, object],
     extra_files: Callable[[Path], None] | None = None,
-    learnt: Mapping[str, Any] = UNKNOWN,
+    learnt: Mapping[str, object] = UNKNOWN,
     overwrite: bool = False,
 ) -> None:
     """Write the controller of one seed, whole or not at all; `learnt` tells what its plant has

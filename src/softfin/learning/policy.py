@@ -15,7 +15,7 @@ from typing import Any, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
 from softfin.control.policy import MEASURED, PHASES, PolicyMemory, gait_before_tanh
@@ -204,7 +204,7 @@ class ActorCritic(eqx.Module):
     critic: Critic
 
 
-def name_policy_arrays(policy: Any) -> dict[str, Any]:
+def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
     """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
     paths, _ = jax.tree_util.tree_flatten_with_path(policy)
     names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)

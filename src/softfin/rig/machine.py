@@ -6,7 +6,7 @@ that of the loop, calls everything but `stop`.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -102,7 +102,7 @@ class Machine(Protocol):
         missed .."""
 
 
-def machine_clock(machine: Any) -> Clock:
+def machine_clock(machine: object) -> Clock:
     """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real
     one."""
     clock: Clock = getattr(machine, "clock", REAL)

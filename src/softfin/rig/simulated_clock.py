@@ -95,7 +95,7 @@ class SimulatedClock(Clock):
             self.go_on()
         return thread
 
-    def wait_for(self, ready: Callable[[], Any], timeout: float | None = None) -> bool:
+    def wait_for(self, ready: Callable[[], object], timeout: float | None = None) -> bool:
         """Let the others run until something is true, or until a timeout [s]; whether it is
         true."""
         if ready():
@@ -206,14 +206,14 @@ class _Condition(threading.Condition):
     def __enter__(self) -> bool:
         return self.acquire()
 
-    def __exit__(self, *_: Any) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def wait(self, timeout: float | None = None) -> bool:
         before = self._news
         return bool(self.wait_for(lambda: self._news != before, timeout))
 
-    def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
+    def wait_for(self, predicate: Callable[[], object], timeout: float | None = None) -> Any:
         held = self._count
         self._count = 0
         self._owner = 0

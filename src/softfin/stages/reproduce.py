@@ -191,9 +191,9 @@ class _Reproduction:
         name: str,
         what: str,
         result: Path,
-        work: Callable[..., Any],
-        *given: Any,
-        **options: Any,
+        work: Callable[..., object],
+        *given: object,
+        **options: object,
     ) -> None:
         """Do the work unless its result stands there from before; `what` describes the result."""
         if not result.exists():

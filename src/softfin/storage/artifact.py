@@ -173,8 +173,8 @@ def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> No
 def save(
     path: Path,
     kind: str,
-    description: Mapping[str, Any],
-    weights: Mapping[str, Any],
+    description: Mapping[str, object],
+    weights: Mapping[str, object],
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -204,17 +204,17 @@ def head(kind: str) -> Head:
     return {"kind": kind, "format": FOLDERS[kind].number}
 
 
-def write_description(folder: Path, kind: str, description: Mapping[str, Any]) -> None:
+def write_description(folder: Path, kind: str, description: Mapping[str, object]) -> None:
     """Write ``KIND.json`` into a folder that is being written."""
     (folder / f"{kind}.json").write_text(encode_description(kind, description))
 
 
-def encode_description(kind: str, description: Mapping[str, Any]) -> str:
+def encode_description(kind: str, description: Mapping[str, object]) -> str:
     """JSON of a description, which its kind and format number begin."""
     return dump_json({**head(kind), **description})
 
 
-def encode(weights: Mapping[str, Any], metadata: dict[str, str] | None = None) -> bytes:
+def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None) -> bytes:
     """Arrays by name as safetensors."""
     import numpy as np
     import safetensors.numpy
@@ -278,12 +278,12 @@ def read_json(file: Path) -> dict[str, Any]:
     return description
 
 
-def dump_json(value: Any) -> str:
+def dump_json(value: object) -> str:
     """Indented JSON with a final newline, of what `plain` makes of a value."""
     return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Convert a value for JSON: arrays become lists, numbers that are not finite null, anything
     unknown a text."""
     if isinstance(value, Mapping):
@@ -297,7 +297,7 @@ def plain(value: Any) -> Any:
     return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def provenance(**metadata: Any) -> dict[str, Any]:
+def provenance(**metadata: object) -> dict[str, Any]:
     """Provenance of an artifact: the given metadata, versions, git commit, time."""
     versions: dict[str, str | None] = dict.fromkeys(("softfin", "jax", "numpy"))
     for package in versions:

@@ -55,7 +55,7 @@ IN_FILE = "softfin_format"
 
 
 def check_format(
-    kind: str, number: Any, source: str, error: type[InputError] = ArtifactError
+    kind: str, number: object, source: str, error: type[InputError] = ArtifactError
 ) -> None:
     """Raise the error unless this softfin reads artifacts of this kind and format number."""
     newest, oldest, remedy = FORMATS[kind]

@@ -71,7 +71,7 @@ def _translate(jaxpr: Jaxpr, consts: Sequence[Value], arguments: Sequence[Value]
     values: dict[Any, Value] = dict(zip(jaxpr.constvars, consts, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
-    def read(atom: Any) -> Value:
+    def read(atom: object) -> Value:
         if isinstance(atom, Literal):
             return np.asarray(atom.val, dtype=_dtype(atom))
         return values[atom]
@@ -158,7 +158,7 @@ def _shape(atom: Any) -> tuple[int, ...]:
     return shape
 
 
-def _rank(atom: Any) -> int:
+def _rank(atom: object) -> int:
     return len(_shape(atom))
 
 

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import safetensors
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from softfin.core.errors import ArtifactError, RunError
@@ -213,7 +214,7 @@ def _software() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _named(tree: Any) -> tuple[dict[str, Any], Any]:
+def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
     """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the
     structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
@@ -222,8 +223,8 @@ def _named(tree: Any) -> tuple[dict[str, Any], Any]:
 
 def check_same(
     path: Path,
-    before: Any,
-    now: Any,
+    before: object,
+    now: object,
     remedy: str = "give the same options, another --out, or --overwrite",
 ) -> None:
     """Raise ArtifactError unless the run found at a path is the run of now; both are described by

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.core.quantities import Log
@@ -29,7 +29,7 @@ class TrainingState(NamedTuple):
 
 
 def keep_best_nets(
-    state: TrainingState, losses: Any, held_out: Any, name: str
+    state: TrainingState, losses: PyTree, held_out: object, name: str
 ) -> tuple[TrainingState, bool]:
     """Keep each network's weights if its held-out loss is the lowest; return if any is. RunError if
     not finite."""
@@ -38,7 +38,7 @@ def keep_best_nets(
             f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew"
         )
 
-    def pick(better: Array, new: Any, old: Any) -> Any:
+    def pick(better: Array, new: Array, old: Array) -> Any:
         return jax.tree.map(
             lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y),
             new,
@@ -74,7 +74,7 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
             )
 
 
-def name_net_arrays(nets: Any) -> dict[str, np.ndarray]:
+def name_net_arrays(nets: PyTree) -> dict[str, np.ndarray]:
     """Arrays by their places, such as ``posnet.3.kernel``."""
     return {
         _name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)

@@ -163,7 +163,7 @@ def shared_limits(one: Limits, other: Limits) -> Limits:
     return limits
 
 
-def write_baselines(result: Mapping[str, Any], out: Path, overwrite: bool = False) -> None:
+def write_baselines(result: Mapping[str, object], out: Path, overwrite: bool = False) -> None:
     """Write ``baselines.json`` as a folder."""
 
     def write(folder: Path) -> None:

@@ -302,13 +302,13 @@ class EmulatedDrive:
         elif behaviour == 2:
             self._node.nmt.send_command(protocol.NMT_STOP)
 
-    def _live(self, index: int, subindex: int, od: Any) -> int | None:
+    def _live(self, index: int, subindex: int, od: object) -> int | None:
         with self._lock:
             if index == protocol.ERROR_COUNT.number:
                 return self._newest_error if subindex else int(self._newest_error != 0)
             return self._readings[index]() if index in self._readings else None
 
-    def _written(self, index: int, subindex: int, od: Any, data: bytes | bytearray) -> None:
+    def _written(self, index: int, subindex: int, od: object, data: bytes | bytearray) -> None:
         with self._lock:
             if index == protocol.CONTROLWORD.number:
                 was = self.state

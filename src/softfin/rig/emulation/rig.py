@@ -79,7 +79,7 @@ class EmulatedRig(contextlib.ExitStack):
         pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
         return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"
 
-    def values(self, **changes: Any) -> dict[str, Any]:
+    def values(self, **changes: object) -> dict[str, Any]:
         """Contents of the rig's file."""
         bus: dict[str, Any] = {"interface": SIMULATED, "channel": self.channel}
         if self.server is not None:

@@ -161,7 +161,7 @@ class Trace:
         return rows
 
 
-def summarize(traces: Mapping[str, Trace], **about_the_file: Any) -> Summary:
+def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
     """Summarize a recording from its traces and from what is known of its file."""
     joint = traces["joint"]
     wrench = traces["wrench"]
@@ -218,7 +218,7 @@ def counts(summary: Summary) -> str:
     return ", ".join(filter(None, parts))
 
 
-def finite(value: Any) -> float | None:
+def finite(value: object) -> float | None:
     """Return the number; None where it is not one that a device can mean."""
     return value if isinstance(value, float) and abs(value) < MAX_NUMBER else None
 

@@ -15,7 +15,6 @@ import socketserver
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
-from typing import Any
 from urllib.parse import urlsplit
 
 from softfin.core.canvas import with_canvas
@@ -64,7 +63,7 @@ class Server(socketserver.ThreadingTCPServer):
                 f"--host {LOOPBACK} is here"
             ) from None
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: object, client_address: object) -> None:
         """Ignore a client that went away."""
 
     @property
@@ -124,7 +123,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     do_HEAD = do_GET
 
-    def log_message(self, format: str, *args: Any) -> None:
+    def log_message(self, format: str, *args: object) -> None:
         """Log nothing."""
 
     def _answer(self, body: bytes, kind: str) -> None:

@@ -178,7 +178,7 @@ def decode_ros_message(data: bytes, kind: str) -> Any:
         raise ValueError(f"{len(data)} bytes that are no {kind} ({one_line(error)})") from None
 
 
-def read_stamp(message: Any) -> int:
+def read_stamp(message: object) -> int:
     """Time since 1970 in its header [ns]; 0 where there is none."""
     header = getattr(message, "header", None)
     return 0 if header is None else int(header.stamp.sec) * SECOND_NS + int(header.stamp.nanosec)

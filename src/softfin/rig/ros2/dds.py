@@ -57,12 +57,12 @@ class Carrier(IdlStruct):
     def __init__(self, data: bytes) -> None:
         self.data = data
 
-    def serialize(self, *_: Any, **__: Any) -> bytes:
+    def serialize(self, *_: object, **__: object) -> bytes:
         """The bytes as they are."""
         return self.data
 
     @classmethod
-    def deserialize(cls, data: bytes, *_: Any, **__: Any) -> "Carrier":
+    def deserialize(cls, data: bytes, *_: object, **__: object) -> "Carrier":
         """The bytes as they are."""
         return cls(bytes(data))
 

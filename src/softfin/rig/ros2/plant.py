@@ -77,7 +77,7 @@ def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> byt
     try:
         has_header = "header" in dict(types.fielddefs[config.type][1])
         values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
-        return serialized(config.type, (stamp if has_header else {}) | values, types)
+        return serialized(config.type, {**(stamp if has_header else {}), **values}, types)
     except Exception as error:
         # Unknown types, fields that are not there and values that do not fit fail in ways of their
         # own.
@@ -236,7 +236,7 @@ class Ros2Machine:
         turn = rotation(self.config.frame)
         transport = self._opener(config.connection, self._types)
 
-        def subscribe(topic: str, kind: str, read: Callable[[Any], Any]) -> Subscription[Any]:
+        def subscribe(topic: str, kind: str, read: Callable[[Any], object]) -> Subscription[Any]:
             quality: Quality = "best_effort" if config.best_effort else "reliable"
             return Subscription(transport, topic, kind, read, quality=quality)
 

@@ -8,7 +8,6 @@ and passes on the emergency stop.
 
 import itertools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -266,7 +265,7 @@ class RobotNode:
     def _stamp_ns(self) -> int:
         return round(self._clock.wall() * 1e9)
 
-    def _read(self, message: Any) -> Wrench:
+    def _read(self, message: object) -> Wrench:
         check_frame(message, self.config.vehicle_frame_id)
         wrench = read_wrench(message)
         if max(map(abs, wrench)) > WRENCH_LIMIT:

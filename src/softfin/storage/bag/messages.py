@@ -98,11 +98,11 @@ def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]
         else {"header.frame_id": frame} | ({"name.0": joint} if kind == JOINT_STATE else {})
     )
     marks = {path: 1.0 + index for index, path in enumerate(FIELDS[kind])}
-    data = serialized(kind, names | marks)
+    data = serialized(kind, {**names, **marks})
     return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks.values())
 
 
-def serialized(kind: str, values: Mapping[str, Any], types: Typestore | None = None) -> bytes:
+def serialized(kind: str, values: Mapping[str, object], types: Typestore | None = None) -> bytes:
     """The bytes of a message of any type, by the general serialiser; `values` as for
     `build_message`."""
     types = types or type_store()
@@ -155,7 +155,7 @@ class BagWriter:
     read.
     """
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: object) -> None:
         self._writer = start_writer(stream)
         store = type_store()
         schemas = {

@@ -38,7 +38,7 @@ STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":"
 """Colour, line and marker of the groups, in turn."""
 
 
-def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str, Any]) -> None:
+def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str, object]) -> None:
     """Fill the folder with the summary and the figure."""
     artifacts.write_description(folder, "comparison", summary)
     save_figure(comparison_figure(comparison), folder, "comparison")

@@ -15,7 +15,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from dtaidistance import dtw
-from jaxtyping import Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
@@ -73,7 +73,7 @@ def plan_segments(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
     ]
 
 
-def take(records: Sequence[Any], segments: Sequence[Segment], ticks: int) -> Any:
+def take(records: Sequence[PyTree], segments: Sequence[Segment], ticks: int) -> Any:
     """The rows of some segments of logs or readings, stacked: fields ``(segments, ticks, ...)``."""
     return _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
 
@@ -135,11 +135,11 @@ def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, An
     return mean, each.force
 
 
-def _rows(record: Any, begin: int, end: int) -> Any:
+def _rows(record: PyTree, begin: int, end: int) -> Any:
     return jax.tree.map(lambda x: np.asarray(x)[begin:end], record)
 
 
-def _stacked(records: Sequence[Any]) -> Any:
+def _stacked(records: Sequence[PyTree]) -> Any:
     return jax.tree.map(lambda *leaves: np.stack(leaves), *records)
 
 

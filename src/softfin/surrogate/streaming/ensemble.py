@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from pydantic import Field
 from scipy.special import ndtri, stdtrit
 
@@ -92,7 +92,7 @@ def ensemble(
     return stacked
 
 
-def single(members: Any, index: Any = 0) -> Any:
+def single(members: PyTree, index: int | Array = 0) -> Any:
     """One member of a stack."""
     return jax.tree.map(lambda x: x[index], members)
 

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt, model_validator
 
 from softfin.core.action_clock import WINDOW
@@ -118,7 +118,7 @@ class StreamingLearner:
         self.optimiser = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
         self.run = jit("high")(self._run)
 
-    def start(self, nets: Any) -> TrainingState:
+    def start(self, nets: PyTree) -> TrainingState:
         """State before the first update."""
         # With its type, or the second call would be compiled anew.
         worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
@@ -137,7 +137,7 @@ class StreamingLearner:
         losses."""
 
         def member(
-            net: Any, optimiser: Any, predicted: Motion, number: Array, key: PRNGKeyArray
+            net: PyTree, optimiser: PyTree, predicted: Motion, number: Array, key: PRNGKeyArray
         ) -> Any:
             draw, key = jax.random.split(key)
             segments = table.draw(draw, self.config.batch, self.config.ticks)

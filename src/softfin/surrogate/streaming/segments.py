@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
@@ -121,7 +121,7 @@ class Table(NamedTuple):
         )
 
 
-def slices(columns: Any, starts: Int[Array, "batch"], length: int) -> Any:
+def slices(columns: PyTree, starts: Int[Array, "batch"], length: int) -> Any:
     """Cut the rows ``start .. start + length`` out of columns, for each start: fields ``(batch,
     length, ...)``."""
     rows = starts[:, None] + jnp.arange(length)

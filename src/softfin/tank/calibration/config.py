@@ -229,7 +229,7 @@ class CalibrateConfig(Configuration):
 
     @field_validator("parameters", mode="before")
     @classmethod
-    def _nested(cls, value: Any) -> Any:
+    def _nested(cls, value: object) -> Any:
         """``fin.length_m: range`` becomes ``fin: {length_m: range}``; both may stand side by
         side."""
         if not isinstance(value, dict):
