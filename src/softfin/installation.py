@@ -5,8 +5,9 @@ import importlib.metadata
 import json
 import re
 import sys
-from typing import Any
 from urllib.parse import unquote, urlparse
+
+from softfin.core.json_object import JsonObject
 
 EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3")
 """Parts of softfin beside the robot's, as pyproject.toml has them; `learn` records in simulation,
@@ -100,7 +101,7 @@ def installer() -> str:
     return (importlib.metadata.distribution("softfin").read_text("INSTALLER") or "pip").strip()
 
 
-def origin() -> dict[str, Any] | None:
+def origin() -> JsonObject | None:
     """The wheel, folder or repository that softfin was installed from (PEP 610); None where nobody
     knows."""
     text = importlib.metadata.distribution("softfin").read_text("direct_url.json")

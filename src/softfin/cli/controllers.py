@@ -1,12 +1,13 @@
 """Commands that make a controller: ``map``, ``train`` and ``export``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from softfin.cli.common import Common, Configured, ControllerFolder, File, Out, folder_option, plant
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
@@ -154,7 +155,7 @@ class TrainArguments(Configured):
         for seed in seeds:
             folder = self.out / f"seed-{seed}" if several else self.out
             description = load_description(folder, "controller")
-            own: dict[str, Any] = {"seed": seed} if several else {}
+            own: JsonObject = {"seed": seed} if several else {}
             results.append(own | {"controller": str(folder), "scores": description["scores"]})
             rows = [
                 ["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]

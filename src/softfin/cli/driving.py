@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from softfin.cli.common import (
     Armed,
@@ -28,6 +27,7 @@ from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.core.choices import TransportName
 from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.loop import (
@@ -89,7 +89,7 @@ class Driving(Armed, Common):
         line: Callable[[str], None],
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
-    ) -> dict[str, Any]:
+    ) -> JsonObject:
         """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the
         errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
@@ -120,7 +120,7 @@ class Driving(Armed, Common):
             "counters": robot.machine.counters(),
         }
 
-    def tell_errors(self, result: dict[str, Any]) -> None:
+    def tell_errors(self, result: JsonObject) -> None:
         """Print the recording and the errors at its end."""
         errors = f"({result['error_x_n']}, {result['error_y_n']})"
         self.tell(
@@ -184,7 +184,7 @@ def _follow(
     references: ReferenceSource,
     zero: ForcePair,
     seconds: int | None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Run the controller and print a line every second; returns the errors of the last window."""
     window: list[ActionResult] = []
     ticks = printed = 0

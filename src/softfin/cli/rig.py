@@ -5,7 +5,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from softfin.cli.common import Armed, CommandOptions, Common, File, YamlFile
 from softfin.cli.options import Option
@@ -13,6 +13,7 @@ from softfin.core.choices import LOOPBACK
 from softfin.core.clock import REAL
 from softfin.core.configuration import read_yaml
 from softfin.core.errors import ConfigurationError, DeviceError
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig, load_rig
@@ -111,7 +112,7 @@ class RigZeroArguments(Armed, CommandOptions):
     def __call__(self) -> None:
         config = load_rig(self.rig)
         both = self.angle == self.force
-        result: dict[str, Any] = {}
+        result: JsonObject = {}
         if both or self.angle:
             with interrupted_by_signals():
                 result |= zero_angle(

@@ -2,11 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 from softfin.cli.common import CommandOptions, Configured, File, Out, on_terminal
 from softfin.cli.options import Option
 from softfin.core.choices import RobotTask, TransportName, ViewedTask
+from softfin.core.json_object import JsonObject
 
 Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
 
@@ -154,7 +155,7 @@ class RobotRos2Arguments(Configured):
             transport.close()
 
 
-def _table(found: dict[str, Any]) -> list[str]:
+def _table(found: JsonObject) -> list[str]:
     from softfin.cli.tables import aligned
 
     lines = []

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
 from softfin.evaluation.headline import over_seeds
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
@@ -23,7 +24,7 @@ def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> lis
     return ["  ".join(cells).rstrip() for cells in zip(*padded, strict=True)]
 
 
-def format_table_one(scores: dict[str, Any] | None) -> str:
+def format_table_one(scores: JsonObject | None) -> str:
     """Table I, in physical and in scaled units, beside the paper's."""
     if scores is None:
         return "no test logs: Table I has no rows"

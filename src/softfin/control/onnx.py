@@ -8,12 +8,12 @@ extra ``softfin[onnx]``.
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from softfin.control.controller import LoadedController, Measured
 from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, jax_operations
 from softfin.core.quantities import action_to_command
 from softfin.storage.artifact import check_file
@@ -89,7 +89,7 @@ def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
     return first, last
 
 
-def _metadata(controller: LoadedController) -> dict[str, Any]:
+def _metadata(controller: LoadedController) -> JsonObject:
     """Facts that a user of the file must know."""
     artifact = controller.artifact
     return {

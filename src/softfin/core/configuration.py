@@ -13,6 +13,7 @@ import pydantic
 import yaml
 
 from softfin.core.errors import ConfigurationError, one_line
+from softfin.core.json_object import JsonObject
 
 MAX_YAML_VALUES = 100_000
 """Largest number of values in a YAML file with its aliases written out. A few hundred bytes of
@@ -74,7 +75,7 @@ class Configuration(pydantic.BaseModel):
         return self.build(_merge(self.model_dump(), values), source)
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
+def read_yaml(path: Path) -> JsonObject:
     """The mapping in a YAML file."""
     try:
         values = parse_yaml(path.read_text())
@@ -127,7 +128,7 @@ def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
     return sizes[node]
 
 
-def _merge(base: dict[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:
     return base | {
         key: _merge(base[key], value)
         if isinstance(base.get(key), dict) and isinstance(value, Mapping)

@@ -6,7 +6,7 @@ A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go throu
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks, valid_rows
 from softfin.core.errors import CommandError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
-State: TypeAlias = PyTree[Any]
+State: TypeAlias = PyTree
 Output = TypeVar("Output")
 
 Ticks: TypeAlias = int | Int[Array, ""]

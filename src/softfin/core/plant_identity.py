@@ -95,7 +95,7 @@ def jit_argument(plant: Plant) -> Plant:
 class _Program:
     """The part of a plant that is compiled into programs; equal where these are."""
 
-    static: PyTree[Any] = field(compare=False)
+    static: PyTree = field(compare=False)
     key: tuple[str, int | None]
 
 
@@ -108,7 +108,7 @@ def _of_simulator(name: str) -> Any:
 class TracedPlant(eqx.Module):
     """Meets the Plant contract: a user's simulator as an argument of compiled programs."""
 
-    arrays: PyTree[Any]
+    arrays: PyTree
     program: _Program = eqx.field(static=True)
 
     init, advance, hold_action = map(_of_simulator, ("init", "advance", "hold_action"))

@@ -7,13 +7,13 @@ everything from the key ``collect/PART/i``, so it does not depend on what is sim
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pydantic
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import PlantError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
@@ -49,7 +49,7 @@ def collect_logs(
     out: Path,
     test_plants: Sequence[Plant] | None = None,
     progress: Progress | None = None,
-    metadata: dict[str, Any] | None = None,
+    metadata: JsonObject | None = None,
     overwrite: bool = False,
 ) -> Dataset:
     """Record random motions of `plant` into the new dataset folder `out`.

@@ -6,11 +6,11 @@ current, the force that was asked for, events) stays in the bag.
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import Log
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
@@ -26,7 +26,7 @@ def convert(
     *,
     ignore_errors: bool = False,
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors,
     unless ignored."""
     if out.suffix not in (".mcap", ".parquet"):

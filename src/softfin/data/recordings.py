@@ -9,9 +9,9 @@ import fnmatch
 import hashlib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log
 from softfin.data.checks.inspection import Inspection, inspect
@@ -33,7 +33,7 @@ class OpenedLogs:
     inspection: Inspection
     data_hash: str
     """Hash of a dataset; else SHA-256 over the files and what was done to them."""
-    metadata: dict[str, Any]
+    metadata: JsonObject
     """Files, options and issues, for ``dataset.json``."""
 
     @property
@@ -139,7 +139,7 @@ def _name(file: Path, path: Path) -> str:
     return file.name if file == path else file.relative_to(path).as_posix()
 
 
-def _hash(files: Iterable[Path], path: Path, options: dict[str, Any]) -> str:
+def _hash(files: Iterable[Path], path: Path, options: JsonObject) -> str:
     digest = hashlib.sha256(artifacts.dump_json(options).encode())
     for file in files:
         for content in sorted(file.rglob("*")) if file.is_dir() else [file]:

@@ -3,7 +3,7 @@ piece in time."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -70,8 +70,8 @@ class _Fleet(NamedTuple):
     """Plants that one program serves: what they share, and their arrays, stacked along `axis` or
     shared (None)."""
 
-    arrays: PyTree[Any]
-    static: PyTree[Any]
+    arrays: PyTree
+    static: PyTree
     axis: int | None
 
 

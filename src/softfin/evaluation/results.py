@@ -4,11 +4,12 @@ They are plain dictionaries, since they are written as JSON and read from it. do
 the keys.
 """
 
-from typing import Any, NotRequired, TypedDict
+from typing import NotRequired, TypedDict
 
 import numpy as np
 from jaxtyping import Float
 
+from softfin.core.json_object import JsonObject
 from softfin.core.window import interval
 
 
@@ -54,7 +55,7 @@ class ReferenceScores(MeanScores):
     tracked_reference_n: NotRequired[list[float]]
     still: bool
     surrogate: NotRequired[UncertaintyRow]
-    commanded: NotRequired[dict[str, Any]]
+    commanded: NotRequired[JsonObject]
     """Commands of a baseline: a sine, or the actions of a gait."""
 
 
@@ -88,7 +89,7 @@ class MovingRow(TypedDict):
 
     kind: str
     described: str
-    signal: dict[str, Any]
+    signal: JsonObject
     """Configuration of the reference, without the rows of a recorded signal."""
     duration_s: float
     replaced_s: float
@@ -147,7 +148,7 @@ class EvaluationSummary(TypedDict):
 
     kind: str
     format: int
-    conditions: dict[str, Any]
+    conditions: JsonObject
     """Duration, repetitions and rates, and what the caller adds, such as controller and plant."""
     references: list[ReferenceScores]
     mean: MeanScores
@@ -155,8 +156,8 @@ class EvaluationSummary(TypedDict):
     moving: NotRequired[list[MovingRow]]
     error_map: NotRequired[ErrorMapRows]
     random: NotRequired[RandomErrors]
-    configuration: NotRequired[dict[str, Any]]
-    provenance: NotRequired[dict[str, Any]]
+    configuration: NotRequired[JsonObject]
+    provenance: NotRequired[JsonObject]
 
 
 class Baselines(TypedDict):
@@ -187,7 +188,7 @@ class RunResults(TypedDict, total=False):
     plant: str
     seed: int
     seeds: int
-    surrogate: dict[str, Any] | None
+    surrogate: JsonObject | None
     """``{"scores": ...}`` of `compare.scores.table_one`; None if the surrogate was given."""
     controllers: dict[str, EvaluationSummary]
     """Evaluation of each kind of controller (``gaits``, ``single``, ``grid``)."""
@@ -198,8 +199,8 @@ class RunResults(TypedDict, total=False):
     stages: list[StageRow]
     wall_s: dict[str, float]
     peak_memory_gib: float
-    configuration: dict[str, Any]
-    provenance: dict[str, Any]
+    configuration: JsonObject
+    provenance: JsonObject
 
 
 def add_reading_error(

@@ -5,7 +5,6 @@ do, from these data.
 """
 
 import base64
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -17,6 +16,7 @@ from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
 from softfin.core.errors import PlantError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate import StreamingSurrogate
@@ -28,7 +28,7 @@ COLD_C = 5.0
 """Temperature of the cold water that the page offers [degrees Celsius]."""
 
 
-def encode_arrays(array: ArrayLike) -> dict[str, Any]:
+def encode_arrays(array: ArrayLike) -> JsonObject:
     """Shape of an array, and its numbers in single precision as base64."""
     values = np.asarray(array, np.float32)
     return {
@@ -37,7 +37,7 @@ def encode_arrays(array: ArrayLike) -> dict[str, Any]:
     }
 
 
-def plant_data(name: str, plant: Plant) -> dict[str, Any]:
+def plant_data(name: str, plant: Plant) -> JsonObject:
     """Data of a virtual tank or a streaming surrogate; raises PlantError for any other plant."""
     if isinstance(plant, Tank):
         return tank_data(plant)
@@ -54,7 +54,7 @@ def plant_data(name: str, plant: Plant) -> dict[str, Any]:
     )
 
 
-def tank_data(tank: Tank) -> dict[str, Any]:
+def tank_data(tank: Tank) -> JsonObject:
     """Data of a virtual tank; its sensor's noise, drift and resolution are left out."""
     cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
     return {
@@ -68,7 +68,7 @@ def tank_data(tank: Tank) -> dict[str, Any]:
     }
 
 
-def outline(tank: Tank) -> dict[str, Any]:
+def outline(tank: Tank) -> JsonObject:
     """Length [m] of a tank's fin, and the thickness [m] of its plates, mount first: what is
     drawn."""
     return {
@@ -77,7 +77,7 @@ def outline(tank: Tank) -> dict[str, Any]:
     }
 
 
-def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
+def surrogate_data(surrogate: StreamingSurrogate) -> JsonObject:
     """Data of a streaming surrogate, with the state of its members long at rest."""
     description, arrays = surrogate.to_files()
     return {
@@ -92,11 +92,11 @@ def surrogate_data(surrogate: StreamingSurrogate) -> dict[str, Any]:
     }
 
 
-def controller_data(controller: LoadedController) -> dict[str, Any]:
+def controller_data(controller: LoadedController) -> JsonObject:
     """Data of a controller of any kind, and the configuration of its optional force feedback."""
     step = controller.step
     reachable = controller.reachable
-    data: dict[str, Any] = {
+    data: JsonObject = {
         "kind": controller.kind,
         "limits": controller.limits.to_dict(),
         "cells": [cell.model_dump(mode="json") for cell in controller.cells],
@@ -116,15 +116,15 @@ def controller_data(controller: LoadedController) -> dict[str, Any]:
     }
 
 
-def _table(table: GaitTable) -> dict[str, Any]:
+def _table(table: GaitTable) -> JsonObject:
     low = np.asarray(table.low, float)
     high = np.asarray(table.high, float)
     return {"low": low.tolist(), "high": high.tolist(), "actions": encode_arrays(table.actions)}
 
 
-def _numbers(module: eqx.Module) -> dict[str, Any]:
+def _numbers(module: eqx.Module) -> JsonObject:
     """The arrays of a module as nested numbers, under the names of its fields."""
-    numbers: dict[str, Any] = {}
+    numbers: JsonObject = {}
     for place, array in name_net_arrays(module).items():
         *outer, last = place.split(".")
         inside = numbers

@@ -6,7 +6,7 @@ their forces).
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field, PositiveFloat
@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, PlantError, one_line
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity, matches_identity
 from softfin.core.quantities import Limits
@@ -150,7 +151,7 @@ def save_map(
     force_map: ForceMap,
     config: MapConfig,
     limits: Limits,
-    origin: dict[str, Any],
+    origin: JsonObject,
     overwrite: bool = False,
 ) -> None:
     """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import Number, Operations, select_operations
 from softfin.core.quantities import AnyArray
 from softfin.gaits.reachable import Cell, ForceVector, Reachable
@@ -110,7 +111,7 @@ class ForceMap(NamedTuple):
     gaits: GaitSearchResult
     reachable: Reachable
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Return lattice and region for JSON."""
         table = self.gaits.table
         return {

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray
 
@@ -120,7 +121,7 @@ class Reachable(NamedTuple):
             raise ValueError("reachable: centre and radius must be finite, and no radius under 0")
         return cls(centre, radius)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Return centre and radii [N] for JSON."""
         return {
             f"{name}_n": [round(float(x), 5) for x in part] for name, part in self._asdict().items()

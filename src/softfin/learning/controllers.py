@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from softfin.control.policy import GAITS
 from softfin.control.store import write_controller
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import Policy, name_policy_arrays, policy_memory
@@ -122,7 +123,7 @@ def _scores(
     tracked: Float[np.ndarray, "cells references 2"],
     scored: PolicyEvaluation,
     index: int,
-) -> list[dict[str, Any]]:
+) -> list[JsonObject]:
     """List, for each cell, its references and the force errors in the plant that it was trained in.
 
     Errors are against ``tracked_reference_n``, the nearest force that the fin can make, where its

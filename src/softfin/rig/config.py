@@ -3,12 +3,12 @@ safety limits."""
 
 import math
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field, PrivateAttr, model_validator
 
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.json_object import JsonObject
 from softfin.rig.axia80.config import Axia80Config
 from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.filter import BRIDGED_S, design
@@ -35,7 +35,7 @@ class EmulationConfig(Configuration):
 
     seed: int = 0
     """Seed of the sensor's noise."""
-    tank: dict[str, Any] = Field(default_factory=dict)
+    tank: JsonObject = Field(default_factory=dict)
     """The tank behind both, where it is not the usual one: as in the file of `softfin rig emulate
     --tank`."""
 

@@ -6,9 +6,9 @@ count in the rig's record, and whoever opens the rig compares.
 """
 
 import datetime
-from typing import Any
 
 from softfin.core.errors import DeviceError, RigError
+from softfin.core.json_object import JsonObject
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.record import ForceZero, load_record, save_record
@@ -34,7 +34,7 @@ MAX_DATE_LAG_S = 3600.0
 from a restart."""
 
 
-def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> dict[str, Any]:
+def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonObject:
     """Set the sensor's zero to the force at rest and record that; raises DeviceError if that fails.
 
     Means and noise are of so many seconds, before and after.

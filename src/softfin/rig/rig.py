@@ -1,9 +1,9 @@
 """The rig as a Machine: one EPOS2 and one Axia80, read together at each tick."""
 
 from collections.abc import Callable
-from typing import Any
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
@@ -122,9 +122,7 @@ class Rig:
         return counted | self.sensor.counters()
 
 
-def zero_force(
-    config: RigConfig, seconds: float = 2.0, clock: Clock | None = None
-) -> dict[str, Any]:
+def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> JsonObject:
     """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest, or
     it is not set."""
     rig = Rig(config, clock)
@@ -139,7 +137,7 @@ def zero_angle(
     config: RigConfig,
     clock: Clock | None = None,
     confirm: Callable[[Rig], object] = lambda rig: None,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered,
     nothing moves.
 

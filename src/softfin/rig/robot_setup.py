@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from softfin.core.errors import RigError
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import Limits
 from softfin.rig.machine import Machine
 from softfin.rig.safety import SafetyConfig
@@ -21,7 +21,7 @@ class RobotSetup:
     """Name of this fin; None where it was not given."""
     settle_s: float = 5.0
     """Time for which the fin rests before each log or experiment [s]."""
-    configuration: dict[str, Any] = field(default_factory=dict)
+    configuration: JsonObject = field(default_factory=dict)
     """The whole configuration, for JSON."""
     warning: str | None = None
     """Warning about a machine that nobody has signed for."""

@@ -1,10 +1,10 @@
 """Rank, singular values and reach of a robot's fins, and whether its body stays upright."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from softfin.core.json_object import JsonObject
 from softfin.robot.allocation import Allocator
 from softfin.robot.body_config import GRAVITY_M_S2
 from softfin.robot.description import WRENCH_AXES, RobotConfig
@@ -15,7 +15,7 @@ WEAK = 1e-3
 """A singular value below this part of the greatest counts as none."""
 
 
-def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Any]:
+def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> JsonObject:
     """Return rank and singular values, with all fins and without each of them, reach and
     acceleration of every axis.
 

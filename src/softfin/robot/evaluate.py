@@ -2,7 +2,7 @@
 one dead."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 from softfin.core.action_clock import CYCLE_ACTIONS, MAX_ACTION_TICKS, WINDOW, valid_rows
 from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, TICK_S, Command
 from softfin.core.randomness import named_generator
 from softfin.robot.baselines import MakeDriver, build_drivers
@@ -94,7 +95,7 @@ class RobotEvaluateConfig(Configuration):
 class RobotEvaluation(NamedTuple):
     """Figures of every task, and the record of the first trial of each."""
 
-    figures: dict[str, Any]
+    figures: JsonObject
     records: dict[str, Record]
 
 
@@ -109,7 +110,7 @@ def evaluate_robot(
     gaits = find_all_gaits(tanks)
     simulation = RobotSimulation(robot, tanks)
     drivers = build_drivers(robot, gaits)
-    figures: dict[str, Any] = {
+    figures: JsonObject = {
         "robot": robot.name,
         "reach_n": [round(each.reach, 3) for each in gaits],
     }
@@ -167,7 +168,7 @@ def trial(
     task: RobotTask,
     config: RobotEvaluateConfig,
     seed: int,
-) -> tuple[Record, dict[str, Any]]:
+) -> tuple[Record, JsonObject]:
     """Run one trial of a task, and score it."""
     random = named_generator(seed, f"robot/{task}")
     seconds = float(config.hold_s if task == "hold" else config.path_s)
@@ -180,7 +181,7 @@ def trial(
     trouble = Disturbances()
     settled_from_s = config.settled_s
     push_at_s = None
-    told: dict[str, Any] = {"seed": seed}
+    told: JsonObject = {"seed": seed}
     if task == "hold":
         current, push = random.uniform(-np.pi, np.pi, 2)
         at = random.uniform(1, 2) * config.settled_s
@@ -253,7 +254,7 @@ WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
 
 def wrench_errors(
     simulation: RobotSimulation, driver: MakeDriver, wrenches: Float[np.ndarray, "n 6"]
-) -> dict[str, Any]:
+) -> JsonObject:
     """Compare mean wrenches over a window with those asked for, on a body that is held; and tell
     their ripple."""
     held = _held(

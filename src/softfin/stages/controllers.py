@@ -4,11 +4,11 @@ III-C)."""
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from softfin.control.store import save_gaits
 from softfin.core.choices import EngineName
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
@@ -33,7 +33,7 @@ def map_forces(
     *,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Find the mean forces that a fin can make, their Sobolev cost and the gaits for them; writes
     the folder `out`."""
     config = config or MapConfig()
@@ -104,7 +104,7 @@ def find_gaits(
     )
 
 
-def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> dict[str, Any]:
+def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> JsonObject:
     made_with = {} if force_map is None else {"map": str(force_map)}
     return artifacts.provenance(
         plant=plant_name(plant), plant_identity=identity(moving), **made_with

@@ -3,11 +3,11 @@ film or a page."""
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
@@ -105,7 +105,7 @@ def baselines(
     surrogate: str | Plant | None = None,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Evaluate a still fin, the best sine, an inverse model, random gaits; writes
     ``baselines.json`` to `out`.
 
@@ -136,7 +136,7 @@ def view(
     reference: tuple[float, float] | None = None,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Show a plant in motion as .gif, .html or .png, in a simple gait or under a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)

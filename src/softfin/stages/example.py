@@ -7,8 +7,8 @@ these commands, the SHA-256 of each file and the errors of the controllers in th
 
 import shutil
 from pathlib import Path
-from typing import Any
 
+from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 
 EXAMPLE = Path(__file__).parents[1] / "example"
@@ -17,7 +17,7 @@ EXAMPLE = Path(__file__).parents[1] / "example"
 EXAMPLE_KIND = "example"
 
 
-def write_example(out: Path, *, overwrite: bool = False) -> dict[str, Any]:
+def write_example(out: Path, *, overwrite: bool = False) -> JsonObject:
     """Copy the example to a folder, whole or not at all; returns its description,
     ``example.json``."""
 

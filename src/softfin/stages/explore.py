@@ -4,10 +4,10 @@ out."""
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.quantities import Limits
 from softfin.explorer.contents import controller_data, outline, plant_data
@@ -27,7 +27,7 @@ def explore(
     plants: Sequence[str] = ("tank",),
     *,
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Write a page in which these controllers hold forces that one drags, in these plants; returns
     its size and parts.
 

@@ -10,7 +10,6 @@ import json
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,6 +20,7 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
@@ -91,7 +91,7 @@ def collect_live(
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags = find_bags(out)
-    metadata: dict[str, Any] = {
+    metadata: JsonObject = {
         "configuration": config.model_dump(mode="json"),
         "fin": robot.fin,
         "rig": robot.configuration,
@@ -313,7 +313,7 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
     return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
 
 
-def _drop_addresses(configuration: dict[str, Any]) -> dict[str, Any]:
+def _drop_addresses(configuration: JsonObject) -> JsonObject:
     """Return the configuration without the settings of how its devices are reached."""
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
@@ -323,7 +323,7 @@ def _drop_addresses(configuration: dict[str, Any]) -> dict[str, Any]:
     return kept
 
 
-def _sensor_state(machine: Machine) -> dict[str, Any]:
+def _sensor_state(machine: Machine) -> JsonObject:
     """Return the serial number of the sensor's calibration and its last zero; None for what a
     machine does not have."""
     # Only a rig has a sensor of its own; one behind ROS 2 belongs to another program.
@@ -341,13 +341,13 @@ def _sensor_file(bags: Path, name: str) -> Path:
     return bags / f"{name}.sensor.json"
 
 
-def _sensor_states(bags: Path, names: Sequence[str]) -> dict[str, Any]:
+def _sensor_states(bags: Path, names: Sequence[str]) -> JsonObject:
     """Return the sensor's state at each log that is recorded; older collections have none."""
     files = {name: _sensor_file(bags, name) for name in names}
     return {name: artifacts.read_json(file) for name, file in files.items() if file.exists()}
 
 
-def _drift_warning(sensor_states: dict[str, Any], name: str) -> str | None:
+def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
     """Return a warning if the force at rest before a log differs from that before the first log."""
     if name not in sensor_states:
         return None
@@ -363,7 +363,7 @@ def _drift_warning(sensor_states: dict[str, Any], name: str) -> str | None:
     )
 
 
-def _check_claim(bags: Path, claim: dict[str, Any], resume: bool, is_complete: bool) -> None:
+def _check_claim(bags: Path, claim: JsonObject, resume: bool, is_complete: bool) -> None:
     """Raise ArtifactError where the folder holds other recordings, or finished ones without
     `resume`."""
     state = bags / STATE

@@ -1,8 +1,8 @@
 """Check recordings and import them as a dataset; no JAX."""
 
 from pathlib import Path
-from typing import Any
 
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
 from softfin.data.checks.inspection import Inspection
 from softfin.data.checks.report import write_inspection
@@ -19,7 +19,7 @@ def inspect_logs(
     *,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Find what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
     if out is not None:
         artifacts.check_vacant(out, overwrite)

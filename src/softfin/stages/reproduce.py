@@ -8,13 +8,14 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
 from softfin.core.errors import ArtifactError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
@@ -232,7 +233,7 @@ class _Reproduction:
             + 1
         )
 
-    def learn_surrogate(self) -> dict[str, Any] | None:
+    def learn_surrogate(self) -> JsonObject | None:
         """Collect and fit; Table I."""
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
         minutes = settings.logs * settings.rows / (60 * RATE_HZ)
@@ -256,7 +257,7 @@ class _Reproduction:
             self.config.fit,
             **options,
         )
-        scores: dict[str, Any] | None = artifacts.load_description(self.surrogate, "surrogate")[
+        scores: JsonObject | None = artifacts.load_description(self.surrogate, "surrogate")[
             "scores"
         ]
         return scores
@@ -326,7 +327,7 @@ class _Reproduction:
         evaluated = Evaluated()
         target = find_plant(plant)
         progress = self.begin(folder)
-        changes: dict[str, Any] = {} if trim else {"trim": None}
+        changes: JsonObject = {} if trim else {"trim": None}
         changes |= {} if moving else {"moving": (), "recorded": None}
         for place, kind in enumerate(self.config.kinds, start=1):
             each = []
@@ -361,13 +362,13 @@ class _Reproduction:
         if not logs:
             return {}
 
-        def curve(log: list[dict[str, Any]], keys: list[str]) -> tuple[list[int], list[float]]:
+        def curve(log: list[JsonObject], keys: list[str]) -> tuple[list[int], list[float]]:
             entries = [entry for entry in log if keys[0] in entry]
             return [e["step"] for e in entries], [
                 float(np.mean([e[key] for key in keys])) for e in entries
             ]
 
-        def curves(*names: str) -> dict[str, Any]:
+        def curves(*names: str) -> JsonObject:
             keys = [[f"seed{seed}/{name}" for name in names] for seed in self.seeds]
             return {kind: [curve(log, each) for each in keys] for kind, log in logs.items()}
 

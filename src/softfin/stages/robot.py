@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
 from softfin.robot.baselines import build_drivers
 from softfin.robot.check import check_robot
@@ -27,7 +28,7 @@ TITLES = {
 }
 
 
-def check_robot_file(robot: str) -> dict[str, Any]:
+def check_robot_file(robot: str) -> JsonObject:
     """Return rank, singular values, reach and stability of a robot: a built-in name or a YAML
     file."""
     config = load_robot(robot)
@@ -41,7 +42,7 @@ def evaluate(
     *,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Evaluate a robot in simulation; writes ``robot.json``, figures and a page for each task to
     `out`."""
     artifacts.check_vacant(out, overwrite)
@@ -77,7 +78,7 @@ def view(
     *,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Show one trial of the first task as a page in three dimensions; returns its errors."""
     task = config.tasks[0]
     if out.suffix != ".html":

@@ -3,9 +3,9 @@ calibrated tank."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from softfin.core.errors import ArtifactError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import command_limits
@@ -47,7 +47,7 @@ def fit(
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of
     issues, a caveat.
 
@@ -139,7 +139,7 @@ def compare(
     noise_floor: str | Plant | None = None,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON
     and a figure.
 
@@ -181,7 +181,7 @@ def calibrate(
     resume: bool = False,
     overwrite: bool = False,
     progress: Progress = silent,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Fit the virtual tank to a dataset or to a plant; writes ``calibration.json``, ``tank.yaml``
     and figures."""
     config = config or CalibrateConfig()

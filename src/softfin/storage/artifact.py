@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypedDict
 
 from softfin.core.errors import ArtifactError, RunError
+from softfin.core.json_object import JsonObject
 from softfin.storage.formats import FOLDERS, check_format
 
 WEIGHTS = "weights.safetensors"
@@ -224,7 +225,7 @@ def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None
     )
 
 
-def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def load(path: Path, kind: str) -> tuple[JsonObject, JsonObject]:
     """The description and the weights of a folder that `save` wrote; raises ArtifactError for
     anything else."""
     import safetensors.numpy
@@ -245,7 +246,7 @@ def load(path: Path, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
     return description, weights
 
 
-def load_description(path: Path, kind: str) -> dict[str, Any]:
+def load_description(path: Path, kind: str) -> JsonObject:
     """The JSON of a folder of one kind; raises ArtifactError for another thing, and for a format
     that is not read."""
     file = find_description(path, kind)
@@ -267,7 +268,7 @@ def find_description(path: Path, kind: str) -> Path:
     return file
 
 
-def read_json(file: Path) -> dict[str, Any]:
+def read_json(file: Path) -> JsonObject:
     """The object in a JSON file of softfin's."""
     try:
         description = json.loads(file.read_bytes())
@@ -297,7 +298,7 @@ def plain(value: object) -> Any:
     return plain(value.tolist()) if hasattr(value, "tolist") else str(value)
 
 
-def provenance(**metadata: object) -> dict[str, Any]:
+def provenance(**metadata: object) -> JsonObject:
     """Provenance of an artifact: the given metadata, versions, git commit, time."""
     versions: dict[str, str | None] = dict.fromkeys(("softfin", "jax", "numpy"))
     for package in versions:

@@ -9,9 +9,9 @@ import dataclasses
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from softfin.core.errors import ArtifactError
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import encode_log, read_log
@@ -27,7 +27,7 @@ class Dataset:
     """Training logs, at least one."""
     test: tuple[Path, ...]
     """Test logs, recorded apart; a dataset may have none."""
-    description: dict[str, Any]
+    description: JsonObject
     """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant,
     provenance)."""
     data_hash: str
@@ -77,7 +77,7 @@ def write_dataset(
     path: Path,
     train: Iterable[Log],
     test: Iterable[Log],
-    metadata: dict[str, Any],
+    metadata: JsonObject,
     overwrite: bool = False,
 ) -> Dataset:
     """Write logs, taken one by one, as a dataset; `metadata` goes into ``dataset.json``."""

@@ -21,6 +21,7 @@ from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from softfin.core.errors import ArtifactError, RunError
+from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 
 Tree = TypeVar("Tree")
@@ -37,7 +38,7 @@ class RunDirectory:
     """The unfinished work of one output folder."""
 
     def __init__(
-        self, out: Path, fingerprint: dict[str, Any], resume: bool = False, overwrite: bool = False
+        self, out: Path, fingerprint: JsonObject, resume: bool = False, overwrite: bool = False
     ) -> None:
         """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with
         `overwrite`.
@@ -81,14 +82,14 @@ class RunDirectory:
         inner.folder = self.folder / name
         return inner
 
-    def save(self, tree: Any, metadata: dict[str, Any]) -> None:
+    def save(self, tree: Any, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
         whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
         artifacts.write_file(
             self.folder / CHECKPOINT, artifacts.encode(_named(tree)[0], {"facts": whole})
         )
 
-    def load(self, like: Tree) -> tuple[Tree, dict[str, Any]] | None:
+    def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
         """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there
         is none yet.
 
@@ -116,12 +117,12 @@ class RunDirectory:
             structure, [jnp.asarray(arrays[name]) for name in expected]
         ), metadata
 
-    def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], JsonObject]:
         """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
         try:
             with safetensors.safe_open(path, "numpy") as file:
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-                metadata: dict[str, Any] = json.loads(file.metadata()["facts"])
+                metadata: JsonObject = json.loads(file.metadata()["facts"])
         except (
             OSError,
             KeyError,
@@ -197,7 +198,7 @@ class RunLog:
         self._writer.close()
 
 
-def read_training_log(path: Path) -> list[dict[str, Any]]:
+def read_training_log(path: Path) -> list[JsonObject]:
     """The entries of a ``log.jsonl``, up to the first line that a kill or a cut of power has left
     in pieces."""
     entries = []
@@ -214,7 +215,7 @@ def _software() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
+def _named(tree: PyTree) -> tuple[JsonObject, Any]:
     """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the
     structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)

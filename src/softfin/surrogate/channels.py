@@ -16,6 +16,7 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AnyArray, Log
 from softfin.storage import artifact as artifacts
 
@@ -123,7 +124,7 @@ def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, li
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
 
 
-def learnt_from(plant: object) -> dict[str, Any]:
+def learnt_from(plant: object) -> JsonObject:
     """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has
     them; else unknown."""
     if not isinstance(plant, str | Path) or not artifacts.is_kind(Path(plant), "surrogate"):

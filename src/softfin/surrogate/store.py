@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from softfin.core.errors import ArtifactError, ConfigurationError, one_line
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.paper.surrogate import Surrogate
@@ -23,8 +24,8 @@ MODELS: dict[str, type[AnySurrogate]] = {
 def save_surrogate(
     path: Path,
     surrogate: AnySurrogate,
-    scores: dict[str, Any] | None,
-    provenance: dict[str, Any],
+    scores: JsonObject | None,
+    provenance: JsonObject,
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
     **metadata: Any,

@@ -2,10 +2,10 @@
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ
 from softfin.data.checks.alignment import MIN_ALIGNED_S
@@ -41,7 +41,7 @@ class Inspection:
     issues: list[Issue]
     logs: list[LogStatistics]
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self) -> JsonObject:
         """Amount of data, columns as read, lags [ms] and correlations of frames over all logs, and
         counts of issues."""
         frames = [one.frames for one in self.logs if one.frames is not None]
@@ -64,7 +64,7 @@ class Inspection:
             },
         }
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """The inspection for JSON."""
         return {"summary": self.summary(), **dataclasses.asdict(self)}
 

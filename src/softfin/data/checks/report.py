@@ -3,12 +3,12 @@ logs themselves."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.data.checks.checks import PLAUSIBLE_LAG_MS
 from softfin.data.checks.inspection import Inspection
@@ -34,9 +34,9 @@ def write_inspection(
     inspection: Inspection,
     logs: Sequence[NamedLog],
     out: Path,
-    metadata: dict[str, Any],
+    metadata: JsonObject,
     overwrite: bool = False,
-) -> dict[str, Any]:
+) -> JsonObject:
     """Write the folder, whole or not at all; returns the content of its JSON."""
     summary = {**artifacts.head("inspection"), **inspection.to_dict(), **metadata}
     figure = inspection_figure(inspection, logs)

@@ -22,6 +22,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 
 from softfin.core.errors import PlantError, RunError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant, rest_command
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command, Limits
@@ -65,7 +66,7 @@ def evaluate_baselines(
     search_in: Plant,
     config: BaselinesConfig,
     report: Callable[[float, str], None] = lambda *_: None,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, JsonObject]:
     """Find the baselines on one plant and evaluate them on another, the same one or the fin that it
     stands for.
 
@@ -79,19 +80,19 @@ def evaluate_baselines(
     seconds = config.seconds
     limits = shared_limits(Limits(*search_in.limits), Limits(*plant.limits))
     search = open_loop.OpenLoopSearch(search_in, limits, config.search, config.seed)
-    summaries: dict[str, Any] = {}
-    left_out: dict[str, Any] = {}
-    nothing: list[dict[str, Any]] = [{} for _ in references]
+    summaries: JsonObject = {}
+    left_out: JsonObject = {}
+    nothing: list[JsonObject] = [{} for _ in references]
 
-    def add(name: str, evaluation: Evaluation, commanded: list[dict[str, Any]]) -> None:
+    def add(name: str, evaluation: Evaluation, commanded: list[JsonObject]) -> None:
         summaries[name] = evaluation.summary()
         for row, words in zip(summaries[name]["references"], commanded, strict=True):
             row["commanded"] = words
 
-    def add_commands(name: str, commands: Command, commanded: list[dict[str, Any]]) -> None:
+    def add_commands(name: str, commands: Command, commanded: list[JsonObject]) -> None:
         add(name, evaluate_commands(plant, commands, config.experiments), commanded)
 
-    def add_sines(name: str, sine: ShaftSine, more: list[dict[str, Any]]) -> None:
+    def add_sines(name: str, sine: ShaftSine, more: list[JsonObject]) -> None:
         command, *clipped = sine.commands(limits, seconds * RATE_HZ)
         keys = ("centre_rad", "amplitude_rad", "frequency_hz", "angle_clipped", "velocity_clipped")
         rows = zip(zip(*sine, *clipped, strict=True), more, strict=True)

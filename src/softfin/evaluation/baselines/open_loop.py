@@ -13,7 +13,7 @@ The inverse model, `softfin.gaits.inverse_model`, chooses a sine for a force.
 """
 
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,6 +25,7 @@ from pydantic import Field, PositiveFloat, PositiveInt
 from softfin.core.action_clock import CYCLE_ACTIONS, action_ticks
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RunError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant, roll_with_true_force
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, TICK_S, AnyArray, Command, Limits, Reading
@@ -86,7 +87,7 @@ def inverse(
     limits: Limits,
     config: InverseConfig,
     constant: float,
-) -> tuple[ShaftSine, list[dict[str, Any]]]:
+) -> tuple[ShaftSine, list[JsonObject]]:
     """The sine that should give each force (x, y) [N] on average; `constant` is K [N s2], the
     config's or a fitted one.
 

@@ -5,7 +5,6 @@ import io
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import jinja2
 import numpy as np
@@ -14,6 +13,7 @@ from markupsafe import Markup
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.canvas import with_canvas
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.evaluation.view.footage import Footage, choose_scale
 from softfin.evaluation.view.picture import TRAIL_TICKS, Picture
@@ -86,7 +86,7 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
     artifacts.write_file(path, page)
 
 
-def to_dict(footage: Footage) -> dict[str, Any]:
+def to_dict(footage: Footage) -> JsonObject:
     """Return the data that the page draws, as plain numbers."""
     series = {"command": (footage.command.angle, 4), "angle": (footage.reading.angle, 4)}
     for i, axis in enumerate(AXES):

@@ -6,10 +6,10 @@ rig.commissioning.md. Every attempt is kept; the latest one of a step counts.
 
 import json
 from pathlib import Path
-from typing import Any
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
+from softfin.core.json_object import JsonObject
 from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.config import RigConfig
 from softfin.storage import artifact as artifacts
@@ -49,7 +49,7 @@ class SignedStep(Configuration):
     items: tuple[Item, ...]
     bags: tuple[str, ...] = ()
     """Recordings of the step, relative to the rig's file."""
-    rig: dict[str, Any]
+    rig: JsonObject
     """Configuration of the rig then."""
 
     @property
@@ -149,12 +149,12 @@ def form_text(form: Form, name: str) -> str:
     return "\n".join(lines)
 
 
-def config_values(config: RigConfig) -> dict[str, Any]:
+def config_values(config: RigConfig) -> JsonObject:
     """Return a rig's configuration for JSON."""
     return config.model_dump(mode="json")
 
 
-def _voiding_parts(rig: dict[str, Any]) -> dict[str, Any]:
+def _voiding_parts(rig: JsonObject) -> JsonObject:
     return {
         part: {name: value for name, value in rig[part].items() if name not in ADDRESS_FIELDS}
         for part in VOIDING

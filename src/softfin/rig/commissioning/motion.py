@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, SafetyStop
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2 import protocol
@@ -72,7 +72,7 @@ class Stopped:
 
 
 def changed(
-    config: RigConfig, drive: dict[str, Any] | None = None, safety: dict[str, Any] | None = None
+    config: RigConfig, drive: JsonObject | None = None, safety: JsonObject | None = None
 ) -> RigConfig:
     """Return a rig's configuration with other values of its drive or safety; raises
     ConfigurationError."""

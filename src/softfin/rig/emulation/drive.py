@@ -16,6 +16,7 @@ import can
 import canopen
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.json_object import JsonObject
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive_motor import EmulatedMotor
 from softfin.rig.emulation.drive_objects import (
@@ -155,11 +156,11 @@ class EmulatedDrive:
         if bus is not None:
             bus.shutdown()
 
-    def remembered(self) -> dict[str, Any]:
+    def remembered(self) -> JsonObject:
         """State that is lost with the supply, for JSON: the zero."""
         return {"zero_counts": self.motor.zero, "referenced": self.motor.referenced}
 
-    def recall(self, remembered: dict[str, Any]) -> None:
+    def recall(self, remembered: JsonObject) -> None:
         """Go on as if its supply had never been off."""
         self.motor.zero = int(remembered["zero_counts"])
         self.motor.referenced = bool(remembered["referenced"])

@@ -17,6 +17,7 @@ import yaml
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, RigError, one_line
+from softfin.core.json_object import JsonObject
 from softfin.rig.config import RigConfig
 from softfin.rig.emulation.bus import HOST, SocketcandServer
 from softfin.rig.emulation.drive import EmulatedDrive
@@ -79,9 +80,9 @@ class EmulatedRig(contextlib.ExitStack):
         pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
         return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"
 
-    def values(self, **changes: object) -> dict[str, Any]:
+    def values(self, **changes: object) -> JsonObject:
         """Contents of the rig's file."""
-        bus: dict[str, Any] = {"interface": SIMULATED, "channel": self.channel}
+        bus: JsonObject = {"interface": SIMULATED, "channel": self.channel}
         if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
             bus |= {"interface": "socketcand", "options": options}
@@ -159,7 +160,7 @@ class _KeptRig(EmulatedRig):
         artifacts.write_file(self._state, json.dumps(state) + "\n")
 
 
-def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -> None:
+def write_simulated(path: Path, tank: Tank, values: JsonObject, seed: int) -> None:
     """Write the file of a rig that each command emulates itself, in simulated time; `values` are
     the tank's file's."""
     rig = _rig_values(
@@ -169,7 +170,7 @@ def write_simulated(path: Path, tank: Tank, values: dict[str, Any], seed: int) -
     write_rig(path, rig, "An emulated rig in simulated time, within each command")
 
 
-def write_rig(path: Path, values: dict[str, Any], comment: str) -> None:
+def write_rig(path: Path, values: JsonObject, comment: str) -> None:
     """Write a rig's file, with a comment above."""
     # A new rig starts without what was found out about the one that was there.
     record_file(path).unlink(missing_ok=True)
@@ -184,7 +185,7 @@ EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
 current itself."""
 
 
-def _rig_values(drive: Epos2Config, bus: dict[str, Any], **ports: int) -> dict[str, Any]:
+def _rig_values(drive: Epos2Config, bus: JsonObject, **ports: int) -> JsonObject:
     return {
         "fin": "emulated",
         "bus": bus,

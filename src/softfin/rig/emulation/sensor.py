@@ -12,12 +12,12 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
 from xml.sax.saxutils import escape
 
 import numpy as np
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.json_object import JsonObject
 from softfin.rig.axia80.pages import CALIBRATION, FORCE_UNITS, SETTINGS, TORQUE_UNITS
 from softfin.rig.axia80.rdt import (
     BUSY,
@@ -121,13 +121,13 @@ class EmulatedAxia80:
         self._ports.callback(self._socket.close)
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
-    def remembered(self) -> dict[str, Any]:
+    def remembered(self) -> JsonObject:
         """State that would be lost with its supply, for JSON: its zero in its own axes [N, N m],
         count of samples."""
         with self._lock:
             return {"bias": self._bias.tolist(), "samples": self._samples(self._clock())}
 
-    def recall(self, remembered: dict[str, Any]) -> None:
+    def recall(self, remembered: JsonObject) -> None:
         """Continue as if its supply had never been off."""
         with self._lock:
             self._bias = np.array(remembered["bias"], float)

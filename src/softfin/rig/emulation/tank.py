@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softfin.core.clock import REAL, Clock
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
 from softfin.rig.emulation.fin import COAST_RAD_S2, FinMotion
@@ -39,14 +40,14 @@ class TankFin:
         self._time = clock()
         self._latest: tuple[float, FinMotion] | None = None
 
-    def remembered(self) -> dict[str, Any]:
+    def remembered(self) -> JsonObject:
         """Return the whole state for JSON."""
         with self._lock:
             self._catch_up()
             leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(self._plain())]
             return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
 
-    def recall(self, remembered: dict[str, Any]) -> None:
+    def recall(self, remembered: JsonObject) -> None:
         """Go on from there; raises ValueError where that is the state of another tank."""
         with self._lock:
             plain = self._plain()

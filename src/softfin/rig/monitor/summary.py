@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from softfin.core.action_clock import WINDOW
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
 from softfin.storage.bag import messages
@@ -47,7 +48,7 @@ STATES = {
     "damaged": "damaged: the rest cannot be read",
 }
 
-Summary: TypeAlias = dict[str, Any]
+Summary: TypeAlias = JsonObject
 """A recording at one moment, ready for JSON; None is what is not known, or not yet."""
 
 Values: TypeAlias = tuple[float | str, ...]

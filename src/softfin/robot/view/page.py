@@ -5,7 +5,6 @@ import base64
 import importlib.resources
 import json
 from pathlib import Path
-from typing import Any
 
 import jinja2
 import numpy as np
@@ -13,6 +12,7 @@ from markupsafe import Markup
 
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.canvas import with_canvas
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.trial import Record
@@ -50,7 +50,7 @@ def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str)
     artifacts.write_file(path, page)
 
 
-def record_to_dict(robot: RobotConfig, record: Record) -> dict[str, Any]:
+def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
     """Return the data that the page draws, as plain numbers; series are flat, row after row."""
     frames = np.arange(0, len(record.time), FRAME_TICKS)
     actions = np.minimum(

@@ -23,6 +23,7 @@ from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
 from softfin.core.errors import LogError, one_line
+from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 from softfin.storage.bag.messages import start_writer
 from softfin.storage.formats import check_file_format
@@ -207,7 +208,7 @@ class Recovery(NamedTuple):
     damages: tuple[Damage, ...]
     """Parts that could not be read."""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonObject:
         """Recovery for JSON."""
         return self._asdict() | {
             "damages": [

@@ -16,6 +16,7 @@ import pydantic
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress
@@ -74,7 +75,7 @@ class Candidate(NamedTuple):
 class Group(NamedTuple):
     """Seeds of one configuration, or the plant of the noise floor."""
 
-    row: dict[str, Any]
+    row: JsonObject
     """Entry of the group in the summary."""
     longest: list[HorizonScores]
     """Scores of each seed at the longest horizon."""
@@ -85,7 +86,7 @@ class Group(NamedTuple):
 class Comparison(NamedTuple):
     """All groups on the same rows."""
 
-    summary: dict[str, Any]
+    summary: JsonObject
     """The content of ``comparison.json``, which docs/files.md describes."""
     groups: list[Group]
     noise_floor: Group | None
@@ -198,9 +199,7 @@ def compare_surrogates(
     return Comparison(summary, groups, second, measured[-1])
 
 
-def _horizons(
-    config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]
-) -> list[dict[str, Any]]:
+def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[JsonObject]:
     """Scores at each horizon, as mean and 95% interval over the seeds."""
     rows = []
     for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):

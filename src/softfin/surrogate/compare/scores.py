@@ -19,6 +19,7 @@ from jaxtyping import Float, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
 from softfin.core.quantities import AXES, RATE_HZ, AnyArray, Command, Log, Reading
 from softfin.core.window import moving_average
@@ -168,7 +169,7 @@ TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {
 }
 
 
-def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> dict[str, Any]:
+def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> JsonObject:
     """Table I, a row for each network: ``window``, ``parameters``, and means over logs and channels
     of its scores.
 

@@ -16,12 +16,13 @@ import h5py
 import numpy as np
 
 from softfin.core.errors import ArtifactError, SoftfinError, one_line
+from softfin.core.json_object import JsonObject
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, Scaling
 from softfin.surrogate.paper.network import Network, NetworkConfig
 from softfin.surrogate.paper.surrogate import Surrogate
 from softfin.surrogate.training import restored
 
-LAYERS: dict[str, tuple[Callable[[dict[str, Any]], dict[str, Any]], dict[str, Any]]] = {
+LAYERS: dict[str, tuple[Callable[[JsonObject], JsonObject], JsonObject]] = {
     "Conv1D": (
         lambda c: {
             "kind": "conv1d",
@@ -114,9 +115,7 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
         raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({reason})") from None
 
 
-def _layers(
-    path: Path, description: dict[str, Any]
-) -> tuple[list[Any], list[str], tuple[int, int]]:
+def _layers(path: Path, description: JsonObject) -> tuple[list[Any], list[str], tuple[int, int]]:
     """The layers, where the HDF5 has the weights of each, and the input's shape."""
     if description.get("class_name") != "Sequential":
         raise ArtifactError(

@@ -9,7 +9,7 @@ computed.
 """
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.errors import ArtifactError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Ticks, rest_command
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES, NetPrediction, Scaling
@@ -165,7 +166,7 @@ class Surrogate(eqx.Module):
         """Trainable numbers of both networks."""
         return self.posnet.config.parameters() + self.forcenet.config.parameters()
 
-    def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
         """Entries of ``surrogate.json``, and the weights by name: ``posnet.3.kernel``."""
         nets = {"posnet": self.posnet, "forcenet": self.forcenet}
         return {
@@ -176,7 +177,7 @@ class Surrogate(eqx.Module):
 
     @classmethod
     def from_files(
-        cls, description: dict[str, Any], weights: dict[str, np.ndarray], source: str
+        cls, description: JsonObject, weights: dict[str, np.ndarray], source: str
     ) -> "Surrogate":
         """The surrogate that `to_files` described; raises ArtifactError where channels or weights
         do not fit."""

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from softfin.core.errors import ArtifactError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, AnyArray, Command, Limits, Log, Reading, tick_at
 from softfin.surrogate.channels import (
@@ -181,7 +182,7 @@ class StreamingSurrogate(eqx.Module):
         """Trainable numbers of all members."""
         return parameters(self.members)
 
-    def to_files(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
         """Entries of ``surrogate.json``, and the arrays by their place in the networks."""
         drive = self.members.drive
         force = self.members.force
@@ -213,7 +214,7 @@ class StreamingSurrogate(eqx.Module):
         scales = Scales.model_validate(description["scales"])
         size = int(description["members"])
 
-        def skeleton() -> dict[str, Any]:
+        def skeleton() -> JsonObject:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
             return {

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import ConfigurationError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, Command, Log
 from softfin.storage import artifact as artifacts
@@ -47,7 +48,7 @@ class Calibration:
 
     tank: TankConfig
     recording: RecordingConfig
-    determination: dict[str, Any]
+    determination: JsonObject
     train: Segments
     test: Segments
 
@@ -59,10 +60,10 @@ class Calibration:
     def write(
         self,
         out: Path,
-        metadata: dict[str, Any],
+        metadata: JsonObject,
         extra_files: Callable[[Path], None],
         overwrite: bool,
-    ) -> dict[str, Any]:
+    ) -> JsonObject:
         """Write the folder, whole or not at all; returns the content of its ``calibration.json``
         (docs/files.md)."""
         modelled = self.read(self.test.command)

@@ -16,6 +16,7 @@ from pydantic import Field, field_validator, model_validator
 from softfin.core.choices import CalibratePreset
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.data.excitation import ExcitationConfig
 from softfin.tank import TankConfig
 
@@ -234,7 +235,7 @@ class CalibrateConfig(Configuration):
         side."""
         if not isinstance(value, dict):
             return value
-        tree: dict[str, Any] = {}
+        tree: JsonObject = {}
         for name, inner in value.items():
             group, dot, field = name.partition(".")
             tree[group] = {**tree.get(group, {}), **({field: inner} if dot else dict(inner))}

@@ -10,7 +10,7 @@ import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import RATE_HZ, Command, Limits, Log
@@ -96,7 +97,7 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> 
 
 def material(
     data: str | Path | Plant, config: CalibrateConfig, seed: int
-) -> tuple[list[Log], list[Log], dict[str, Any]]:
+) -> tuple[list[Log], list[Log], JsonObject]:
     """Return training logs, test logs and what tells them from others: the data's hash or the
     plant's identity.
 
@@ -125,7 +126,7 @@ def material(
 
 def _of_plant(
     plant: Plant, config: CalibrateConfig, seed: int
-) -> tuple[list[Log], list[Log], dict[str, Any]]:
+) -> tuple[list[Log], list[Log], JsonObject]:
     limits = Limits(*plant.limits)
     if config.velocity_rad_s is not None:
         low, high = config.velocity_rad_s

@@ -15,13 +15,14 @@ that is never met, is left out.
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from softfin.core.errors import RunError
+from softfin.core.json_object import JsonObject
 from softfin.core.randomness import cma_es, named_generator
 from softfin.tank.calibration.config import CalibrationPoint, Parameter
 from softfin.tank.calibration.model import Errors
@@ -192,7 +193,7 @@ RANGE_DEVIATION = 1 / np.sqrt(12)
 
 def determination(
     linear: Linear, block_ticks: int, parameters: tuple[Parameter, ...]
-) -> dict[str, Any]:
+) -> JsonObject:
     """Return ``parameters`` by name, ``trades`` of pairs, and the number of ``blocks``."""
     normal, gradient = linear.normal()
     at = linear.point
@@ -259,7 +260,7 @@ def determination(
     }
 
 
-def _row(parameter: Parameter, at: float, error: float, undetermined: str | None) -> dict[str, Any]:
+def _row(parameter: Parameter, at: float, error: float, undetermined: str | None) -> JsonObject:
     row = {
         "value": parameter.value(at),
         "unit": parameter.unit,

@@ -1,0 +1,6 @@
+"""The type of what JSON and YAML files contain."""
+
+from typing import Any, TypeAlias
+
+JsonObject: TypeAlias = dict[str, Any]
+"""A JSON or YAML object: names, and numbers, texts, lists or further objects."""
