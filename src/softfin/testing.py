@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, PRNGKeyArray
 
 from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS
 from softfin.core.errors import PlantError
@@ -105,7 +106,7 @@ def _batches(plant: Plant) -> Iterator[Problem]:
     angles = action_to_command(plant.limits, (actions, jnp.ones_like(actions))).angle
     velocities = jnp.full_like(angles, plant.limits.velocity_max)
 
-    def strokes(key: Any, commands: Command) -> Any:
+    def strokes(key: PRNGKeyArray, commands: Command) -> Any:
         return jax.lax.scan(
             lambda s, c: plant.advance(s, c, STROKE_TICKS), plant.init(key), commands
         )[1].force
@@ -146,7 +147,7 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
 
 
 def _gradient(plant: Plant) -> Iterator[Problem]:
-    def mean_force(angle: Any) -> Any:
+    def mean_force(angle: Array) -> Any:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 

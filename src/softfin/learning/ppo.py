@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from softfin.control.policy import PolicyMemory
@@ -279,7 +279,7 @@ class PPO:
         references = agent.env_state.states.references
 
         def minibatch(
-            batch: Batch, carry: tuple[ActorCritic, Policy, Any], chosen: Int[Array, "some"]
+            batch: Batch, carry: tuple[ActorCritic, Policy, PyTree], chosen: Int[Array, "some"]
         ) -> tuple[Any, Metrics]:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
@@ -296,7 +296,9 @@ class PPO:
                 state,
             ), metrics
 
-        def epoch(carry: tuple[ActorCritic, Policy, Any], key: PRNGKeyArray) -> tuple[Any, Metrics]:
+        def epoch(
+            carry: tuple[ActorCritic, Policy, PyTree], key: PRNGKeyArray
+        ) -> tuple[Any, Metrics]:
             order_key, relabel_key = jax.random.split(key)
             extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
             order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(

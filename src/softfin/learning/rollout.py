@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.control.policy import PolicyMemory
 from softfin.core.action_clock import ACTION_TICKS, action_ticks
@@ -43,7 +43,7 @@ class AgentState(NamedTuple):
     """Networks that act and learn; None where the policy itself does."""
     policy: Policy
     """The policy that is evaluated and kept."""
-    optimiser: Any
+    optimiser: PyTree
     env_state: EnvState
     key: PRNGKeyArray
     num_updates: Int[Array, ""]
@@ -189,7 +189,9 @@ def evaluate_policy(
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
     plant = task.plant if isinstance(task.plant, EnsemblePlant) else None
 
-    def act(carry: tuple[Any, Any], ticks: Ticks) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
+    def act(
+        carry: tuple[PyTree, PyTree], ticks: Ticks
+    ) -> tuple[tuple[Any, Any], tuple[Array, Array]]:
         states, memories = carry
         memories, actions = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(states))
         states, outcome = jax.vmap(partial(task.step, ticks=ticks))(states, actions)

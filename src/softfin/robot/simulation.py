@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks
 from softfin.core.quantities import Command
@@ -109,10 +109,10 @@ class RobotSimulation:
             Mount(jnp.zeros(2), jnp.zeros(2), jnp.zeros(())),
         )
 
-        def action(fins: Any, now: tuple[Orders, Array]) -> tuple[Any, Array]:
+        def action(fins: PyTree, now: tuple[Orders, Array]) -> tuple[Any, Array]:
             orders, ticks = now
 
-            def one(fins: Any, index: Array) -> tuple[Any, Array]:
+            def one(fins: PyTree, index: Array) -> tuple[Any, Array]:
                 after, loads, _ = self._fins(fins, orders.at(index), still)
                 return jax.tree.map(
                     lambda new, old: jnp.where(index < ticks, new, old), after, fins

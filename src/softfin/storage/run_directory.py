@@ -82,7 +82,7 @@ class RunDirectory:
         inner.folder = self.folder / name
         return inner
 
-    def save(self, tree: Any, metadata: JsonObject) -> None:
+    def save(self, tree: PyTree, metadata: JsonObject) -> None:
         """Replace the checkpoint."""
         whole = json.dumps({"software": _software(), "fingerprint": self.fingerprint, **metadata})
         artifacts.write_file(

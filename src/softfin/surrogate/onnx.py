@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, PyTree
 
 from softfin.core.plant import roll
 from softfin.core.quantities import RATE_HZ, Command
@@ -55,14 +56,14 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
     from softfin.storage.onnx_graph import build_graph
 
     surrogate = load_surrogate(folder)
-    start: Any = surrogate.init(jax.random.key(0))
+    start: PyTree = surrogate.init(jax.random.key(0))
     flat, unpack = ravel_pytree(start[1:])
 
-    def step(command_angle: Any, command_velocity: Any, state: Any) -> dict[str, Any]:
+    def step(command_angle: Array, command_velocity: Array, state: PyTree) -> dict[str, Any]:
         # The first field counts ticks, for the time alone.
         now = start._replace(**dict(zip(start._fields[1:], unpack(state), strict=True)))
         command = Command(command_angle, command_velocity)
-        after: Any
+        after: PyTree
         if isinstance(surrogate, StreamingSurrogate):
             after, each = surrogate.advance_members(now, command, 1)
             reading = jax.tree.map(lambda channel: channel.mean(axis=0), each)

@@ -20,11 +20,11 @@ class TrainingState(NamedTuple):
     """Everything that a resumed run needs of several networks, or of one with a leading axis
     ``members``."""
 
-    nets: Any
-    optimiser: Any
-    best: Any
+    nets: PyTree
+    optimiser: PyTree
+    best: PyTree
     """Weights with the lowest held-out loss until now, for each network or member."""
-    best_loss: Any
+    best_loss: PyTree
     """Loss: one number for each of several networks, or an array ``(members,)``."""
 
 
@@ -81,7 +81,7 @@ def name_net_arrays(nets: PyTree) -> dict[str, np.ndarray]:
     }
 
 
-def restored(shapes: Any, arrays: Mapping[str, np.ndarray], source: str) -> Any:
+def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> Any:
     """Networks of these shapes with the arrays of `named`; ArtifactError if one is missing or does
     not fit."""
 

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
@@ -31,7 +32,7 @@ class TankFin:
         self.tank = tank
         self._clock = clock
         self._lock = threading.RLock()
-        self._state: Any = self.tank.init(jax.random.key(seed))
+        self._state: PyTree = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
         # Twice, so that everything is compiled before anybody looks.
         self._before = self._after = self._step()
@@ -135,12 +136,12 @@ class TankFin:
         return np.asarray(sample, float)
 
 
-def _without_zero(state: Any) -> Any:
+def _without_zero(state: PyTree) -> Any:
     return state._replace(sensor=state.sensor._replace(zero=None), force=None)
 
 
 @jax.jit
-def _tick(tank: Tank, state: Any, command: Command) -> tuple[Any, Any]:
+def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[Any, Any]:
     """Advance by one sample: the state, and angle, velocity, the profile's angle, torque and both
     forces."""
     state, reading = tank.advance(state, command, 1)

@@ -119,7 +119,7 @@ def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[
 
 
 @eqx.filter_jit
-def _free_run(plant: Any, states: State, commands: Command) -> tuple[Reading, Any]:
+def _free_run(plant: Plant, states: State, commands: Command) -> tuple[Reading, Any]:
     """Fields ``(segments, ticks)``; of an ensemble also the members' forces ``(segments, ticks,
     members, 2)``."""
     if not isinstance(plant, EnsemblePlant):

@@ -6,14 +6,14 @@ best weights kept.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
 from softfin.core.compilation import jit
@@ -57,8 +57,8 @@ class FitConfig(Configuration):
 class Nets(NamedTuple):
     """Both networks, or something of each: losses, counts."""
 
-    posnet: Any
-    forcenet: Any
+    posnet: PyTree
+    forcenet: PyTree
 
 
 def fit_paper(
@@ -153,8 +153,8 @@ class PaperLearner:
         mean losses."""
 
         def update(
-            carry: tuple[Nets, Any], batch: Int[Array, "batch"]
-        ) -> tuple[tuple[Nets, Any], Nets]:
+            carry: tuple[Nets, PyTree], batch: Int[Array, "batch"]
+        ) -> tuple[tuple[Nets, PyTree], Nets]:
             nets, optimiser = carry
             dropout_key = jax.random.fold_in(key, batch[0])
             (_, losses), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(

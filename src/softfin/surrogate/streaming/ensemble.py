@@ -150,10 +150,10 @@ def predict_force(
 
 
 def _together(
-    records: Sequence[Any], rows: Sequence[int], predict: Callable[[Any], Any]
+    records: Sequence[PyTree], rows: Sequence[int], predict: Callable[[PyTree], PyTree]
 ) -> list[Any]:
     """Predict for records of equal length, side by side on the second axis."""
-    results: dict[int, Any] = {}
+    results: dict[int, PyTree] = {}
     for length in set(rows):
         index = [i for i, other in enumerate(rows) if other == length]
         predicted = predict([records[i] for i in index])

@@ -148,7 +148,7 @@ class StreamingLearner:
             step, optimiser = self.optimiser.update(slope, optimiser, net)
             return optax.apply_updates(net, step), optimiser, loss
 
-        def update(carry: Any, number: Int[Array, ""]) -> Any:
+        def update(carry: PyTree, number: Int[Array, ""]) -> Any:
             keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
             nets, optimiser = carry
             each = jax.vmap(member, in_axes=(0, 0, 0, None, 0))

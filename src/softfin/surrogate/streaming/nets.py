@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
 from softfin.core.configuration import Configuration
@@ -28,8 +28,8 @@ class Parity(NamedTuple):
     """Sizes, inputs, outputs or memory: those that a mirror does not change, and those whose sign
     it changes."""
 
-    even: Any
-    odd: Any
+    even: PyTree
+    odd: PyTree
 
 
 class MirrorCore(eqx.Module):
