@@ -1,6 +1,7 @@
 """The robot's node between a wrench and four fins, on a clock of its own; and over DDS with another
 process."""
 
+import signal
 import subprocess
 import sys
 
@@ -12,7 +13,7 @@ from softfin.core.errors import DeviceError, SafetyStop, SoftfinError
 from softfin.rig.ros2.config import NodeConfig, RobotNodeConfig
 from softfin.rig.ros2.node import RosNode
 from softfin.rig.ros2.robot import RobotNode
-from softfin.rig.stop import StopRequest
+from softfin.rig.stop import StopRequest, stopped_by_signals
 from softfin.robot.description import load_robot
 from tests import needs
 from tests.patience import HANG_S
@@ -325,6 +326,17 @@ def test_a_transport_that_ends_is_a_stop():
     pool.at(1.0, lambda: setattr(pool.transport, "failing", True))
     with pytest.raises(SafetyStop, match="cannot be heard"):
         pool.node.run(pool.request)
+
+
+def test_a_later_ctrl_c_does_not_cut_short_the_stop_of_the_fins(monkeypatch):
+    monkeypatch.setattr("softfin.rig.stop.PATIENCE_S", -1.0)
+    pool = Pool()
+    pool.obey = False
+    pool.at(2.5, lambda: signal.raise_signal(signal.SIGINT))
+    with stopped_by_signals(pool.request):
+        error = pool.run(seconds=1.0)
+    assert str(error) == "the end; every fin was told to stop"
+    assert "still publishing" in pool.told[-1]
 
 
 def test_fins_that_do_not_stop_are_named():

@@ -129,6 +129,8 @@ class RobotNode:
                     pace.wait()
                     self.watch(request)
         finally:
+            # Stopping takes up to STOPPING_S, and a second Ctrl-C must not cut it short.
+            request.is_obeyed = True
             self._stop_fins(pace)
 
     def send_references(self) -> None:
