@@ -8,7 +8,6 @@ import base64
 
 import equinox as eqx
 import numpy as np
-from numpy.typing import ArrayLike
 
 from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserverConfig
@@ -18,6 +17,7 @@ from softfin.control.single import SingleStep
 from softfin.core.errors import PlantError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
+from softfin.core.quantities import AnyArray
 from softfin.gaits.gait import GaitTable
 from softfin.surrogate import StreamingSurrogate
 from softfin.surrogate.training import name_net_arrays
@@ -28,7 +28,7 @@ COLD_C = 5.0
 """Temperature of the cold water that the page offers [degrees Celsius]."""
 
 
-def encode_arrays(array: ArrayLike) -> JsonObject:
+def encode_arrays(array: AnyArray) -> JsonObject:
     """Shape of an array, and its numbers in single precision as base64."""
     values = np.asarray(array, np.float32)
     return {

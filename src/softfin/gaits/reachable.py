@@ -13,7 +13,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
-from numpy.typing import ArrayLike
 from pydantic import model_validator
 
 from softfin.core.configuration import Configuration
@@ -133,7 +132,7 @@ class Reachable(NamedTuple):
             self.centre + np.asarray(self.radius)[:, None] * directions(len(self.radius))
         )
 
-    def project(self, force: ArrayLike) -> Any:
+    def project(self, force: Any) -> Any:
         """Return each force, or where the line from it to the centre meets the edge; NumPy arrays
         or JAX's."""
         ops = select_operations(force, self.radius)
@@ -158,14 +157,12 @@ class Reachable(NamedTuple):
         edge = xp.asarray([self.centre[0] + x * reach, self.centre[1] + y * reach])
         return xp.where(reach >= 1, along, edge).T
 
-    def contains(
-        self, force: ArrayLike, tolerance_n: float = TOLERANCE_N
-    ) -> Bool[np.ndarray, "*forces"]:
+    def contains(self, force: Any, tolerance_n: float = TOLERANCE_N) -> Bool[np.ndarray, "*forces"]:
         """Whether each force is inside, or its projection is within the tolerance of it."""
         force = np.asarray(force, float)
         return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
 
-    def nearest(self, force: ArrayLike) -> Forces:
+    def nearest(self, force: Any) -> Forces:
         """Return each force that is inside, else the nearest point of the edge [N]."""
         at = np.asarray(force, float)
         corners = self.corners().astype(float)

@@ -38,7 +38,7 @@ def keep_best_nets(
             f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew"
         )
 
-    def pick(better: Array, new: Array, old: Array) -> Any:
+    def pick(better: Array, new: PyTree, old: PyTree) -> Any:
         return jax.tree.map(
             lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y),
             new,
