@@ -243,9 +243,9 @@ class PPO:
         reference = jax.vmap(References.nearest, in_axes=(0, 1), out_axes=1)(references, wanted)
         shift = reference - rollout.reference
         force_error = rollout.force_error - shift
-        change = RewardTerms(
-            jnp.abs(force_error) - jnp.abs(rollout.force_error), jnp.zeros_like(force_error)
-        )
+        # Only the force error depends on the reference; every other term cancels.
+        change = RewardTerms(*(jnp.zeros_like(force_error) for _ in RewardTerms._fields))
+        change = change._replace(error=jnp.abs(force_error) - jnp.abs(rollout.force_error))
         observation = self.task.shifted(rollout.observation, shift)
         log_prob = policy.log_prob(
             _replay(policy, start, observation, rollout.is_first), rollout.pre_tanh_action
