@@ -17,7 +17,7 @@ class Issue:
 
     severity: Severity
     name: str
-    """Kind of issue, such as ``gap``; docs/logs.md lists them."""
+    """Kind of issue, such as ``gap``; docs/reference/log-checks.md lists them."""
     log: str
     """Name of the log: its file, and its rows where the file holds several."""
     message: str
