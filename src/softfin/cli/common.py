@@ -1,7 +1,6 @@
 """Parts that commands share: kinds of options, configuration, arming, progress on stderr, results
 on stdout; no JAX."""
 
-import contextlib
 import sys
 import threading
 import time
@@ -17,6 +16,7 @@ from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
 from softfin.core.printable import printable
 from softfin.data.importing.importing import ImportConfig
+from softfin.rig.stop import discard_typed_ahead
 from softfin.storage import artifact as artifacts
 from softfin.storage import paths
 from softfin.storage.registry import is_live, resolve_plant
@@ -196,16 +196,6 @@ def on_terminal() -> bool:
     # Python leaves it out where the descriptor was closed, which its types do not tell.
     given: TextIO | None = sys.stdin
     return given is not None and given.isatty()
-
-
-def discard_typed_ahead() -> None:
-    """Discard what was typed before a question was asked, if a terminal is there."""
-    with contextlib.suppress(ImportError, OSError):
-        # Imported here: there is none on Windows.
-        import termios
-
-        with contextlib.suppress(termios.error):
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 class Armed(Configuration):

@@ -154,7 +154,9 @@ class RigCommissionArguments(Armed, CommandOptions):
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
         while number is not None:
-            step = commission_step(self.rig, config, number, operator, REAL)
+            # Its proof and its zero power the motor, and its child moves it.
+            with interrupted_by_signals():
+                step = commission_step(self.rig, config, number, operator, REAL)
             if not step.passed:
                 failed = next(item.what for item in step.items if not item.passed)
                 raise DeviceError(

@@ -8,7 +8,7 @@ settings and its firmware, so no fin of a rig's file moves before it was seen.
 import shlex
 from pathlib import Path
 
-from softfin.core.errors import RigError, SoftfinError
+from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2.drive import Epos2
 from softfin.rig.record import StopProof, date_and_time, load_record, save_record
@@ -23,8 +23,13 @@ def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
     record = load_record(config.file)
     try:
         faulted_after_s = drive.prove_stop()
-    except SoftfinError:
-        save_record(config.file, record.model_copy(update={"stop_proof": None}))
+    except SoftfinError as error:
+        try:
+            save_record(config.file, record.model_copy(update={"stop_proof": None}))
+        except SoftfinError as failure:
+            raise DeviceError(
+                f"{error}; AND its earlier proof is not removed: {failure}"
+            ) from error
         raise
     proof = StopProof(
         date=date_and_time(),

@@ -116,6 +116,16 @@ def listen_to_keyboard(
     return REAL.spawn(listen, "keyboard")
 
 
+def discard_typed_ahead() -> None:
+    """Discard what was typed before a question was asked, if a terminal is there."""
+    with contextlib.suppress(ImportError, OSError):
+        # Imported here: there is none on Windows.
+        import termios
+
+        with contextlib.suppress(termios.error, TypeError, ValueError):
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
 SIGNAL_CHECK_S = 0.2
 """Longest time for which the main thread waits for a lock [s]. The kernel may give a signal to
 another thread, which does not wake the main thread, where Python handles it."""

@@ -650,9 +650,14 @@ def test_a_stop_that_the_drive_does_not_confirm_is_unconfirmed_and_a_complaint(
             "next_state",
             lambda state, word, before: state if word in (0, 2) else obey(state, word, before),
         )
+        # Else it would stop by itself, without our heartbeats, and the stop be confirmed.
+        monkeypatch.setattr(made.emulated, "fault", lambda code: None)
         made.drive.stop()
         assert "press the emergency stop" in made.drive.stop_unconfirmed
-        assert made.drive.complaints() == (made.drive.stop_unconfirmed,)
+        assert made.drive.stop_unconfirmed in made.drive.complaints()
+        began = made.clock()
+        made.drive.stop()
+        assert made.clock() - began < 0.2
         monkeypatch.undo()
         made.drive.stop()
         assert made.drive.stop_unconfirmed is None
@@ -716,20 +721,59 @@ def test_a_drive_that_somebody_else_has_stopped_is_not_started_by_the_next_targe
         assert made.fin.now().angle == where
 
 
-def test_a_drive_that_does_not_obey_a_stop_is_left_to_its_own_watch() -> None:
+def test_a_drive_that_obeys_no_stop_is_left_to_its_own_watch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    obey = drive_motor.next_state
     with enabled() as made:
         made.drive.command(Target(1.5, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.3)
-        # Stopped by NMT: it takes no controlwords, neither as process data nor by SDO, and still
-        # counts heartbeats.
-        send(made, protocol.NMT, bytes([2, NODE]))
-        made.clock.sleep(0.01)
+        monkeypatch.setattr(
+            drive_motor,
+            "next_state",
+            lambda state, word, before: state if word in (0, 2) else obey(state, word, before),
+        )
         began = made.clock()
-        made.drive.stop()
-        assert made.drive.stop_unconfirmed is not None
+        # As at the end of a session, which stops it several times and reads it in between.
+        for _ in range(5):
+            made.drive.stop()
+            made.drive.send_heartbeat()
+        assert made.drive.stop_unconfirmed is None
         assert made.emulated.state in FAULT_STATES
-        assert made.fin.now().angle < 0.3 + made.drive.config.heartbeat_s + 0.2
-        assert made.clock() - began < 3.0
+        assert made.fin.now().angle < 0.3 + made.drive.config.heartbeat_s + 0.1
+        assert made.clock() - began < 1.0
+
+
+def test_a_node_that_somebody_has_stopped_is_stopped_by_sdo() -> None:
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.3)
+        # It takes no controlwords, neither as process data nor by SDO, and still counts heartbeats.
+        send(made, protocol.NMT, bytes([2, NODE]))
+        assert made.until(lambda: made.drive.status.nmt == protocol.STOPPED)
+        where = made.fin.now().angle
+        made.drive.stop()
+        assert made.drive.stop_unconfirmed is None
+        assert made.fin.now().angle < where + 0.1
+
+
+def test_a_node_that_takes_no_process_data_is_stopped_by_sdo() -> None:
+    with enabled(heartbeat_s=1.0) as made:
+        made.drive.command(Target(1.5, 1.0))
+        assert made.until(lambda: made.fin.now().angle > 0.3)
+        cob_id = Object(0x1400, 1, "I", "COB-ID")
+        made.drive.connection.write(cob_id, protocol.INVALID | (protocol.RPDO[0] + NODE))
+        where = made.fin.now().angle
+        made.drive.stop()
+        assert made.drive.stop_unconfirmed is None
+        assert made.fin.now().angle < where + 0.1
+
+
+def test_a_fault_that_the_drive_clears_at_once_stays_a_complaint() -> None:
+    with enabled() as made:
+        for code in (0x8120, 0):
+            send(made, protocol.EMERGENCY + NODE, code.to_bytes(2, "little") + bytes(6))
+        assert complaint(made, "0x8120")
 
 
 def test_a_host_with_our_number_is_a_complaint_whenever_it_begins_to_send() -> None:

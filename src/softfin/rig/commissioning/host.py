@@ -1,11 +1,13 @@
 """A host that is made to die: it swings a fin until it is killed; ``python -m
 softfin.rig.commissioning.host BAG``.
 
-Its rig comes as JSON on standard input; it writes "moves" once the fin moves.
+Its rig comes as a line of JSON on standard input. The end of that input stops the fin: then the
+program that started this one is gone. It writes "moves" once the fin moves.
 """
 
 import json
 import sys
+import threading
 from pathlib import Path
 
 from softfin.rig.commissioning.motion import move, stroke_ticks, swings
@@ -18,7 +20,14 @@ from softfin.rig.stop import StopRequest
 def main() -> None:
     """Swing through the whole range of the rig's commands, until this process is killed or the fin
     is stopped."""
-    config = RigConfig.build(json.load(sys.stdin), "rig")
+    config = RigConfig.build(json.loads(sys.stdin.readline()), "rig")
+    request = StopRequest()
+
+    def await_end() -> None:
+        sys.stdin.read()
+        request.ask("emergency_stop", "the commissioning has ended")
+
+    threading.Thread(target=await_end, name="commissioning", daemon=True).start()
     drive = config.drive
     has_told = False
 
@@ -31,7 +40,7 @@ def main() -> None:
 
     ticks = stroke_ticks(drive.angle_max_rad, drive.fastest_rad_s)
     targets = swings(drive.angle_max_rad, drive.fastest_rad_s)
-    stopped = move(Rig(config), targets, ticks, StopRequest(), Path(sys.argv[1]), [tell])
+    stopped = move(Rig(config), targets, ticks, request, Path(sys.argv[1]), [tell])
     sys.stdout.write(f"{stopped.reason}\n")
 
 

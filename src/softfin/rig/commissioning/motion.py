@@ -199,6 +199,7 @@ class DriveWatch:
         """Watch until the fin stands without power, `died` [s] being when its host died and `angle`
         where it was."""
         stood_since = died
+        off_since: float | None = None
         before = math.nan
         now = died
         while now - died < WATCHED_S:
@@ -208,8 +209,13 @@ class DriveWatch:
                 if here != before:
                     stood_since = now
                 before = here
-                if not self.is_powered() and now - stood_since > 0.1:
-                    return Death(stood_since - died, abs(here - angle), self.fault())
+                if self.is_powered():
+                    off_since = None
+                elif off_since is None:
+                    off_since = now
+                if off_since is not None and now - stood_since > 0.1:
+                    seconds = max(stood_since, off_since) - died
+                    return Death(seconds, abs(here - angle), self.fault())
             self._clock.sleep(0.002)
             now = self._clock()
         return Death(math.inf, abs(before - angle), self.fault())
@@ -247,8 +253,9 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        process.stdin.write(json.dumps(config.model_dump(mode="json")))
-        process.stdin.close()
+        # It stays open: the host stops the fin at its end, which comes with our own, too.
+        process.stdin.write(f"{json.dumps(config.model_dump(mode='json'))}\n")
+        process.stdin.flush()
         first_line = process.stdout.readline().strip()
         if first_line != "moves":
             reason = first_line or "see the lines above"
@@ -261,4 +268,5 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
     finally:
         process.kill()
         process.wait()
+        process.stdin.close()
         process.stdout.close()

@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 
 from softfin.core.errors import RunError
 from softfin.core.printable import printable
-from softfin.rig.stop import SIGNAL_CHECK_S, StopRequest
+from softfin.rig.stop import SIGNAL_CHECK_S, StopRequest, discard_typed_ahead
 
 
 @runtime_checkable
@@ -51,6 +51,7 @@ class TerminalOperator:
         self._write = write or sys.stderr.write
         self._answers: queue.Queue[str | None] = queue.Queue()
         self._request: StopRequest | None = None
+        self._is_terminal = lines is None
         source = sys.stdin if lines is None else lines
         threading.Thread(target=self._read, args=(source,), name="operator", daemon=True).start()
 
@@ -95,6 +96,8 @@ class TerminalOperator:
             self._request = None
 
     def _ask(self, prompt: str) -> str:
+        if self._is_terminal:
+            self._discard_typed_ahead()
         self._write(printable(prompt))
         answer = self._next_line()
         if answer is None:
@@ -105,6 +108,15 @@ class TerminalOperator:
                 "this step"
             )
         return answer
+
+    def _discard_typed_ahead(self) -> None:
+        """Drop lines that were typed before the question: an earlier Enter is no answer to it."""
+        discard_typed_ahead()
+        with contextlib.suppress(queue.Empty):
+            while self._answers.get_nowait() is not None:
+                pass
+            # The end of the input stays.
+            self._answers.put(None)
 
     def _next_line(self) -> str | None:
         while True:

@@ -32,7 +32,7 @@ from softfin.rig.commissioning.operator import Operator
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.machine import Target
-from softfin.rig.prove import prove_stop
+from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
@@ -267,7 +267,9 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
 
 def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     """Step 4: within +-0.3 rad at 1 rad/s, every way to stop, five times each."""
+    _require_proof(context)
     operator = context.operator
+    operator.wait("The shaft swings slowly next, again and again; keep your hands away")
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
     for name, way in WAYS_TO_STOP.items():
         stops = []
@@ -291,6 +293,10 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
         narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
     )
     for number in DEADLY_SIGNALS:
+        operator.wait(
+            f"The shaft swings {TRIALS} times next, and {number.name} ends softfin each time; no "
+            "key stops it meanwhile, so keep your hands away and the switch within reach"
+        )
         deaths = []
         for trial in range(TRIALS):
             deaths.append(_die(context, narrow, number, context.bag(f"{number.name}-{trial + 1}")))
@@ -326,10 +332,12 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
 
 def move_fully(context: StepContext) -> Iterator[Item]:
     """Step 5: 50 strokes through the whole range, and a shaft that is held."""
+    _require_proof(context)
     drive = context.config.drive
     amplitude = min(drive.angle_max_rad, -drive.angle_min_rad)
     ticks = stroke_ticks(amplitude, drive.fastest_rad_s)
     targets = swings(amplitude, drive.fastest_rad_s, STROKES)
+    context.operator.wait("The shaft makes full strokes next; keep your hands away")
     request = StopRequest()
     with context.operator.moving(f"The shaft makes {STROKES} full strokes now; keep away", request):
         stopped = move(context.rig(), targets, ticks, request, context.bag("strokes"))
@@ -337,12 +345,16 @@ def move_fully(context: StepContext) -> Iterator[Item]:
     yield Item(
         what=f"{STROKES} strokes", value=stopped.reason, required="end by themselves", passed=passed
     )
+    if not passed:
+        # Whoever stopped the fin does not expect it to move again.
+        return
     peaks = stopped.peaks
     passed = peaks.following_rad <= FOLLOWING_RAD
     yield measured(
         "following error", peaks.following_rad, f"at most {FOLLOWING_RAD} rad", passed, "rad"
     )
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
+    context.operator.wait("Put on a glove; the shaft swings slowly next")
     stopped = _provoke(context, narrow, "held", "hold the shaft with a glove until it stops")
     context.operator.wait("Let go of the shaft")
     _reset(context)
@@ -363,6 +375,7 @@ def move_fully(context: StepContext) -> Iterator[Item]:
 def move_in_water(context: StepContext) -> Iterator[Item]:
     """Step 6: the fin in air, then in water, from small to full strokes; the safety limits against
     its peaks."""
+    _require_proof(context)
     drive = context.config.drive
     safety = context.config.safety
     full = min(drive.angle_max_rad, -drive.angle_min_rad)
@@ -404,6 +417,7 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
 def move_for_an_hour(context: StepContext) -> Iterator[Item]:
     """Step 7: random commands for an hour: nothing lost, nothing skipped, the force at rest where
     it was."""
+    _require_proof(context)
     rig = context.rig()
     request = StopRequest()
     context.operator.wait("The fin moves at random for an hour; see that nobody can reach it")
@@ -508,6 +522,16 @@ def _settings(context: StepContext) -> Iterator[Item]:
     yield Item(
         what="limits of the current", value=found, required="can trip", passed=not useless_limits
     )
+
+
+def _require_proof(context: StepContext) -> None:
+    """Raise RigError unless this drive is proved to stop by itself when softfin dies."""
+    rig = context.rig()
+    try:
+        rig.drive.connect()
+        check_proof(context.config, rig.drive.serial)
+    finally:
+        rig.close()
 
 
 def _proof(context: StepContext) -> Item:

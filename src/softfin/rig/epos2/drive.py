@@ -5,11 +5,12 @@ One thread, that of the loop, calls everything but `stop`. Tried against our emu
 real drive.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from softfin.core.errors import CommandError, DeviceError, RigError, SoftfinError
+from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
 from softfin.rig.epos2 import procedures, protocol
-from softfin.rig.epos2.exchange import DriveStatus, Exchange
+from softfin.rig.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
 from softfin.rig.epos2.protocol import Bit, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, check_target
@@ -141,7 +142,7 @@ class Epos2(Exchange):
             is_limited = limited_s > LIMITED_S
             lines = (
                 (fault, fault),
-                (self.trouble, self.trouble),
+                (self.trouble != fault, self.trouble),
                 (
                     silence > self.config.heartbeat_s,
                     f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the "
@@ -219,16 +220,12 @@ class Epos2(Exchange):
         it, nothing moves."""
         self._new_reading()
         procedures.set_mode(self.connection, protocol.HOMING)
-        try:
+        with self._stopped_afterwards():
             for entry, value in procedures.HOME.items():
                 procedures.write(self.connection, entry, value)
             self._power_up(then_arm=False, meanwhile=lambda: None)
             procedures.home(self)
-        finally:
-            self.stop()
-            procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
-        if self.stop_unconfirmed:
-            raise DeviceError(self.stop_unconfirmed)
+        procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
 
     def prove_stop(self) -> float:
         """Power the motor at rest and withhold the heartbeats; return the time until the drive
@@ -246,16 +243,28 @@ class Epos2(Exchange):
         on_fault = self.on_fault
         self.on_fault = None
         try:
-            self._power_up(then_arm=False)
-            faulted_after_s = procedures.time_own_stop(self)
-            self.stop()
-            if self.stop_unconfirmed:
-                raise DeviceError(self.stop_unconfirmed)
+            with self._stopped_afterwards():
+                self._power_up(then_arm=False)
+                faulted_after_s = procedures.time_own_stop(self)
             self.reset_fault()
             return faulted_after_s
         finally:
-            self.stop()
             self.on_fault = on_fault
+
+    @contextmanager
+    def _stopped_afterwards(self) -> Iterator[None]:
+        """Stop the motor however this ends; raises SafetyStop if it may still be on then."""
+        reason = "the drive was stopped"
+        try:
+            yield
+        except BaseException as error:
+            reason = str(error) if isinstance(error, SoftfinError) else "interrupted"
+            raise
+        finally:
+            self.stop()
+            if self.stop_unconfirmed:
+                # Whatever else went wrong, the person beside the fin must learn this.
+                raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def switch_off(self) -> None:
         """Stop a drive whoever has powered it, with no condition at all; raises DeviceError if its
@@ -339,6 +348,8 @@ class Epos2(Exchange):
                 self.handshake.clear()
                 self.powered = True
                 self.generation += 1
+                self.beats_left = BEATS_AFTER_STOP
+                self.rest_failed = False
         finally:
             self.stopping.release()
         try:
@@ -366,8 +377,10 @@ class Epos2(Exchange):
                 # at rest.
                 self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
             else:
+                self.rest_failed = True
                 self.trouble = UNCONFIRMED
         except SoftfinError as error:
+            self.rest_failed = True
             self.trouble = str(error)
         finally:
             self.stopping.release()

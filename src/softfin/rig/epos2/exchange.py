@@ -18,6 +18,8 @@ from softfin.rig.lock import DeviceLock
 
 PATIENCE_TICKS = 6
 """Ticks in which the drive must acknowledge a target; its statuswords come once a tick."""
+BEATS_AFTER_STOP = 3
+"""Heartbeats after a stop that the drive does not obey: an answer may be a few ticks late."""
 LOCK_TIMEOUT_S = 0.05
 """A thread that hangs in a send must not keep a stop from going out."""
 
@@ -228,6 +230,10 @@ class Exchange:
         """Whether the motor may have power: not confirmed otherwise since it was last enabled."""
         self.own_ids = protocol.host_cob_ids(config.host)
         """COB-IDs that nobody but this program sends."""
+        self.beats_left = BEATS_AFTER_STOP
+        """Heartbeats that a drive may still get that does not obey a stop."""
+        self.rest_failed = False
+        """Whether a stop since the last power-up was not confirmed: later ones are brief."""
         self.generation = 0
         """Number of times that the motor was powered up: a stop belongs to one of them."""
         self.reset()
@@ -264,9 +270,23 @@ class Exchange:
             self.carry_on()
             return self.status
 
+    @property
+    def obeys_stop(self) -> bool:
+        """Whether the drive shows that it brakes, or that its motor is off."""
+        state = self.status.state
+        is_off = bool(self.status.answered & 1) and state in protocol.UNPOWERED
+        return is_off or state is State.QUICK_STOP_ACTIVE
+
     def send_heartbeat(self) -> None:
         """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last
-        one."""
+        one.
+
+        A drive that does not obey a stop must do that, so it gets `BEATS_AFTER_STOP` more at most.
+        """
+        if self.stopped and self.powered and not self.obeys_stop:
+            if self.beats_left == 0:
+                return
+            self.beats_left -= 1
         self.attempt(protocol.HEARTBEAT + self.config.host, bytes([protocol.OPERATIONAL]))
 
     def attempt(self, cob_id: int, data: bytes) -> bool:
@@ -283,12 +303,15 @@ class Exchange:
         data = _WORD_AND_TARGET.pack(word, self.status.position if counts is None else counts)
         return protocol.RPDO[0] + self.config.node, data
 
-    def insist(self, word: int) -> bool:
-        """Send a controlword by process data, and where the node does not take them by SDO; whether
-        the bus took it."""
+    def insist(self, word: int, also_by_sdo: bool = False) -> bool:
+        """Send a controlword by process data, and by SDO too if the node does not take those or
+        `also_by_sdo`; return whether the bus took it."""
         is_sent = self.attempt(*self.order(word))
-        if is_sent and self.status.nmt == protocol.OPERATIONAL:
+        if is_sent and self.status.nmt == protocol.OPERATIONAL and not also_by_sdo:
             return True
+        if self.status.nmt == protocol.STOPPED:
+            # A node that somebody has stopped answers neither.
+            self.attempt(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
         return (
             self.attempt(
                 protocol.SDO_REQUEST + self.config.node, download(protocol.CONTROLWORD, word)
@@ -340,6 +363,9 @@ class Exchange:
             )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
+            if fault and self.armed:
+                # The drive may clear it before anybody looks, but it has stopped the motor.
+                self.trouble = self.trouble or fault
             if cob_id == protocol.TPDO[0] + self.config.node:
                 self.carry_on()
             self.lock.notify_all()

@@ -375,28 +375,33 @@ def rest(exchange: Exchange) -> bool:
         too."""
         refused = 0
         for attempt in range(max(REFUSED, round(seconds / config.sync_s))):
-            # A drive that does not obey must stop by itself: our heartbeats would only keep it
-            # going.
-            obeys = status.state is State.QUICK_STOP_ACTIVE or is_off()
-            if obeys or attempt < REFUSED:
-                exchange.send_heartbeat()
-            refused = 0 if exchange.insist(word) else refused + 1
+            began = exchange.clock()
+            exchange.send_heartbeat()
+            # A node may say that it is operational and still take no process data.
+            is_taken = exchange.obeys_stop if word == protocol.QUICK_STOP else is_off()
+            is_ignored = attempt >= REFUSED and not is_taken
+            refused = 0 if exchange.insist(word, also_by_sdo=is_ignored) else refused + 1
             if refused == REFUSED:
                 return
             exchange.sync_and_read(config.sync_s)
             if done():
                 return
-            exchange.clock.sleep(config.sync_s / 2)
+            spent = exchange.clock() - began
+            exchange.clock.sleep(max(config.sync_s - spent, config.sync_s / 2))
 
-    # Twice what braking from the highest velocity takes, and ten ticks.
+    is_first = not exchange.rest_failed
+    # Twice what braking from the highest velocity takes, and ten ticks. If an earlier stop tried
+    # all of that in vain, a person has to know soon.
     braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
-    repeat(protocol.QUICK_STOP, stands, braking)
-    repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S)
+    repeat(protocol.QUICK_STOP, stands, braking if is_first else 0.0)
+    repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S if is_first else 0.0)
+    if is_off():
+        return True
     # Without process data, as of a node that is not operational, the drive can still be asked.
-    return (
-        is_off()
-        or protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
-    )
+    is_there = exchange.clock() - status.heartbeat_time <= config.heartbeat_s
+    if not (is_first or is_there):
+        return False
+    return protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
 
 
 def time_own_stop(exchange: Exchange) -> float:
