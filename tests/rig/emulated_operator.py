@@ -29,6 +29,8 @@ class EmulatedOperator:
         self.turn_rad_per_deg = math.pi / 180
         self.ignores: set[str] = set()
         """Instructions, by a word, that are not followed."""
+        self.interrupts: set[str] = set()
+        """Motions, by a word of their instruction, that are stopped by Enter."""
         self._turned_rad = 0.0
         self._wrench = (0.0,) * 6
         self._free_now = behind.fin.now
@@ -82,6 +84,7 @@ class EmulatedOperator:
             "motor's supply": self.behind.drive.cut_supply,
             "glove": self._hold,
         }
+        acts |= dict.fromkeys(self.interrupts, acts["press Enter"])
         act = next((act for word, act in acts.items() if word in instruction), None)
         if act is not None and not any(word in instruction for word in self.ignores):
             self.behind.clock.spawn(lambda: (self.behind.clock.sleep(4.0), act()), "operator")

@@ -4,6 +4,9 @@ import io
 import json
 import queue
 import signal
+import subprocess
+import sys
+import threading
 
 import pytest
 import yaml
@@ -181,6 +184,26 @@ def test_a_failure_in_a_step_is_found_there(site, number):
     assert f"step {number} of 8" in form.warning(site.config)
 
 
+def test_a_shaft_that_a_person_stopped_does_not_move_again(site):
+    site.pass_until(5)
+    site.operator.interrupts.add("full strokes")
+    step = site.run(5)
+    assert "stopped by a key" in failures(step)["4 strokes"]
+    assert not any("glove" in instruction for instruction in site.operator.asked)
+
+
+@pytest.mark.parametrize("number", [4, 5, 6, 7])
+def test_no_step_moves_a_fin_whose_drive_is_not_proved(site, number):
+    site.pass_until(number)
+    site.file.write_text(yaml.safe_dump(site.values))
+    step = commission_step(
+        site.file, load_rig(site.file), number, site.operator, site.behind.clock, HOUR_S
+    )
+    assert "nobody has proved that its drive stops" in failures(step)["error"]
+    assert site.behind.drive.state is not State.OPERATION_ENABLED
+    assert site.operator.asked == []
+
+
 def test_steps_are_run_in_order(site):
     site.pass_until(2)
     with pytest.raises(
@@ -285,6 +308,19 @@ class TestTerminal:
             ):
                 operator.confirm("Is it on?")
 
+    def test_a_line_that_was_typed_ahead_answers_no_question(self, monkeypatch):
+        typed = queue.Queue()
+        shown = []
+        monkeypatch.setattr("sys.stdin", iter(typed.get, None))
+        operator = TerminalOperator(write=shown.append)
+        typed.put("\n")
+        wait_until(lambda: not operator._answers.empty())
+        typed_later = threading.Timer(0.5, typed.put, ["yes\n"])
+        typed_later.start()
+        assert operator.confirm("Is it on?")
+        # Asked once: the earlier Enter, which is neither yes nor no, was not taken for an answer.
+        assert len(shown) == 1
+
     def test_enter_stops_the_fin_while_it_moves_and_other_lines_do_not(self):
         typed = queue.Queue()
         request = StopRequest()
@@ -303,6 +339,29 @@ class TestTerminal:
             typed.put(None)
             wait_until(lambda: request.trip is not None)
         assert "input ended" in request.trip.reason
+
+
+def test_a_host_that_is_to_die_stops_its_fin_when_the_commissioning_is_gone(tmp_path):
+    with over_sockets(tmp_path / "rig.yaml") as behind:
+        config = narrowed(load_rig(tmp_path / "rig.yaml"), 0.3, 1.0)
+        host = subprocess.Popen(
+            [sys.executable, "-m", "softfin.rig.commissioning.host", str(tmp_path / "host.mcap")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            host.stdin.write(f"{json.dumps(config.model_dump(mode='json'))}\n")
+            host.stdin.flush()
+            assert host.stdout.readline() == "moves\n"
+            # As the kernel closes it when the commissioning is killed.
+            host.stdin.close()
+            assert "the commissioning has ended" in host.stdout.read()
+            assert behind.drive.state is not State.OPERATION_ENABLED
+        finally:
+            host.kill()
+            host.wait()
+            host.stdout.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

@@ -8,7 +8,7 @@ from contextlib import contextmanager, nullcontext
 import can
 import pytest
 
-from softfin.core.errors import CommandError, DeviceError, RigError
+from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
 from softfin.rig.emulation import drive_motor
 from softfin.rig.emulation.drive import DriveTraits
 from softfin.rig.epos2 import procedures, protocol
@@ -805,3 +805,20 @@ def test_what_an_adapter_echoes_is_not_taken_for_another_host() -> None:
         )
         made.drive.connection._sort(echo)
         assert made.drive.complaints() == ()
+
+
+@pytest.mark.parametrize("motion", ["home", "time_own_stop"])
+def test_a_motor_that_may_still_be_on_is_told_whatever_else_went_wrong(
+    monkeypatch: pytest.MonkeyPatch, motion: str
+) -> None:
+    with bench() as made:
+        made.drive.open()
+
+        def fail(_: Epos2) -> None:
+            made.emulated.go_silent()
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(procedures, motion, fail)
+        begin = made.drive.home_here if motion == "home" else made.drive.prove_stop
+        with pytest.raises(SafetyStop, match="interrupted; BUT drive did not confirm"):
+            begin()
