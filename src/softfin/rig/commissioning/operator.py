@@ -110,7 +110,7 @@ class TerminalOperator:
         return answer
 
     def _discard_typed_ahead(self) -> None:
-        """Drop lines that were typed before the question: an earlier Enter is no answer to it."""
+        """Drop lines that were typed before the question: an earlier Enter must not answer it."""
         discard_typed_ahead()
         with contextlib.suppress(queue.Empty):
             while self._answers.get_nowait() is not None:
