@@ -750,7 +750,7 @@ def test_a_node_that_somebody_has_stopped_is_stopped_by_sdo() -> None:
         assert made.until(lambda: made.fin.now().angle > 0.3)
         # It takes no controlwords, neither as process data nor by SDO, and still counts heartbeats.
         send(made, protocol.NMT, bytes([2, NODE]))
-        assert made.until(lambda: made.drive.status.nmt == protocol.STOPPED)
+        assert made.until(lambda: made.drive.status.nmt == protocol.NODE_STOPPED)
         where = made.fin.now().angle
         made.drive.stop()
         assert made.drive.stop_unconfirmed is None

@@ -309,7 +309,7 @@ class Exchange:
         is_sent = self.attempt(*self.order(word))
         if is_sent and self.status.nmt == protocol.OPERATIONAL and not also_by_sdo:
             return True
-        if self.status.nmt == protocol.STOPPED:
+        if self.status.nmt == protocol.NODE_STOPPED:
             # A node that somebody has stopped answers neither.
             self.attempt(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
         return (

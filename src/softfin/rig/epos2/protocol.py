@@ -11,7 +11,7 @@ from enum import Enum, IntFlag
 from typing import NamedTuple
 
 BOOT_UP = 0x00
-STOPPED = 0x04
+NODE_STOPPED = 0x04
 OPERATIONAL = 0x05
 """States of a node in its heartbeat."""
 
