@@ -10,7 +10,7 @@ reference, before the tanh (residual policy learning: Silver et al. 2018; Johann
 
 import math
 from collections.abc import Mapping
-from typing import cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -20,7 +20,6 @@ from pydantic import Field, PositiveInt
 
 from softfin.control.policy import MEASURED, PHASES, PolicyMemory, gait_before_tanh
 from softfin.core.configuration import Configuration
-from softfin.core.json_object import JsonObject
 from softfin.core.operations import jax_operations
 from softfin.gaits.gait import GaitTable
 from softfin.learning.layers import LinearLayer, LSTMCell, Normalisation
@@ -205,7 +204,7 @@ class ActorCritic(eqx.Module):
     critic: Critic
 
 
-def name_policy_arrays(policy: PyTree) -> JsonObject:
+def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
     """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
     paths, _ = jax.tree_util.tree_flatten_with_path(policy)
     names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)

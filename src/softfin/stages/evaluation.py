@@ -115,7 +115,7 @@ def baselines(
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
     search_in = moving if surrogate is None else find_plant(surrogate)
-    result = {
+    result: JsonObject = {
         **artifacts.head("baselines"),
         **evaluate_baselines(moving, search_in, config, partial(progress, "baselines")),
         "plant": plant_name(plant),

@@ -368,7 +368,7 @@ class _Reproduction:
                 float(np.mean([e[key] for key in keys])) for e in entries
             ]
 
-        def curves(*names: str) -> JsonObject:
+        def curves(*names: str) -> dict[str, list[tuple[list[int], list[float]]]]:
             keys = [[f"seed{seed}/{name}" for name in names] for seed in self.seeds]
             return {kind: [curve(log, each) for each in keys] for kind, log in logs.items()}
 

@@ -225,7 +225,7 @@ def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None
     )
 
 
-def load(path: Path, kind: str) -> tuple[JsonObject, JsonObject]:
+def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
     """The description and the weights of a folder that `save` wrote; raises ArtifactError for
     anything else."""
     import safetensors.numpy

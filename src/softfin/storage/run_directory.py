@@ -215,7 +215,7 @@ def _software() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _named(tree: PyTree) -> tuple[JsonObject, Any]:
+def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
     """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the
     structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)

@@ -35,6 +35,7 @@ from softfin.evaluation.evaluate import (
     score_experiments,
 )
 from softfin.evaluation.experiment import ExperimentRecording
+from softfin.evaluation.results import Baselines, EvaluationSummary
 from softfin.gaits.inverse_model import InverseConfig
 from softfin.storage import artifact as artifacts
 
@@ -66,7 +67,7 @@ def evaluate_baselines(
     search_in: Plant,
     config: BaselinesConfig,
     report: Callable[[float, str], None] = lambda *_: None,
-) -> dict[str, JsonObject]:
+) -> Baselines:
     """Find the baselines on one plant and evaluate them on another, the same one or the fin that it
     stands for.
 
@@ -80,8 +81,8 @@ def evaluate_baselines(
     seconds = config.seconds
     limits = shared_limits(Limits(*search_in.limits), Limits(*plant.limits))
     search = open_loop.OpenLoopSearch(search_in, limits, config.search, config.seed)
-    summaries: JsonObject = {}
-    left_out: JsonObject = {}
+    summaries: dict[str, EvaluationSummary] = {}
+    left_out: dict[str, str] = {}
     nothing: list[JsonObject] = [{} for _ in references]
 
     def add(name: str, evaluation: Evaluation, commanded: list[JsonObject]) -> None:
@@ -133,7 +134,7 @@ def evaluate_baselines(
     report(0.5, "sines")
     add_sines("sine", search.best_sines(references), nothing)
     report(1.0, "")
-    return {BASELINES_KIND: summaries, "left_out": left_out}
+    return {"baselines": summaries, "left_out": left_out}
 
 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:

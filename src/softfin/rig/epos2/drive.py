@@ -263,7 +263,7 @@ class Epos2(Exchange):
         finally:
             self.stop()
             if self.stop_unconfirmed:
-                # Whatever else went wrong, the person beside the fin must learn this.
+                # This outranks any other error: the operator is next to a powered motor.
                 raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def switch_off(self) -> None:

@@ -271,11 +271,14 @@ class Exchange:
             return self.status
 
     @property
+    def is_off(self) -> bool:
+        """Whether the drive has answered the last SYNC that its motor is off."""
+        return bool(self.status.answered & 1) and self.status.state in protocol.UNPOWERED
+
+    @property
     def obeys_stop(self) -> bool:
-        """Whether the drive shows that it brakes, or that its motor is off."""
-        state = self.status.state
-        is_off = bool(self.status.answered & 1) and state in protocol.UNPOWERED
-        return is_off or state is State.QUICK_STOP_ACTIVE
+        """Whether the drive reports that it brakes, or that its motor is off."""
+        return self.is_off or self.status.state is State.QUICK_STOP_ACTIVE
 
     def send_heartbeat(self) -> None:
         """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last

@@ -360,15 +360,12 @@ def rest(exchange: Exchange) -> bool:
     status = exchange.status
     config = exchange.config
 
-    def is_off() -> bool:
-        return bool(status.answered & 1) and status.state in protocol.UNPOWERED
-
     def stands() -> bool:
         braked = (
             status.state is State.QUICK_STOP_ACTIVE
             and exchange.units.rpm(status.velocity) <= STANDSTILL_RPM
         )
-        return is_off() or (braked and status.new)
+        return exchange.is_off or (braked and status.new)
 
     def repeat(word: int, done: Callable[[], bool], seconds: float) -> None:
         """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it
@@ -378,7 +375,7 @@ def rest(exchange: Exchange) -> bool:
             began = exchange.clock()
             exchange.send_heartbeat()
             # A node may say that it is operational and still take no process data.
-            is_taken = exchange.obeys_stop if word == protocol.QUICK_STOP else is_off()
+            is_taken = exchange.obeys_stop if word == protocol.QUICK_STOP else exchange.is_off
             is_ignored = attempt >= REFUSED and not is_taken
             refused = 0 if exchange.insist(word, also_by_sdo=is_ignored) else refused + 1
             if refused == REFUSED:
@@ -394,8 +391,10 @@ def rest(exchange: Exchange) -> bool:
     # all of that in vain, a person has to know soon.
     braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
     repeat(protocol.QUICK_STOP, stands, braking if is_first else 0.0)
-    repeat(protocol.DISABLE_VOLTAGE, is_off, DISABLE_TIMEOUT_S if is_first else 0.0)
-    if is_off():
+    repeat(
+        protocol.DISABLE_VOLTAGE, lambda: exchange.is_off, DISABLE_TIMEOUT_S if is_first else 0.0
+    )
+    if exchange.is_off:
         return True
     # Without process data, as of a node that is not operational, the drive can still be asked.
     is_there = exchange.clock() - status.heartbeat_time <= config.heartbeat_s

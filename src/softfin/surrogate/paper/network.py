@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
 from softfin.core.configuration import Configuration
-from softfin.core.json_object import JsonObject
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
 MAX_CHUNK_WINDOWS = 2048
@@ -32,7 +31,7 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 }
 
 Parameters = dict[str, Array]
-Shapes = JsonObject
+Shapes = dict[str, jax.ShapeDtypeStruct]
 Shape = tuple[int, ...]
 """Shape of one example between layers: (steps, features) or (features,)."""
 

@@ -214,7 +214,7 @@ class StreamingSurrogate(eqx.Module):
         scales = Scales.model_validate(description["scales"])
         size = int(description["members"])
 
-        def skeleton() -> JsonObject:
+        def skeleton() -> dict[str, Any]:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
             return {
