@@ -7,6 +7,7 @@ import pytest
 
 import softfin
 from softfin.cli import main
+from softfin.core.errors import RunError
 from softfin.rig.config import load_rig
 from softfin.rig.emulation.drive import DriveTraits
 from softfin.rig.epos2.drive import Epos2
@@ -122,6 +123,21 @@ def test_a_drive_that_ignores_the_loss_of_the_heartbeats_loses_its_proof(file, e
     assert code == 1
     assert json.loads(Path(file).with_suffix(".record.json").read_text())["stop_proof"] is None
     assert emulated.drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_proof_that_failed_and_cannot_be_removed_is_told_after_the_drives_own_line(
+    file, emulated, capsys, monkeypatch
+):
+    def full_disk(*_):
+        raise RunError("rig.record.json: cannot be written (No space left on device)")
+
+    monkeypatch.setattr("softfin.rig.prove.save_record", full_disk)
+    emulated.drive._traits = DriveTraits(ignores_heartbeat=True)
+    line, _ = fails(capsys, "rig", "check", "--rig", file, "--prove", "--arm", "--yes")
+    assert "drive ignores the loss of softfin's heartbeats" in line
+    assert line.endswith(
+        "could not be removed: rig.record.json: cannot be written (No space left on device)"
+    )
 
 
 def test_a_drive_that_was_left_powered_is_stopped_by_a_command_without_arm(file, emulated, capsys):

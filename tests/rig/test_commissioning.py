@@ -25,11 +25,12 @@ from softfin.rig.commissioning.form import (
     load_form,
     save_form,
 )
-from softfin.rig.commissioning.motion import die_by_signal, narrowed
+from softfin.rig.commissioning.motion import DriveWatch, die_by_signal, narrowed
 from softfin.rig.commissioning.operator import TerminalOperator
 from softfin.rig.commissioning.steps import STEP_FUNCTIONS
 from softfin.rig.config import RigConfig, load_rig
 from softfin.rig.epos2.protocol import State
+from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.cli.test_cli import fails
 from tests.patience import wait_until
@@ -192,6 +193,43 @@ def test_a_shaft_that_a_person_stopped_does_not_move_again(site):
     assert not any("glove" in instruction for instruction in site.operator.asked)
 
 
+def test_a_person_is_told_before_softfin_is_killed_with_the_shaft_in_motion(site, monkeypatch):
+    die = steps._die
+
+    def die_as_told(context, config, number, bag):
+        assert f"{number.name} ends softfin" in site.operator.asked[-1]
+        assert "no key stops it" in site.operator.asked[-1]
+        return die(context, config, number, bag)
+
+    monkeypatch.setattr(steps, "_die", die_as_told)
+    monkeypatch.setattr(steps, "WAYS_TO_STOP", {})
+    site.pass_until(4)
+    assert site.run(4).passed
+
+
+def test_a_drive_that_stands_and_keeps_its_power_is_not_at_rest_without_power():
+    class LateDrive(DriveWatch):
+        """Stands from 0.1 s on, without power from 0.5 s on."""
+
+        def __init__(self):
+            self._clock = SimulatedClock()
+            self.died = self._clock()
+
+        def angle(self):
+            return min(self._clock() - self.died, 0.1)
+
+        def is_powered(self):
+            return self._clock() - self.died < 0.5
+
+        def fault(self):
+            return None
+
+    watch = LateDrive()
+    death = watch.watch(watch.died, 0.0)
+    assert death.seconds == pytest.approx(0.5, abs=0.01)
+    assert death.way_rad == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("number", [4, 5, 6, 7])
 def test_no_step_moves_a_fin_whose_drive_is_not_proved(site, number):
     site.pass_until(number)
@@ -272,6 +310,22 @@ class TestCommand:
         main([*command, "--arm", "--step", "2"])
         assert capsys.readouterr().out.endswith("rig.commissioning.md: step 3 is next\n")
         assert load_form(site.file).next_step(site.config) == 3
+
+    def test_a_signal_interrupts_a_step_so_that_its_motor_is_stopped(
+        self, command, monkeypatch, capsys
+    ):
+        ends = []
+
+        def powered(*_):
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            finally:
+                ends.append("stopped")
+
+        monkeypatch.setattr("softfin.rig.commissioning.commission.commission_step", powered)
+        with pytest.raises(SystemExit):
+            main([*command, "--arm"])
+        assert ends == ["stopped"]
 
     @pytest.mark.parametrize(
         ("options", "told"),

@@ -27,9 +27,8 @@ def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
         try:
             save_record(config.file, record.model_copy(update={"stop_proof": None}))
         except SoftfinError as failure:
-            raise DeviceError(
-                f"{error}; AND its earlier proof is not removed: {failure}"
-            ) from error
+            problem = f"{error}; AND its earlier proof could not be removed: {failure}"
+            raise DeviceError(problem) from error
         raise
     proof = StopProof(
         date=date_and_time(),
