@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from softfin.cli import main
-from softfin.core.errors import ConfigurationError, RigError, RunError
+from softfin.core.errors import ConfigurationError, RigError, RunError, SafetyStop
 from softfin.rig.commissioning import steps
 from softfin.rig.commissioning.commission import commission_step
 from softfin.rig.commissioning.form import (
@@ -205,6 +205,28 @@ def test_a_person_is_told_before_softfin_is_killed_with_the_shaft_in_motion(site
     monkeypatch.setattr(steps, "WAYS_TO_STOP", {})
     site.pass_until(4)
     assert site.run(4).passed
+
+
+def test_a_drive_that_once_went_on_without_softfin_is_not_tried_again(site, monkeypatch):
+    monkeypatch.setattr(steps, "TRIALS", 3)
+    monkeypatch.setattr(steps, "WAYS_TO_STOP", {})
+    site.pass_until(4)
+    site.behind.drive.fault = lambda code: None
+    step = site.run(4)
+    assert "softfin ended by SIGKILL: fin at rest, no power" in failures(step)
+    assert [bag for bag in step.bags if "SIG" in bag] == [
+        "rig-commissioning/step-4-1/SIGKILL-1.mcap"
+    ]
+
+
+def test_nobody_is_asked_to_sign_while_a_motor_may_be_on(site, monkeypatch):
+    def stop(_):
+        raise SafetyStop("interrupted; BUT drive did not confirm that its motor is off")
+
+    monkeypatch.setitem(STEP_FUNCTIONS, 1, stop)
+    with pytest.raises(SafetyStop, match="BUT"):
+        site.run(1)
+    assert load_form(site.file).attempts == ()
 
 
 def test_a_drive_that_stands_and_keeps_its_power_is_not_at_rest_without_power():

@@ -28,8 +28,8 @@ def explore(
     *,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write a page in which these controllers hold forces that one drags, in these plants; returns
-    its size and parts.
+    """Write a page to drag the target force and watch these controllers follow it in these plants;
+    returns its size and parts.
 
     Raises PlantError for a plant that the page cannot move, or that does not take a controller's
     commands.

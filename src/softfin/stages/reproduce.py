@@ -314,7 +314,7 @@ class _Reproduction:
         explore(controllers, self.out / PAGE, plants, overwrite=True)
         self.end(
             "explore",
-            "a page in which one drags the force and watches these controllers hold it",
+            "a page to drag the target force and watch these controllers follow it",
             start,
         )
         self.stages[-1]["page"] = PAGE

@@ -15,7 +15,7 @@ from softfin.rig.epos2 import procedures, protocol
 from softfin.rig.epos2.config import BusConfig
 from softfin.rig.epos2.connection import CanConnection, download
 from softfin.rig.epos2.drive import Epos2
-from softfin.rig.epos2.procedures import REFUSED
+from softfin.rig.epos2.procedures import BUS_REFUSES_S
 from softfin.rig.epos2.protocol import FAULT_STATES, POWERED, Object, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import check_target
@@ -684,10 +684,47 @@ def test_a_stop_over_a_bus_that_takes_no_frames_ends_soon(monkeypatch: pytest.Mo
             raise can.CanOperationError("transmit buffer full")
 
         monkeypatch.setattr(bus, "send", send)
+        began = made.clock()
         made.drive.stop()
-        assert 0 < tried.count(0x200 + NODE) <= 2 * REFUSED + 1
+        assert made.clock() - began < 2 * BUS_REFUSES_S
+        assert 0x200 + NODE in tried
         assert "press the emergency stop" in made.drive.stop_unconfirmed
+        began = made.clock()
+        made.drive.stop()
+        assert made.clock() - began < 0.05
         monkeypatch.undo()
+
+
+@pytest.mark.parametrize("refused_s", [0.03, 0.06, 0.12, 0.16])
+def test_the_first_word_after_a_bus_took_no_frames_is_a_quick_stop(
+    monkeypatch: pytest.MonkeyPatch, refused_s: float
+) -> None:
+    with enabled() as made:
+        states = list[State]()
+        enter = made.emulated._enter
+
+        def note(state: State) -> None:
+            if state is not made.emulated.state:
+                states.append(state)
+            enter(state)
+
+        monkeypatch.setattr(made.emulated, "_enter", note)
+        bus = made.drive.connection._bus
+        send = bus.send
+        until = made.clock() + refused_s
+
+        def refuse(message: can.Message, timeout: float | None = None) -> None:
+            if made.clock() < until:
+                raise can.CanOperationError("transmit buffer full")
+            send(message, timeout)
+
+        monkeypatch.setattr(bus, "send", refuse)
+        # As at the end of a session, which stops it several times.
+        for _ in range(4):
+            made.drive.stop()
+            made.clock.sleep(0.02)
+        assert states[0] is State.QUICK_STOP_ACTIVE
+        assert made.drive.stop_unconfirmed is None
 
 
 def test_a_stop_that_comes_while_the_drive_is_being_enabled_is_not_forgotten(monkeypatch) -> None:
@@ -822,3 +859,22 @@ def test_a_motor_that_may_still_be_on_is_told_whatever_else_went_wrong(
         begin = made.drive.home_here if motion == "home" else made.drive.prove_stop
         with pytest.raises(SafetyStop, match="interrupted; BUT drive did not confirm"):
             begin()
+
+
+def test_ctrl_c_while_a_homing_brakes_does_not_hide_that_the_motor_may_be_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with bench() as made:
+        made.drive.open()
+        come_to_rest = made.drive._come_to_rest
+        interrupts = [KeyboardInterrupt()]
+
+        def interrupted(generation: int) -> None:
+            if interrupts:
+                made.emulated.go_silent()
+                raise interrupts.pop()
+            come_to_rest(generation)
+
+        monkeypatch.setattr(made.drive, "_come_to_rest", interrupted)
+        with pytest.raises(SafetyStop, match="BUT drive did not confirm"):
+            made.drive.home_here()

@@ -265,6 +265,12 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
             angle = watch.angle()
             process.send_signal(number)
             return watch.watch(REAL(), angle)
+    except BaseException:
+        # It stops its fin at the end of its input; killed, it would leave that to the drive.
+        process.stdin.close()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(WATCHED_S)
+        raise
     finally:
         process.kill()
         process.wait()

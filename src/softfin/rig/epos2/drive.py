@@ -20,7 +20,7 @@ LIMITED_S = 0.1
 """Time for which the drive may hold back at a limit of its own: a steep stroke touches one for
 milliseconds."""
 FIRST_ANSWER_S = 0.5
-STOP_TIMEOUT_S = 2.0
+STOP_TIMEOUT_S = 3.0
 """Longest that one stop waits for another that is under way."""
 ANSWER_STEP_S = 0.01
 UNANSWERED = 3
@@ -261,10 +261,14 @@ class Epos2(Exchange):
             reason = str(error) if isinstance(error, SoftfinError) else "interrupted"
             raise
         finally:
-            self.stop()
-            if self.stop_unconfirmed:
-                # This outranks any other error: the operator is next to a powered motor.
-                raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
+            try:
+                self.stop()
+            finally:
+                # Again, in case Ctrl-C came while it braked; it takes no time if the motor is off.
+                self.stop()
+                if self.stop_unconfirmed:
+                    # This outranks any other error: the operator is next to a powered motor.
+                    raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def switch_off(self) -> None:
         """Stop a drive whoever has powered it, with no condition at all; raises DeviceError if its
@@ -290,8 +294,12 @@ class Epos2(Exchange):
                 return
             if self.connection.in_receiver or not free:
                 # The receiver's thread brings the answers that the rest needs; and nobody waits for
-                # a bus that hangs.
-                self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
+                # a bus that hangs. One such thread at a time, and none after one has failed: a bus
+                # that is gone reports an error every 50 ms, and the threads would keep the loop's
+                # own stop waiting.
+                if self.waiting_stop != generation and not self.rest_failed:
+                    self.waiting_stop = generation
+                    self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
             else:
                 self._come_to_rest(generation)
         except Exception as error:
@@ -366,10 +374,13 @@ class Epos2(Exchange):
     def _come_to_rest(self, generation: int) -> None:
         """Finish a stop, unless the drive was powered up again since: that motor is not the one to
         take for off."""
-        if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
+        is_acquired = self.stopping.acquire(timeout=STOP_TIMEOUT_S)
+        # From here on another stop must wait for itself: this one may be past it.
+        self.waiting_stop = None
+        if not is_acquired:
             return
         try:
-            if generation != self.generation:
+            if generation != self.generation or not self.powered:
                 return
             if procedures.rest(self):
                 self.powered = False

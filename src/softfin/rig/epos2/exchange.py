@@ -232,6 +232,8 @@ class Exchange:
         """COB-IDs that nobody but this program sends."""
         self.beats_left = BEATS_AFTER_STOP
         """Heartbeats that a drive may still get that does not obey a stop."""
+        self.waiting_stop: int | None = None
+        """Generation whose stop a thread is about to finish; None if there is no such thread."""
         self.rest_failed = False
         """Whether a stop since the last power-up was not confirmed: later ones are brief."""
         self.generation = 0
@@ -277,8 +279,10 @@ class Exchange:
 
     @property
     def obeys_stop(self) -> bool:
-        """Whether the drive reports that it brakes, or that its motor is off."""
-        return self.is_off or self.status.state is State.QUICK_STOP_ACTIVE
+        """Whether the drive reports that it brakes, by itself or for us, or that its motor is
+        off."""
+        braking = (State.QUICK_STOP_ACTIVE, *protocol.FAULT_STATES)
+        return self.is_off or self.status.state in braking
 
     def send_heartbeat(self) -> None:
         """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last
@@ -287,7 +291,7 @@ class Exchange:
         A drive that does not obey a stop must do that, so it gets `BEATS_AFTER_STOP` more at most.
         """
         if self.stopped and self.powered and not self.obeys_stop:
-            if self.beats_left == 0:
+            if self.beats_left <= 0:
                 return
             self.beats_left -= 1
         self.attempt(protocol.HEARTBEAT + self.config.host, bytes([protocol.OPERATIONAL]))

@@ -27,8 +27,10 @@ STATE_STEP_S = 0.002
 STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
 REFUSED = 3
-"""Orders in a row that the bus does not take, each after its time-out: then no later one is worth a
-wait."""
+"""Orders in a row that the drive does not follow, before another way is tried."""
+BUS_REFUSES_S = 0.15
+"""Time for which the bus takes no order: then no later one is worth a wait. An adapter whose queue
+is full refuses at once and recovers within some milliseconds."""
 STOP_CONFIRMED_S = 0.3
 """Time for which a motor must stay off; a program that still drives it would enable it within
 this."""
@@ -367,40 +369,50 @@ def rest(exchange: Exchange) -> bool:
         )
         return exchange.is_off or (braked and status.new)
 
-    def repeat(word: int, done: Callable[[], bool], seconds: float) -> None:
-        """Until it is done or the time is over; counted in ticks, so that a stopped clock ends it
-        too."""
-        refused = 0
-        for attempt in range(max(REFUSED, round(seconds / config.sync_s))):
-            began = exchange.clock()
-            exchange.send_heartbeat()
-            # A node may say that it is operational and still take no process data.
-            is_taken = exchange.obeys_stop if word == protocol.QUICK_STOP else exchange.is_off
-            is_ignored = attempt >= REFUSED and not is_taken
-            refused = 0 if exchange.insist(word, also_by_sdo=is_ignored) else refused + 1
-            if refused == REFUSED:
-                return
-            exchange.sync_and_read(config.sync_s)
-            if done():
-                return
-            spent = exchange.clock() - began
-            exchange.clock.sleep(max(config.sync_s - spent, config.sync_s / 2))
-
-    is_first = not exchange.rest_failed
-    # Twice what braking from the highest velocity takes, and ten ticks. If an earlier stop tried
-    # all of that in vain, a person has to know soon.
+    # Twice what braking from the highest velocity takes, and ten ticks.
     braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
-    repeat(protocol.QUICK_STOP, stands, braking if is_first else 0.0)
-    repeat(
-        protocol.DISABLE_VOLTAGE, lambda: exchange.is_off, DISABLE_TIMEOUT_S if is_first else 0.0
-    )
+    if not _insist_until(exchange, protocol.QUICK_STOP, stands, braking):
+        # The first word that gets through must not be the one that lets the fin coast.
+        return False
+    _insist_until(exchange, protocol.DISABLE_VOLTAGE, lambda: exchange.is_off, DISABLE_TIMEOUT_S)
     if exchange.is_off:
         return True
     # Without process data, as of a node that is not operational, the drive can still be asked.
     is_there = exchange.clock() - status.heartbeat_time <= config.heartbeat_s
-    if not (is_first or is_there):
+    if exchange.rest_failed and not is_there:
         return False
     return protocol.decode(exchange.connection.read(protocol.STATUSWORD)) in protocol.UNPOWERED
+
+
+def _insist_until(exchange: Exchange, word: int, done: Callable[[], bool], seconds: float) -> bool:
+    """Repeat a controlword until it is done or the time is over; return False if the bus takes no
+    frames.
+
+    The time is counted in ticks, so that a stopped clock ends it too. If an earlier stop tried all
+    of it in vain, it is brief unless the drive obeys now: a person has to know soon.
+    """
+    sync_s = exchange.config.sync_s
+    is_later = exchange.rest_failed
+    refused_s = 0.0
+    for attempt in range(max(REFUSED, round(seconds / sync_s))):
+        is_taken = exchange.obeys_stop if word == protocol.QUICK_STOP else exchange.is_off
+        if is_later and attempt >= REFUSED and not exchange.obeys_stop:
+            return True
+        began = exchange.clock()
+        exchange.send_heartbeat()
+        # A node may say that it is operational and still take no process data.
+        also_by_sdo = not is_taken and (is_later or attempt >= REFUSED)
+        is_sent = exchange.insist(word, also_by_sdo)
+        exchange.sync_and_read(sync_s)
+        if done():
+            return True
+        spent_s = exchange.clock() - began
+        pause_s = max(sync_s - spent_s, sync_s / 2)
+        refused_s = 0.0 if is_sent else refused_s + spent_s + pause_s
+        if refused_s > (0.0 if is_later else BUS_REFUSES_S):
+            return False
+        exchange.clock.sleep(pause_s)
+    return True
 
 
 def time_own_stop(exchange: Exchange) -> float:
