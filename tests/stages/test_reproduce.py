@@ -154,4 +154,7 @@ def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_pl
     (stage,) = run.stages
     assert stage["page"] == "explore.html"
     write_report(tmp_path / "report.html", {"stages": run.stages})
-    assert '<a href="explore.html">A page to drag the target force' in (tmp_path / "report.html").read_text()
+    assert (
+        '<a href="explore.html">A page to drag the target force'
+        in (tmp_path / "report.html").read_text()
+    )
