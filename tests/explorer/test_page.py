@@ -146,7 +146,7 @@ def test_a_mouse_drags_the_force_and_the_loop_follows_it(opened):
     assert opened.run("loop.time") == 0
     assert (
         opened.run("draw() || element('status').textContent")
-        == f"Asked for {force_text(asked(opened))} N; press Play."
+        == f"Target {force_text(asked(opened))} N: press Play."
     )
     opened.run("run(400); draw()")
     assert opened.run("loop.time") == 400
@@ -189,16 +189,16 @@ def test_only_the_first_button_drags(opened):
     assert opened.run("finger") is None
 
 
-def test_beyond_reach_the_nearest_force_is_asked_for(opened):
+def test_the_target_beyond_reach_is_the_nearest_force_in_reach(opened):
     opened.mouse("mousePressed", *middle(opened, (2, 2.3)))
     opened.mouse("mouseReleased", *middle(opened, (2, 2.3)))
     np.testing.assert_allclose(asked(opened), (2, 1.5), atol=0.03)
     wish = opened.run("[chosen.x, chosen.y]")
     assert opened.run("draw() || element('status').textContent").startswith(
-        f"{force_text(wish)} N cannot be held: the ring is at the nearest. Asked for "
+        f"{force_text(wish)} N is out of reach; the ring is at the nearest force in reach. Target "
         f"{force_text(asked(opened))} N"
     )
-    # Each controller is asked for what is wished for, whatever another one could not hold.
+    # Each controller gets the target that the user chose, whatever another one could not hold.
     opened.run("choose({ x: 3.2, y: 1.3 })")
     for controller, near in ((1, False), (0, True)):
         opened.run(f"choose({{ controller: {controller} }})")

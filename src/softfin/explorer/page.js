@@ -155,9 +155,9 @@ function tell(predicted) {
   element("bias").textContent = controller.observer && controller.added ? `Trim adds ${forceText(controller.added)}.` : "";
   element("missing").textContent = missing.length ? `Not in this page: ${missing.join(", ")}.` : "";
   const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
-  const near = distanceTo(wish, loop.reference) > 0.01 ? `${forceText(wish)} cannot be held: the ring is at the nearest. ` : "";
+  const near = distanceTo(wish, loop.reference) > 0.01 ? `${forceText(wish)} is out of reach; the ring is at the nearest force in reach. ` : "";
   const yet = chosen.paused && loop.time === 0 ? "press Play" : "not held yet";
-  const status = near + (held ? `${force} held within ${SETTLED_N} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Asked for ${force}; ${yet}.`);
+  const status = near + (held ? `${force} held within ${SETTLED_N} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
   // Screen readers speak what is written anew.
   if (element("status").textContent !== status) element("status").textContent = status;
 }
