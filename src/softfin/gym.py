@@ -1,5 +1,5 @@
-"""The task as a Gymnasium environment, ``softfin/ForceTracking-v0``: what any
-reinforcement-learning library takes.
+"""The task as a Gymnasium environment, ``softfin/ForceTracking-v0``, for any reinforcement-learning
+library.
 
 gymnasium.make("softfin.gym:softfin/ForceTracking-v0", plant=surrogate, render_mode="rgb_array")
 """
@@ -32,13 +32,13 @@ register()
 class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Hold a reference force. Never terminates; truncated after `config.episode_actions`.
 
-    Observations and actions are those of `ForceTracking`; `info` holds the window's ``error_n``,
+    Observations and actions are those of `ForceTracking`; `info` contains the window's ``error_n``,
     its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every
     tick that the action was held.
 
     `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder,
-    package.module:plant. An environment keeps to what it is when it is made; make another one where
-    it has changed. In the render mode ``rgb_array``, `render` draws the fin, its force, the
+    package.module:plant. The plant is loaded when the environment is made; make a new environment
+    if the plant changes. In the render mode ``rgb_array``, `render` draws the fin, its force, the
     reference and the traces of the episode so far.
     """
 
@@ -56,7 +56,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         self.task = ForceTracking(find_plant(plant), config or TaskConfig())
         self.references = references
         self.render_mode = render_mode
-        # Half a turn of the shaft, the references, the actions.
+        # Bounds: half a turn of the shaft, the references, the actions.
         greatest = np.abs([references.low, references.high]).max(axis=0)
         actions = [1.0] * (self.task.config.observations - 3)
         high = np.array(
@@ -65,13 +65,13 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         )
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        # New functions, since JAX keeps what it traced of those of a task that is equal.
+        # New functions, because JAX would reuse the trace of an equal task.
         self._reset = jax.jit(partial(self.task.reset))
         self._observe = jax.jit(partial(self.task.observe))
         self._step = jax.jit(partial(self.task.step))
         self._film: Any = None
         if render_mode is not None:
-            # Who does not look at it need not wait for Matplotlib.
+            # Without rendering, nobody has to wait for Matplotlib.
             from softfin.evaluation.view.picture import EpisodeFilm
 
             seconds = self.task.config.episode_actions / ACTION_RATE_HZ
@@ -82,8 +82,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, else it is
-        drawn."""
+        """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, otherwise it
+        is drawn at random."""
         super().reset(seed=seed)
         references = self.references
         if options and "reference" in options:
@@ -132,7 +132,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         return np.array(self._observe(self._state)), float(outcome.reward), False, truncated, info
 
     def render(self) -> Any:
-        """The fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
+        """Return the fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
         if self._film is None or self._state is None:
             raise InputError(
                 f'{ID}: make it with render_mode="rgb_array", and reset it before it is rendered'

@@ -1,5 +1,5 @@
-"""How softfin was installed, the extras that are there, and the command that adds one; the standard
-library alone."""
+"""How softfin was installed, which extras are present, and the command that adds one; standard
+library only."""
 
 import importlib.metadata
 import json
@@ -10,8 +10,7 @@ from urllib.parse import unquote, urlparse
 from softfin.core.json_object import JsonObject
 
 EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3")
-"""Parts of softfin beside the robot's, as pyproject.toml has them; `learn` records in simulation,
-learns and draws."""
+"""Optional parts of softfin, as in pyproject.toml; `learn` simulates, trains and draws."""
 
 DISTRIBUTIONS = {
     "PIL": "pillow",
@@ -20,11 +19,11 @@ DISTRIBUTIONS = {
     "stable_baselines3": "sb3-contrib",
     "yaml": "pyyaml",
 }
-"""Distributions of modules that have another name."""
+"""Distributions whose name differs from that of their module."""
 
 
 def installed_version(distribution: str) -> str | None:
-    """Version of an installed distribution; None where it is not installed."""
+    """Return the version of an installed distribution; None if it is not installed."""
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
@@ -32,8 +31,8 @@ def installed_version(distribution: str) -> str | None:
 
 
 def extra_requirements(extra: str | None) -> list[str]:
-    """Distributions that softfin itself needs, or that an extra of it adds, with those of an extra
-    that it brings."""
+    """Return the distributions that softfin itself needs, or that one of its extras adds, including
+    nested extras."""
     names: list[str] = []
     for line in importlib.metadata.requires("softfin") or ():
         requirement, _, marker = line.partition(";")
@@ -46,13 +45,13 @@ def extra_requirements(extra: str | None) -> list[str]:
 
 
 def missing_from(extra: str | None) -> list[str]:
-    """Distributions of an extra, or of softfin itself, that are not installed."""
+    """Return the missing distributions of an extra, or of softfin itself."""
     return [name for name in extra_requirements(extra) if installed_version(name) is None]
 
 
 def what_is_missing(error: ModuleNotFoundError) -> str | None:
-    """Message of what softfin lacks where a module was not there, with the way out; None where it
-    needs no such one."""
+    """Return the message for a missing module, with its fix; None if softfin does not need the
+    module."""
     module = (error.name or "").partition(".")[0]
     distribution = DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
     parts = [extra for extra in (None, *EXTRAS) if distribution in extra_requirements(extra)]
@@ -75,15 +74,15 @@ def what_is_missing(error: ModuleNotFoundError) -> str | None:
 
 
 def how_to_add(extra: str) -> str:
-    """The command that adds an extra to this installation, from the wheel, folder or commit that it
-    came from."""
+    """Return the command that adds an extra to this installation, from the same wheel, folder or
+    commit."""
     source = origin()
     install = "pip install"
     if installer() == "uv":
-        # Its environments have no pip.
+        # uv's environments have no pip.
         install = f"uv pip install --python {sys.executable}"
     if source is None:
-        # Nothing is published: by its name alone pip would find nothing, or somebody else's
+        # Nothing is published yet: by name alone pip would find nothing, or somebody else's
         # package.
         wheel = f"dist/softfin-{installed_version('softfin')}-py3-none-any.whl"
         return f'make wheel, in a checkout of softfin, then {install} "{wheel}[{extra}]"'
@@ -97,12 +96,12 @@ def how_to_add(extra: str) -> str:
 
 
 def installer() -> str:
-    """The program that installed softfin, such as pip or uv."""
+    """Return the program that installed softfin, such as pip or uv."""
     return (importlib.metadata.distribution("softfin").read_text("INSTALLER") or "pip").strip()
 
 
 def origin() -> JsonObject | None:
-    """The wheel, folder or repository that softfin was installed from (PEP 610); None where nobody
-    knows."""
+    """The wheel, folder or repository that softfin was installed from (PEP 610); None if
+    unknown."""
     text = importlib.metadata.distribution("softfin").read_text("direct_url.json")
     return json.loads(text) if text else None

@@ -1,5 +1,5 @@
-"""Conformance kit: `check_plant` holds a plant against the Plant contract, here and in the tests of
-its users."""
+"""Conformance kit: `check_plant` checks a plant against the Plant contract, here and in users'
+tests."""
 
 import itertools
 from collections.abc import Iterator
@@ -23,14 +23,15 @@ Problem = tuple[str, ...]
 
 
 def check_plant(plant: Any) -> None:
-    """Raise PlantError, with what is wrong and what is asked, unless `plant` meets the contract.
+    """Raise a PlantError that says what is wrong and what is required, unless `plant` meets the
+    contract.
 
     Checked: the members, the limits, shapes and types, time, finite readings at the corners of the
-    limits, that the same state and command give the same readings (purity), that it can be told
-    from plants with other parameters (`softfin.core.plant_identity.identity`), that ticks held are
-    ticks one by one, that `jit`, `vmap`, `scan` and `grad` go through, that `hold_action`, where it
-    has one, does what `advance` does, and that `true_force`, where it has one, is a finite force
-    that `jit` and `vmap` go through and that leaves the state as it is.
+    limits, that the same state and command give the same readings (purity), that it can be
+    distinguished from plants with other parameters (`softfin.core.plant_identity.identity`), that
+    holding a command equals single ticks, that `jit`, `vmap`, `scan` and `grad` work, that an
+    optional `hold_action` does the same as `advance`, and that an optional `true_force` is finite,
+    works with `jit` and `vmap`, and does not change the state.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     problem = next((found for check in checks for found in check(plant)), None)
@@ -39,8 +40,8 @@ def check_plant(plant: Any) -> None:
 
 
 def _stroke(plant: Plant) -> Command:
-    """Return a command within any plant's limits that moves it: half of the way from rest to the
-    further limit."""
+    """Return a command within any plant's limits that moves it: halfway from rest to the farther
+    limit."""
     limits = Limits(*plant.limits)
     furthest = max(limits.angle_max, limits.angle_min, key=abs)
     return Command(jnp.float32(furthest / 2), jnp.float32(limits.velocity_max))
@@ -69,7 +70,7 @@ def _members(plant: Any) -> Iterator[Problem]:
 
 
 def _purity(plant: Plant) -> Iterator[Problem]:
-    """Advance without compiling, which would freeze what a plant keeps outside its state."""
+    """Advance without compiling, which would hide whatever a plant keeps outside its state."""
     command = _stroke(plant)
     state = plant.init(jax.random.key(0))
     results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]
@@ -91,7 +92,7 @@ def _purity(plant: Plant) -> Iterator[Problem]:
         if jnp.asarray(values).dtype != jnp.float32:
             yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings are float32"
     if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
-        asked = "a plant keeps everything, random keys too, in its state"
+        asked = "a plant keeps everything, including random keys, in its state"
         yield "the same state and command give other readings the second time", asked
     if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
         yield (
@@ -213,7 +214,7 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
     for command, force in zip(corners, forces, strict=True):
         if not jnp.isfinite(force).all():
             yield f"true_force is not finite under {command}", "forces are finite within the limits"
-    # Without compiling, which would hide what is written to the state.
+    # Without compiling, which would hide changes of the state.
     state = plant.init(jax.random.key(0))
     before = [np.array(leaf) for leaf in _numbers(state)]
     plant.true_force(state)
@@ -223,7 +224,7 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
 
 
 def _numbers(state: State) -> list[Any]:
-    """Return the arrays of a state but for its random keys, which have no values to compare."""
+    """Return the arrays of a state, without random keys, which have no values to compare."""
     return [leaf for leaf in jax.tree.leaves(state) if not _is_key(leaf)]
 
 

@@ -23,7 +23,7 @@ def test_what_is_wrong_is_a_line_and_the_exit_code(monkeypatch, capsys):
     said = capsys.readouterr()
     assert ended.value.code == 1
     assert " WRONG  CAN            broken\n" in said.out
-    assert said.err == "softfin doctor: not well: CAN\n"
+    assert said.err == "softfin doctor: failed: CAN\n"
 
 
 def test_a_file_that_is_not_there_is_one_line(tmp_path, capsys):

@@ -60,7 +60,7 @@ def test_what_is_wrong_is_in_the_table_and_the_exit_code(file, emulated, capsys)
     assert "WRONG  drive " in said.out
     assert "0x2310, over-current" in said.out
     assert "WRONG  sensor status " in said.out
-    assert "not well: drive, sensor status" in said.err
+    assert "failed: drive, sensor status" in said.err
 
 
 def test_a_fault_is_named_and_reset_when_asked(file, emulated, capsys):

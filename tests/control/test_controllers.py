@@ -196,7 +196,7 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
         (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
         (
             lambda f: _drop(f, "format"),
-            "format is 1, of an older softfin; this softfin reads 2; train it again",
+            "format is 1, written by an older softfin; this softfin reads 2; train it again",
         ),
         (
             lambda f: _drop(f, "action_rate_hz"),

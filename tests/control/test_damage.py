@@ -93,7 +93,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "single",
             lambda f: edit(f, format=3),
-            "format is 3, of a newer softfin; this softfin reads 2",
+            "format is 3, written by a newer softfin; this softfin reads 2",
         ),
         (
             "single",

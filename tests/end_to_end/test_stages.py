@@ -64,7 +64,10 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     with pytest.raises(SystemExit) as stop:
         main([*words, "--seed", "7", "--resume"])
     assert stop.value.code == 2
-    assert "surrogate: is of another run (seed was 0 and is 7); give the" in capsys.readouterr().err
+    assert (
+        "surrogate: belongs to another run (seed was 0 and is 7); give the"
+        in capsys.readouterr().err
+    )
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
 
     for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):
@@ -224,7 +227,7 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main([*words, "--resume", "--seed", "7"])
     assert stop.value.code == 2
-    assert "is of another run (seed was 0 and is 7)" in capsys.readouterr().err
+    assert "belongs to another run (seed was 0 and is 7)" in capsys.readouterr().err
 
     written = (out / "results.json").stat().st_mtime_ns
     assert run(capsys, *words, "--resume") == results, "a complete run stays as it is"

@@ -100,7 +100,7 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
     (
         lambda f: rewrite(f, format=99),
-        "format is 99, of a newer softfin; this softfin reads .; update softfin",
+        "format is 99, written by a newer softfin; this softfin reads .; update softfin",
     ),
     (lambda f: rewrite(f, reachable=None), "reachable is None; it must be an object"),
     (

@@ -79,7 +79,7 @@ def test_recordings_that_are_there_are_kept_under_other_names(tmp_path):
 
 def test_a_recording_that_failed_at_the_last_moment_is_an_error(tmp_path):
     made = Made()
-    with made.session as session, pytest.raises(RunError, match="the recording fails"):
+    with made.session as session, pytest.raises(RunError, match="recording failed"):
         recorded(session, tmp_path, lambda: session.recorder._fail("disk is gone", "look"))
 
 

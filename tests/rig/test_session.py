@@ -85,7 +85,7 @@ def _raising(error):
 
 def _failed_recording(made):
     made.notes.failure = (
-        "run.mcap: the recording fails: no space left on device; make room on its disk"
+        "run.mcap: recording failed: no space left on device; make room on its disk"
     )
 
 

@@ -28,13 +28,15 @@ def test_a_number_beyond_those_that_are_read_is_refused_with_the_way_out(kind):
     check_format(kind, newest, "it")
     check_format(kind, oldest, "it")
     with pytest.raises(
-        ArtifactError, match=rf"^it: format is {newest + 1}, of a newer softfin; .*{newest}; update"
+        ArtifactError,
+        match=rf"^it: format is {newest + 1}, written by a newer softfin; .*{newest}; update",
     ):
         check_format(kind, newest + 1, "it")
     if oldest > 1:
         assert remedy
         with pytest.raises(
-            ArtifactError, match=f"^it: format is {oldest - 1}, of an older softfin; .*; {remedy}$"
+            ArtifactError,
+            match=f"^it: format is {oldest - 1}, written by an older softfin; .*; {remedy}$",
         ):
             check_format(kind, oldest - 1, "it")
 
@@ -56,7 +58,9 @@ def test_each_folder_states_its_kind_and_number_first_and_is_checked_when_read(k
     ]
     artifacts.check_vacant(tmp_path, overwrite=True)
     (tmp_path / f"{kind}.json").write_text(json.dumps(description | {"format": 99}))
-    with pytest.raises(ArtifactError, match=rf"{kind}\.json: format is 99, of a newer softfin"):
+    with pytest.raises(
+        ArtifactError, match=rf"{kind}\.json: format is 99, written by a newer softfin"
+    ):
         artifacts.load_description(tmp_path, kind)
 
 
@@ -70,7 +74,10 @@ def test_a_log_of_a_newer_softfin_is_refused(tmp_path):
     file = tmp_path / "log.parquet"
     write_log(file, small.recorded(300))
     table = pq.read_table(file)
-    for number, words in (("2", "format is 2, of a newer softfin"), ("two", "format is 'two'")):
+    for number, words in (
+        ("2", "format is 2, written by a newer softfin"),
+        ("two", "format is 'two'"),
+    ):
         pq.write_table(table.replace_schema_metadata({formats.IN_FILE: number}), file)
         with pytest.raises(LogError, match=rf"log\.parquet: {words}"):
             read_log(file)
@@ -89,12 +96,13 @@ def test_a_recording_of_a_newer_softfin_is_refused_by_all_who_read_it(tmp_path, 
     monkeypatch.setattr(messages, "FILES", {"recording": newer})
     record(file, rows=200)
     with pytest.raises(
-        LogError, match=r"run\.mcap: format is 2, of a newer softfin; this softfin reads 1; update"
+        LogError,
+        match=r"run\.mcap: format is 2, written by a newer softfin; this softfin reads 1; update",
     ):
         check_bag(file)
     follower = Follower(file)
     follower.poll()
-    assert "format is 2, of a newer softfin" in str(follower.summary()["problem"])
+    assert "format is 2, written by a newer softfin" in str(follower.summary()["problem"])
 
 
 def test_the_documents_list_every_kind_with_its_number():

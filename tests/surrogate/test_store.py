@@ -85,7 +85,7 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
         (lambda d: d.update(rate_hz=50), "made for 50 Hz; softfin runs at 100 Hz"),
         (
             lambda d: d.update(format=2),
-            "format is 2, of a newer softfin; this softfin reads 1; update softfin",
+            "format is 2, written by a newer softfin; this softfin reads 1; update softfin",
         ),
         (
             lambda d: d.update(model="oracle"),

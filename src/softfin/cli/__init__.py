@@ -1,4 +1,4 @@
-"""The command line: ``softfin COMMAND ...``; a command's module in this folder is imported when it
+"""The command line: ``softfin COMMAND ...``; the module of a command is imported when the command
 is called."""
 
 import contextlib
@@ -16,10 +16,10 @@ from softfin.core.program_cache import describe_cache, use_program_cache
 
 
 class Command(NamedTuple):
-    """A command, as the list of commands shows it."""
+    """A command in the list of commands."""
 
     module: str
-    """Module of this folder that holds its options."""
+    """Module of this folder with its options."""
     summary: str
     """Description in the list of commands."""
 
@@ -77,11 +77,11 @@ GROUPS = {
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 STOPPED = 1
-"""Exit code after Ctrl-C: a failure midway."""
+"""Exit code after Ctrl-C, as for a failure midway."""
 
 
 def script() -> None:
-    """Run `main` as the installed command; after Ctrl-C end at once, as a compiled program may
+    """Run `main` as the installed command; after Ctrl-C end at once, because a compiled program may
     still run."""
     use_program_cache()
     try:
@@ -112,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def list_actions(name: str) -> tuple[str, ...]:
-    """List the second words of a command that has them: recover and convert of bag."""
+    """List the second words of a command, such as recover and convert of bag."""
     return tuple(each.split()[1] for each in COMMANDS if each.startswith(f"{name} "))
 
 
@@ -180,19 +180,19 @@ def _run(name: str, words: list[str]) -> None:
 
 def _configure_process() -> None:
     """Set what NumPy, JAX and XLA read when they are imported."""
-    # XLA's notes on how it compiles would hide the lines of a command.
+    # XLA's notes about compilation would hide the lines of a command.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    # Threads of OpenBLAS spin while they wait for one another: beside other work, sums that NumPy
-    # does in 0.1 s of processor time on one thread took 9 s, and a minute.
+    # Threads of OpenBLAS spin while they wait for each other: next to other work, sums that take
+    # NumPy 0.1 s of processor time on one thread took from 9 s to a minute.
     if "OMP_NUM_THREADS" not in os.environ:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # JAX makes millions of small objects while it traces; to look them through so often is a sixth
-    # of that time.
+    # JAX creates millions of small objects while it traces; collecting garbage at the default rate
+    # takes a sixth of that time.
     gc.set_threshold(50_000, 20, 10)
 
 
 def _describe_error(error: Exception) -> tuple[str, int]:
-    """Return an error in one line and its exit code."""
+    """Return a one-line message for an error, and its exit code."""
     from softfin.core.errors import SoftfinError, one_line
     from softfin.installation import what_is_missing
 
@@ -220,7 +220,7 @@ def _usage() -> str:
 
 
 def _exit(message: str, code: int) -> None:
-    # A terminal that was closed cannot be written to; the code still counts.
+    # A closed terminal cannot be written to, but the exit code still counts.
     with contextlib.suppress(OSError):
         sys.stderr.write(printable(message) + "\n")
         sys.stderr.flush()

@@ -58,7 +58,7 @@ def _check_data(name: str, _: object) -> None:
 
 
 def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple[float, ...]]:
-    """Make a reader of `count` numbers with commas between them, whose error ends in the advice."""
+    """Return a parser of `count` comma-separated numbers, whose error ends in the advice."""
 
     def parse(text: str, option: str) -> tuple[float, ...]:
         try:
@@ -73,7 +73,7 @@ def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple
 
 
 def _check_vacant(path: Path, command: Any) -> None:
-    # With --resume the stage decides whether what is there is the run that goes on.
+    # With --resume the stage decides whether the existing output belongs to this run.
     artifacts.check_vacant(path, command.overwrite or getattr(command, "resume", False))
 
 
@@ -102,7 +102,7 @@ ForcePair: TypeAlias = Annotated[
 
 
 class CommandOptions(Configuration):
-    """Options of every command, which is run by a call."""
+    """Options of every command; calling it runs the command."""
 
     HELP_TITLE: ClassVar = "general options"
 
@@ -112,8 +112,8 @@ class CommandOptions(Configuration):
     """Show the traceback of an error."""
 
     def check(self) -> None:
-        """Raise a SoftfinError where the options cannot be used, before anything is computed or
-        imported for it."""
+        """Raise a SoftfinError if the options cannot be used, before anything is computed or
+        imported."""
         seed = getattr(self, "seed", None)
         if seed is not None and not 0 <= seed < SEEDS:
             raise ConfigurationError(
@@ -153,11 +153,11 @@ class Configured(Common):
     """Set one value of the configuration."""
 
     def configured(self, base: StageConfig, **given: object) -> StageConfig:
-        """Return the defaults, changed by the YAML file, then by `--set`, then by the options that
-        were given.
+        """Return the defaults, changed by the YAML file, then by `--set`, then by the given
+        options.
 
-        These are the options that are None or () by default and have the name of a field; those
-        that the command reads itself from a text or under another name are `given`.
+        These are the options that are None or () by default and named like a field; options that
+        the command parses itself, or under another name, are in `given`.
         """
         config = (
             base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
@@ -173,8 +173,8 @@ class Configured(Common):
 
 
 class LogOptions(ImportConfig):
-    """Options of every command that reads recordings made by others; softfin's own need none of
-    these."""
+    """Options of every command that reads recordings made by others; softfin's own recordings need
+    none of these."""
 
     HELP_TITLE: ClassVar = "logs that softfin has not recorded"
 
@@ -185,15 +185,15 @@ class LogOptions(ImportConfig):
 
     @staticmethod
     def columns_read(columns: Mapping[str, str]) -> str:
-        """Lines that tell how columns with names of their own were read, by the first log of each
-        way, if any."""
+        """Return lines that tell how columns without softfin's names were read, one for each way of
+        reading."""
         return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
 def on_terminal() -> bool:
-    """Whether a person may be there to answer; a program that was started without an input has none
-    at all."""
-    # Python leaves it out where the descriptor was closed, which its types do not tell.
+    """Whether a person may be there to answer; a program may have been started without any
+    input."""
+    # Python sets it to None if the descriptor is closed, which its types do not tell.
     given: TextIO | None = sys.stdin
     return given is not None and given.isatty()
 
@@ -211,8 +211,8 @@ class Armed(Configuration):
         """Print the notes of an open machine; raise ConfigurationError unless a person confirms
         that it may move.
 
-        `motion` is what it will do, if not to follow commands. A rig must be ready for it, unless
-        this is what proves that it is. Raises RigError.
+        `motion` says what it will do, if it does not follow commands. A rig must be ready, unless
+        this motion proves that it is. Raises RigError.
         """
         name = robot.machine.name
         for note in robot.machine.notes:
@@ -221,7 +221,7 @@ class Armed(Configuration):
             sys.stderr.write(f"warning: {printable(robot.warning)}\n")
         if not self.arm:
             told = "answers, and " if motion is None else ""
-            raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")
+            raise ConfigurationError(f"{name}: {told}does not move; add --arm to let it move")
         if not proves:
             robot.check_ready()
         if self.yes:
@@ -245,8 +245,8 @@ class Armed(Configuration):
 
 
 class ProgressLines:
-    """Progress as lines on standard error: at both ends of a stage, and at a steady pace however
-    seldom it reports."""
+    """Progress as lines on standard error: at both ends of a stage, and at a steady pace in
+    between."""
 
     def __init__(self, now: float) -> None:
         self._lock = threading.Lock()
@@ -257,7 +257,7 @@ class ProgressLines:
         self._first = self._last = (now, 0.0)
 
     def report(self, now: float, stage: str, done: float, note: str) -> None:
-        """Take a report of the work at a time [s]; write it where the stage begins or ends."""
+        """Take a report of the work at a time [s]; write it if the stage begins or ends."""
         with self._lock:
             begins = stage != self._stage
             ends = done >= 1 > self._done
@@ -272,7 +272,7 @@ class ProgressLines:
         self.write(now)
 
     def write(self, now: float) -> None:
-        """Write where the stage is, if a line is due."""
+        """Write the progress of the stage, if a line is due."""
         with self._lock:
             if now < self._next_s or (self._done >= 1 and now > self._last[0]) or not self._stage:
                 return
@@ -285,8 +285,8 @@ class ProgressLines:
             sys.stderr.flush()
 
     def _left_s(self, now: float) -> float | None:
-        """Time that the stage has left [s], by what it did since its first report; None before the
-        second, 0 beyond."""
+        """Return the estimated remaining time of the stage [s]; None before the second report, 0
+        after the end."""
         (begin, first) = self._first
         (end, last) = self._last
         if last <= first or last >= 1:
@@ -296,8 +296,8 @@ class ProgressLines:
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, float, str], None]]:
-    """Show bars on standard error, or where that is not a terminal lines, with the time that each
-    stage has left."""
+    """Show bars on standard error, or lines if that is not a terminal, with the remaining time of
+    each stage."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,

@@ -86,11 +86,11 @@ class TrainArguments(Configured):
     """Continue from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
-        """Refuse options that do not go together."""
+        """Refuse options that exclude each other."""
         asked_seeds(self.seed, self.seeds)
         if self.range == MAP and self.map is None:
             raise ConfigurationError(
-                "--range map: give the map too: --map DIR, which softfin map writes"
+                "--range map: also give the map: --map DIR, which softfin map writes"
             )
         if self.range not in (None, MAP):
             read_range(self.range)
@@ -116,7 +116,7 @@ class TrainArguments(Configured):
         if self.controller == "gaits":
             box = None if cells is None else cells[0].model_dump()
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
-            # Beside a map only a changed lattice is handed on, to be refused.
+            # With a map, a lattice is passed on only if it was changed, to be refused.
             given = (
                 None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             )
@@ -126,8 +126,8 @@ class TrainArguments(Configured):
         config = self.configured(begin, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
-                f"algorithm = {config.algorithm}: its steps and the rest of its settings go with "
-                f"it; give --algorithm {config.algorithm}"
+                f"algorithm = {config.algorithm}: its other settings depend on it; give "
+                f"--algorithm {config.algorithm}"
             )
         self.stage(
             train,
@@ -173,8 +173,7 @@ class TrainArguments(Configured):
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
-    """Return the seeds of ``--seed`` and ``--seeds``; whether one comes twice is checked where they
-    are used."""
+    """Return the seeds of ``--seed`` and ``--seeds``; duplicates are found later."""
     if text is None:
         return (first,)
     try:
@@ -199,11 +198,11 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 def asked_cells(
     controller: str, cells: str | None, span: str | None, force_map: Path | None = None
 ) -> "tuple[Cell, ...] | None":
-    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None where
+    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None if
     neither is given.
 
-    A range of `map` is the box round all forces that the fin can make; training takes the nearest
-    of these.
+    A range of `map` is the bounding box of all forces that the fin can make; training uses the
+    nearest of these.
     """
     from softfin.gaits.force_map import load_map
     from softfin.gaits.reachable import Cell, bounding_box
@@ -226,7 +225,7 @@ def asked_cells(
     found = parse_cells(cells or "paper", within)
     if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
-            f"--range {span}: the cells ({cells or 'paper'}) have places of their own "
+            f"--range {span}: the cells ({cells or 'paper'}) have fixed positions "
             f"({bounding_box(found)}); leave "
             "it out, or give a lattice such as --cells 3x3, which fills it"
         )

@@ -88,7 +88,7 @@ class InspectArguments(LogOptions, Common):
 
 
 def inspection_table(result: Mapping[str, Any]) -> str:
-    """Return the logs in a line, and each issue in a few."""
+    """Return one line about the logs, and a few about each issue."""
     summary = result["summary"]
     counts = result["summary"]["counts"]
     lags = {
@@ -120,7 +120,7 @@ def inspection_table(result: Mapping[str, Any]) -> str:
             lines += [" " * 9 + line for line in wrapped]
     lines.append(issue_counts(counts))
     if counts["error"]:
-        lines.append("errors stop fit and import-logs, unless --ignore-errors")
+        lines.append("errors stop fit and import-logs, unless you add --ignore-errors")
     return "\n".join(lines)
 
 

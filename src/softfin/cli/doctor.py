@@ -1,5 +1,4 @@
-"""``doctor`` examines the computer and the installation: what is well, what is not, and what to do
-about it."""
+"""``doctor`` checks the computer and the installation, and says what is wrong and how to fix it."""
 
 import sys
 
@@ -15,7 +14,7 @@ class DoctorArguments(CommandOptions):
     issue; nothing moves."""
 
     rig: YamlFile | None = None
-    """File of a rig whose drive and sensor are checked, too, as by softfin rig check."""
+    """Also check the drive and the sensor of this rig, as softfin rig check does."""
 
     def __call__(self) -> None:
         results = []
@@ -30,4 +29,4 @@ class DoctorArguments(CommandOptions):
             self.tell([result._asdict() for result in results], "")
         wrong = [result.what for result in results if result.state == "wrong"]
         if wrong:
-            raise RunError(f"not well: {', '.join(wrong)}")
+            raise RunError(f"failed: {', '.join(wrong)}")

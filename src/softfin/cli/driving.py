@@ -1,4 +1,4 @@
-"""Commands that let a controller drive a real fin: ``run`` with references live, ``ros2`` as a
+"""Commands that let a controller drive a real fin: ``run`` with live references, ``ros2`` as a
 node; no JAX."""
 
 import contextlib
@@ -62,7 +62,7 @@ class Driving(Armed, Common):
     """Add force feedback, which removes the steady error of the measured mean force."""
 
     def check(self) -> None:
-        """Refuse a recording that would replace another one, before anything moves."""
+        """Refuse to replace an existing recording, before anything moves."""
         if self.seconds is not None and self.seconds < 1:
             raise ConfigurationError(
                 f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it"
@@ -74,7 +74,7 @@ class Driving(Armed, Common):
         super().check()
 
     def parties(self) -> tuple[LoadedController, RobotSetup]:
-        """Load the controller and the machine, which must fit each other; nothing is opened yet."""
+        """Load the controller and the machine, which must match; nothing is opened yet."""
         controller = load_controller(self.controller)
         robot = find_robot(self.plant)
         robot.check_fits(str(self.controller), controller.limits, controller.artifact.fin)
@@ -90,7 +90,7 @@ class Driving(Armed, Common):
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
     ) -> JsonObject:
-        """Ask, move, record; `line` gets what is typed meanwhile. Returns the recording and the
+        """Ask, move and record; `line` gets what is typed meanwhile. Returns the recording and the
         errors at its end."""
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
@@ -102,7 +102,7 @@ class Driving(Armed, Common):
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
                 say(
-                    f"{self.controller}: holds no range of its surrogate's data, so leaving that "
+                    f"{self.controller}: has no range of its surrogate's data, so leaving that "
                     "range is not noticed"
                 )
             listen_on_terminal(stop, line)
@@ -130,15 +130,15 @@ class Driving(Armed, Common):
 
 
 def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
-    """Have Enter on the terminal, or the end of its input, ask for a stop; `line` gets what else is
-    typed."""
+    """Let Enter on the terminal, or the end of its input, request a stop; `line` gets everything
+    else that is typed."""
     if on_terminal() and not _in_background():
         listen_to_keyboard(stop, line, typed(stop, sys.stdin))
 
 
 def _in_background() -> bool:
-    """Whether it is a background job (&), which the terminal suspends for reading, in the middle of
-    a motion."""
+    """Whether this is a background job (&), which the terminal would suspend for reading, in the
+    middle of a motion."""
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
     except OSError:
@@ -147,7 +147,7 @@ def _in_background() -> bool:
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Lines of the terminal; where they end or are not text, nobody can stop the fin by a key any
+    """Yield the lines of the terminal; if they end or are not text, no key can stop the fin any
     more, so it stops."""
     with contextlib.suppress(OSError, ValueError):
         yield from terminal
@@ -157,12 +157,11 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
 
 
 class KeyboardStop:
-    """Enter stops a stage whose fin moves by itself, from the moment that a person has confirmed
-    the motion."""
+    """Lets Enter stop a stage, from the moment that a person has confirmed the motion."""
 
     def __init__(self, confirm: Callable[[RobotSetup], None]) -> None:
         self.stop = StopRequest()
-        """The stop that Enter asks for."""
+        """The stop that Enter requests."""
         self._confirm = confirm
 
     def confirm(self, robot: RobotSetup) -> None:
@@ -185,7 +184,7 @@ def _follow(
     zero: ForcePair,
     seconds: int | None,
 ) -> JsonObject:
-    """Run the controller and print a line every second; returns the errors of the last window."""
+    """Run the controller and print a line every second; returns the errors over the last window."""
     window: list[ActionResult] = []
     ticks = printed = 0
     actions = None if seconds is None else seconds * len(ACTION_TICKS)
@@ -205,10 +204,9 @@ def _follow(
             try:
                 say(line)
             except OSError as error:
-                # The terminal was closed, or what the lines are piped into has ended: nobody reads
-                # them any more.
+                # The terminal was closed, or the program that reads the output has ended.
                 session.stop_request.ask(
-                    "emergency_stop", f"nobody reads its lines any more ({error.strerror})"
+                    "emergency_stop", f"nobody reads the output any more ({error.strerror})"
                 )
     errors = [abs(mean - asked) for mean, asked in zip((x, y), window[-1].reference, strict=True)]
     return {
@@ -244,7 +242,7 @@ class RunArguments(Driving):
             live = LiveReference(self.reference, resolve, say)
             result = self.drive(controller, robot, live, self.seconds, live.set_from_text)
         elif self.reference_file is not None:
-            # Imported here: the file's reader needs more than a robot's computer may have.
+            # Imported here, because the reader of the file needs packages that a robot may lack.
             from softfin.task.signals import read_reference_file
 
             rows = read_reference_file(self.reference_file)
@@ -315,7 +313,7 @@ class Ros2Arguments(Driving, Configured):
                 robot,
                 lambda _: node.reference() or otherwise,
                 self.seconds,
-                lambda _: say("references come by their topic; Enter alone stops the fin"),
+                lambda _: say("references come from the topic; Enter alone stops the fin"),
                 stop,
                 (functools.partial(node.observe, stop),),
             )

@@ -1,4 +1,4 @@
-"""Commands that show what a fin does: ``evaluate``, ``baselines``, ``view`` and ``explore``."""
+"""Commands that show the motion of a fin: ``evaluate``, ``baselines``, ``view`` and ``explore``."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -135,7 +135,7 @@ class EvaluateArguments(Armed, Configured):
 
 
 def moving_table(rows: "Sequence[MovingRow]") -> str:
-    """Return a line for every signal: errors, and the longest settling time of its steps over all
+    """Return one line for every signal: errors, and the longest settling time of its steps over all
     seeds."""
     from softfin.cli.tables import aligned
 
@@ -212,8 +212,8 @@ class BaselinesArguments(Configured):
 def baselines_table(
     summaries: "Mapping[str, EvaluationSummary]", left_out: Mapping[str, str]
 ) -> str:
-    """Return Table II of every baseline, then one line for each, with how often limits of plant or
-    model change it."""
+    """Return Table II of every baseline, then one line for each on how often limits of plant or
+    model clip it."""
     from softfin.cli.tables import aligned, table_two
 
     limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")

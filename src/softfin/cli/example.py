@@ -1,4 +1,4 @@
-"""``example`` writes a trained surrogate, controllers and a recording to begin with."""
+"""``example`` writes a trained surrogate, controllers and a recording to start with."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,8 +1,7 @@
-"""The fields of a configuration as options of a command: read from words, checked, and listed as
-help.
+"""The fields of a class as options of a command: parsed, checked, and listed in the help.
 
 A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that
-may be repeated (or several positional arguments). `Option`, in the field's annotation, holds what
+may be repeated (or several positional arguments). `Option`, in the field's annotation, adds what
 the type does not tell.
 """
 
@@ -27,28 +26,27 @@ Arguments = TypeVar("Arguments", bound=Configuration)
 NUMBER_NAMES: dict[Any, str] = {int: "a whole number", float: "a number"}
 METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", Path: "PATH"}
 INDENT = 18
-"""Columns before the text of an option in help."""
+"""Width of the column of option names in the help."""
 
 
 class HelpRequested(Exception):
-    """``--help`` was among the words."""
+    """Raised if ``--help`` is among the arguments."""
 
 
 @dataclass(frozen=True)
 class Option:
-    """How an option is written, read and checked, where its type does not tell."""
+    """How an option is written, parsed and checked, if its type does not tell."""
 
     metavar: str | None = None
     """Placeholder of the value in help and messages; by default the type: INT, FLOAT, PATH,
     TEXT."""
     positional: bool = False
-    """Whether the value is given by its place, without a name."""
+    """Whether the option is a positional argument."""
     parse: Callable[[str, str], Any] | None = None
-    """Function of the text and the option's name that returns the value; raises
-    ConfigurationError."""
+    """Function that parses the text, given the name of the option; raises ConfigurationError."""
     check: Callable[[Any, Any], object] | None = None
-    """Function of the value and its command that raises a SoftfinError where what the value names
-    does not exist."""
+    """Function that checks the value, given its command; raises a SoftfinError if something that it
+    names does not exist."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,8 @@ class Field:
     field: str
     option: Option
     kind: Any
-    """int, float, Path, bool or a Literal; of anything else the option has a parser, or the command
-    reads the text."""
+    """int, float, Path, bool or a Literal; for anything else the option has a parser, or the
+    command parses the text."""
     repeats: bool
     required: bool
     default: Any
@@ -70,7 +68,7 @@ class Field:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The values that are allowed, where they are listed."""
+        """The allowed values, if they are listed."""
         return get_args(self.kind) if get_origin(self.kind) is Literal else ()
 
     @property
@@ -80,14 +78,14 @@ class Field:
 
     @property
     def name(self) -> str:
-        """The option as it is typed, ``--test-logs``; the metavar of a positional argument."""
+        """The option as typed, such as ``--test-logs``; the metavar of a positional argument."""
         # A field may end in its unit, which nobody should have to type.
         field = re.sub("_(hz|rad_s|ms|s|)$", "", self.field)
         return self.metavar if self.option.positional else f"--{field.replace('_', '-')}"
 
     @property
     def usage(self) -> str:
-        """The option with its value: ``--test-logs INT``."""
+        """The option with its value, such as ``--test-logs INT``."""
         if self.option.positional:
             return f"{self.metavar} ..." if self.repeats else self.metavar
         return self.name if self.kind is bool else f"{self.name} {self.metavar}"
@@ -122,7 +120,7 @@ def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
 
 
 def list_fields(command: type[Configuration]) -> list[Field]:
-    """List the options of a command: its own first, then those that it inherits."""
+    """List the options of a command: its own first, then inherited ones."""
     hints = get_type_hints(command, include_extras=True)
     found = command.model_fields
     own = [
@@ -168,7 +166,7 @@ def _field(name: str, hint: object, info: FieldInfo, section: str) -> Field:
 
 
 def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
-    """Return the command that the words ask for; raises ConfigurationError in one line, or
+    """Build the command from its arguments; raises ConfigurationError with a one-line message, or
     HelpRequested."""
     fields = list_fields(command)
     named = {field.name: field for field in fields if not field.option.positional}
@@ -184,7 +182,7 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
         word = rest.pop(0)
         if word in ("-h", "--help"):
             raise HelpRequested
-        # -1,2 is a value.
+        # -1,2 is a value, not an option.
         if not word.startswith("--") and not (word[:1] == "-" and word[1:2].isalpha()):
             place = next(
                 (field for field in places if field.repeats or field.field not in values), None
@@ -208,8 +206,7 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
 
 
 def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tuple[Field, str]:
-    """Return the option that a word names, and its value, which may be the next word of the
-    rest."""
+    """Return the option named by a word, and its value, which may be the next word."""
     written, sign, text = word.partition("=")
     field = named.get(written.replace("_", "-"))
     if field is None:
@@ -229,8 +226,8 @@ def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tupl
 
 
 def check_values(command: Any) -> None:
-    """Check the paths and names in the values of a command; raises a SoftfinError where one does
-    not exist."""
+    """Check the paths and names in the values of a command; raises a SoftfinError if one does not
+    exist."""
     for field in list_fields(type(command)):
         if field.option.check is not None and (value := getattr(command, field.field)) is not None:
             for each in value if field.repeats else (value,):

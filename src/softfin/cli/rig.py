@@ -71,7 +71,7 @@ class RigCheckArguments(Armed, CommandOptions):
             self.tell([finding._asdict() for finding in findings], "")
         wrong = [finding.what for finding in findings if finding.state == "wrong"]
         if wrong:
-            raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
+            raise DeviceError(f"{self.rig}: failed: {', '.join(wrong)}")
 
     def _prove(self, config: RigConfig) -> None:
         # A closed terminal must not leave the motor powered by a drive that is not proved yet.
@@ -154,7 +154,7 @@ class RigCommissionArguments(Armed, CommandOptions):
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
         while number is not None:
-            # Its proof and its zero power the motor, and its child moves it.
+            # The proof and the zero power the motor, and a child process moves it.
             with interrupted_by_signals():
                 step = commission_step(self.rig, config, number, operator, REAL)
             if not step.passed:
@@ -248,7 +248,7 @@ class MonitorArguments(CommandOptions):
         from softfin.rig.monitor.web import Server
 
         follower = Follower(self.run_folder)
-        # Whoever watches has lost nothing by stopping: exit code 0.
+        # Ending a monitor is not a failure: exit code 0.
         with contextlib.suppress(KeyboardInterrupt):
             if self.json_:
                 follower.poll()

@@ -42,7 +42,9 @@ class RobotCheckArguments(CommandOptions):
             swings = " and ".join(
                 f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items()
             )
-            lines.append(f"righted with {found['righting_nm_rad']:.2f} N m/rad: swings in {swings}")
+            lines.append(
+                f"rights itself with {found['righting_nm_rad']:.2f} N m/rad: swings in {swings}"
+            )
         lines.extend(f"warning: {problem}" for problem in found["problems"])
         self.tell(found, "\n".join(lines))
 

@@ -85,14 +85,14 @@ class FitArguments(LogOptions, Configured):
 
 
 def defaults(model: ModelName) -> "StreamingConfig | FitConfig":
-    """Return the configuration that a model is fitted with unless it is changed."""
+    """Return the default configuration for fitting a model."""
     from softfin.surrogate import FitConfig, StreamingConfig
 
     return StreamingConfig() if model == "streaming" else FitConfig()
 
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
-    """Return a line that counts what is wrong with the training logs; none where nothing is."""
+    """Return one line that counts the issues of the training logs; none if there are none."""
     if not counts["error"] + counts["warning"]:
         return ""
     found = ", ".join(counted(count, kind) for kind, count in counts.items() if count)
@@ -163,7 +163,7 @@ class CompareArguments(Configured):
         self.tell({"comparison": str(self.out), **result}, comparison_tables(result))
 
 
-# Title, unit, score, and the factor from the score's unit to the one that is shown.
+# Title, unit, score, and the factor from the score's unit to the unit shown.
 ERRORS = (
     ("angle RMSE", "[mrad]", "angle_rmse_rad", 1000),
     ("angle MAE", "[mrad]", "angle_mae_rad", 1000),
@@ -190,13 +190,12 @@ WARPED = (
 
 
 def comparison_tables(summary: Mapping[str, Any]) -> str:
-    """Return the errors, mean force and DTW for a terminal of 120 columns, then what a reader
-    should know."""
+    """Return the errors, mean force and DTW for a terminal of 120 columns, followed by notes."""
     groups = []
     for row in summary["groups"]:
         yardstick = summary["flops_ratio_to"]
         ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
-        size = f"{row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs a tick"
+        size = f"{row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs per tick"
         groups.append(
             (f"{row['name']}: {counted(row['seeds'], 'seed')}, {size}{ratio}", row["horizons"])
         )
@@ -300,7 +299,7 @@ def calibration_tables(result: Mapping[str, Any]) -> str:
         error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
         parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
     trades = [
-        f"{' and '.join(pair['parameters'])} trade against each other: correlation "
+        f"{' and '.join(pair['parameters'])} are a trade-off: correlation "
         f"{pair['correlation']:+.2f}"
         for pair in result["trades"]
     ]

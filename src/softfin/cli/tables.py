@@ -1,4 +1,4 @@
-"""Tables as text for a terminal: columns that line up, and the paper's two tables."""
+"""Tables as text for a terminal: aligned columns, and the paper's two tables."""
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
@@ -13,8 +13,8 @@ from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
-    """Return one line for each row, with its columns as wide as they must be; those in `left` are
-    flush left."""
+    """Return one line for each row, with columns as wide as necessary; those in `left` are
+    left-aligned."""
     columns = list(zip_longest(*([str(cell) for cell in row] for row in rows), fillvalue=""))
     widths = [max(map(len, column)) for column in columns]
     padded = [
@@ -25,7 +25,7 @@ def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> lis
 
 
 def format_table_one(scores: JsonObject | None) -> str:
-    """Table I, in physical and in scaled units, beside the paper's."""
+    """Return Table I in physical and scaled units, next to the paper's."""
     if scores is None:
         return "no test logs: Table I has no rows"
     rows: list[list[object]] = [["Table I", "window", "parameters", "", "RMSE", "MAE", "DTW"]]
@@ -51,9 +51,10 @@ def format_table_one(scores: JsonObject | None) -> str:
 
 
 def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
-    """Table II: error and std of the 200-sample moving average, beside the paper's.
+    """Return Table II: error and std of the 200-sample moving average, next to the paper's.
 
-    Behind an error stands half of its 95% interval over the seeds, of two seeds their values.
+    Each error is followed by half of its 95% interval over the seeds, or by the values of two
+    seeds.
     """
     titles = ("x error", "x std", "y error", "y std")
     lines = []
@@ -80,11 +81,11 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
 
 
 def describe_errors(summary: EvaluationSummary) -> str:
-    """Return a line about the force behind the errors, with the error of the sensor's reading if
-    that is another."""
+    """Return one line about the force behind the errors, with the error of the sensor's reading if
+    it differs."""
     mean = summary["mean"]
     if summary["conditions"].get("judged_by") != "true force":
-        return "errors are those of the reported force; errors of a sensor itself do not show"
+        return "errors are those of the reported force; errors of the sensor itself are not visible"
     x, y = (mean[axis]["reading_error_n"] for axis in AXES)
     return (
         f"errors are those of the true force; the sensor reads a mean error of {x:.3f}, {y:.3f} N"
@@ -102,7 +103,7 @@ def _scores(row: MeanScores) -> list[str]:
 
 
 def format_reference_errors(row: Mapping[str, Any]) -> str:
-    """Return a note where another force is held than was asked for."""
+    """Return a note if another force than the requested one is held."""
     held = row.get("tracked_reference_n") or row["reference_n"]
     if max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:
         return ""

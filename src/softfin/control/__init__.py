@@ -1,2 +1,2 @@
-"""Controllers: a reference force becomes a command three times a second; one implementation for
-NumPy, JAX and ONNX."""
+"""Controllers: they turn a reference force into a command three times a second; one implementation
+for NumPy, JAX and ONNX."""

@@ -1,7 +1,7 @@
 """Controllers: a reference force in, a command out, three times a second.
 
-One controller serves everywhere: with NumPy on a robot, where JAX is not imported, and as a pytree
-in programs of JAX.
+The same controller runs everywhere: with NumPy on a robot, where JAX is not imported, and as a
+pytree in JAX programs.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ ControllerState: TypeAlias = Any
 Pair: TypeAlias = tuple[float, float]
 
 MAX_MEASUREMENT = 1e6
-"""Measurements beyond it are errors [rad, N]."""
+"""Magnitude above which a measurement must be an error [rad, N]."""
 
 
 class Measured(NamedTuple):
@@ -41,8 +41,8 @@ class Controller(Protocol):
     """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds
     them).
 
-    It may have `cells` that it was trained for and a `reachable` region, which tell the references
-    that it can hold.
+    It may have `cells` that it was trained for and a `reachable` region, which tell which
+    references it can hold.
     """
 
     def init(self) -> ControllerState:
@@ -56,14 +56,14 @@ class Controller(Protocol):
         ...
 
     def check(self, reference: ForceVector) -> None:
-        """Raise CoverageError where the reference [N] is outside the range that the controller was
-        trained for."""
+        """Raise CoverageError if the reference [N] is outside the range for which the controller
+        was trained."""
         ...
 
 
 @runtime_checkable
 class ControllerStep(Protocol):
-    """One action of a kind of controller, written in `Operations`."""
+    """One action of one kind of controller, written with `Operations`."""
 
     kind: str
 
@@ -78,8 +78,7 @@ class ControllerStep(Protocol):
 
 
 class TrainingRange(NamedTuple):
-    """Least and greatest reading in the data behind a controller's surrogate; None where that is
-    not known."""
+    """Smallest and largest reading in the data of a controller's surrogate; None if unknown."""
 
     angle_rad: Pair | None
     velocity_rad_s: Pair | None
@@ -95,14 +94,14 @@ class Artifact:
     """Name of the folder."""
     training_range: TrainingRange | None = None
     fin: str | None = None
-    """Name of the fin that it was trained for, where its data have one."""
+    """Name of the fin for which it was trained, if its data contain one."""
     description: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Content of ``controller.json``."""
     weights_sha256: str = ""
 
 
 STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
-"""Metadata of a field without arrays: compiled programs hold it as a constant."""
+"""Metadata of a field without arrays: compiled programs contain it as a constant."""
 
 DROPPED: Mapping[str, bool] = MappingProxyType({"dropped": True})
 """Metadata of a field that JAX does not see; a copy that JAX makes has the default."""
@@ -114,13 +113,13 @@ class LoadedController:
 
     step: ControllerStep
     limits: Limits = dataclasses.field(metadata=STATIC)
-    """Limits of the plant that it was trained in, which its commands keep."""
+    """Limits of the plant in which it was trained; its commands stay within them."""
     cells: tuple[Cell, ...] = dataclasses.field(metadata=STATIC)
-    """References that it was trained for [N]."""
+    """References for which it was trained [N]."""
     reachable: Reachable | None = None
-    """Mean forces that the fin can make, where that is known."""
-    # Were it static, each origin would have a compiled program of its own, and where a program
-    # returns a controller, that would have the origin of the first one.
+    """Mean forces that the fin can make, if known."""
+    # If it were static, each origin would need its own compiled program, and a program that returns
+    # a controller would return the origin of the first one.
     artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
 
     def __post_init__(self) -> None:
@@ -136,12 +135,12 @@ class LoadedController:
         return self.step.init()
 
     def act(self, state: Any, measured: Measured, reference: Any) -> tuple[Any, Command]:
-        """Compute the next state and command; numbers and NumPy arrays in, numbers out, or arrays
-        of JAX.
+        """Compute the next state and command; for numbers and NumPy arrays it returns numbers, for
+        JAX arrays JAX arrays.
 
         Raises:
             RunError: outside of JAX, a measurement or the reference is not a finite number; the
-                state is as it was.
+                state is unchanged.
         """
         angle, force = measured
         ops = select_operations(angle, reference, state[0])
@@ -163,12 +162,12 @@ class LoadedController:
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
         command: Any = action_to_command(self.limits, action.tolist())
         least_angle, greatest_angle, least_velocity, greatest_velocity = self.limits
-        # Rounding must not lead out of the limits.
+        # Rounding must not leave the limits.
         angle = min(max(command.angle, least_angle), greatest_angle)
         return state, Command(angle, min(max(command.velocity, least_velocity), greatest_velocity))
 
     def check(self, reference: ForceVector) -> None:
-        """Raise CoverageError where the reference is outside every cell."""
+        """Raise CoverageError if the reference is outside every cell."""
         check_within(self.cells, reference)
 
 

@@ -13,8 +13,9 @@ time. The sensor is zeroed at rest, so d starts at 0 and then wanders; b is ther
 and changes with the reference. A Kalman filter with the states b and d, on each axis, therefore
 attributes an early error to the controller and a late, slow one to the sensor:
 
-    b: random walk over the distance that the reference moves d: Ornstein-Uhlenbeck process from 0,
-    standard deviation sqrt(2) drift_n, time constant 2 drift_s
+    b: random walk over the distance that the reference moves
+    d: Ornstein-Uhlenbeck process from 0, with the standard deviation sqrt(2) drift_n and the
+       time constant 2 drift_s
 
 A sensor whose drift w(t) has the standard deviation drift_n and the time constant drift_s reads
 w(t) - w(0) after it was zeroed. The variance of that is 2 drift_n^2 (1 - exp(-t / drift_s)), which
@@ -47,8 +48,8 @@ WINDOW_WEIGHTS = np.array(
         for age in range(3)
     ]
 )
-"""Parts of the window of the last six actions, the newest first, at an age that is 0, 1 or 2 beyond
-a multiple of 3."""
+"""Weights of the last six actions in the window, the newest first, for an age of 0, 1 or 2 modulo
+3."""
 
 
 class DisturbanceObserverConfig(Configuration):
@@ -70,7 +71,7 @@ class DisturbanceObserverConfig(Configuration):
     """Actions until the force follows the reference; the window of references is that much
     older."""
     settle_actions: int = Field(default=8, ge=6)
-    """Actions from rest during which nothing is learnt: the fin is still starting."""
+    """Actions from rest during which nothing is estimated, because the fin is still starting."""
     still_n: PositiveFloat = 0.05
     """The reference counts as constant while it moves by less than this within the window [N];
     beyond that, the variance of the noise grows with the fourth power of the movement."""
@@ -105,7 +106,7 @@ class DisturbanceObserverState(NamedTuple):
     tracked: Array
     """Corrected references of the last actions [N]."""
     references: Array
-    """References of the last actions as they were asked for [N]."""
+    """References of the last actions before the correction [N]."""
     age: Number
     """Actions since the start."""
 
@@ -166,7 +167,7 @@ class DisturbanceObserver:
     def act(
         self, state: DisturbanceObserverState, measured: Measured, reference: Any
     ) -> tuple[DisturbanceObserverState, Command]:
-        """Act with the controller inside on the reference less the bias."""
+        """Act with the controller inside on the reference minus the bias."""
         ops = select_operations(*measured, reference, state.bias)
         xp = ops.xp
         force = xp.asarray(measured.force)
@@ -243,9 +244,9 @@ class DisturbanceObserver:
         """Return the corrected reference, moved into the controller's cells and the reachable
         forces.
 
-        A correction may lead into another cell. Where it leads between cells, it ends at the edge
-        of the reference's own cell. Cells come last: beyond them the controller's command means
-        nothing, beyond the reachable forces the fin only falls short.
+        A correction may lead into another cell. If it leads between cells, it ends at the edge of
+        the reference's own cell. Cells are applied last: outside them the controller's command is
+        meaningless, while outside the reachable forces the fin only falls short.
         """
         if self.reachable is not None:
             corrected = self.reachable.project(corrected)
@@ -260,6 +261,6 @@ class DisturbanceObserver:
         return xp.where(within, corrected, clipped)
 
     def check(self, reference: ForceVector) -> None:
-        """Raise CoverageError where the controller inside does."""
+        """Raise CoverageError if the controller inside does."""
         controller: Controller = self.controller
         controller.check(reference)

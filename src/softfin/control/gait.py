@@ -1,7 +1,7 @@
-"""Gaits as a controller: no network, a table of six actions for each node of a lattice of
-references, blended between.
+"""Gaits as a controller: no network, but a table of six actions for each node of a lattice of
+references, interpolated in between.
 
-It is the yardstick of the policies, their expert, and a choice of its own where the controller must
+It is the benchmark for the policies, their starting point, and a good choice if the controller must
 be small.
 """
 
@@ -22,8 +22,8 @@ class GaitState(NamedTuple):
     """State of a gait controller."""
 
     age: Number
-    """Actions since the start. It goes on when the reference moves, so that the gait keeps its
-    phase."""
+    """Actions since the start. The count continues when the reference moves, so that the gait keeps
+    its phase."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,10 @@
 """Grid-switching (paper Sec. III-C3, second design): a policy for each cell of reference forces,
 switched on demand.
 
-A switch should show in the force that was asked for and nowhere else. So the active policy keeps
-its cell a little beyond the border (hysteresis); the one that takes over first replays the
-observations of the last six actions, one cycle of the clock; and its actions are blended with those
-of the cycle before (bumpless transfer).
+A switch should be visible only in the requested force. The active policy therefore keeps its cell
+slightly beyond the border (hysteresis); the next policy first replays the observations of the last
+six actions, one cycle of the clock; and its actions are blended with those of the previous cycle
+(bumpless transfer).
 """
 
 from collections.abc import Mapping
@@ -26,30 +26,30 @@ from softfin.gaits.reachable import Cell
 
 
 class SwitchingConfig(Configuration):
-    """Configuration of how one policy takes over from another."""
+    """Configuration of the switch from one policy to another."""
 
     margin_n: NonNegativeFloat = 0.1
     """The active policy stays until another cell is nearer to the reference by more than this [N],
-    so that a reference on the border does not switch for ever; the policies still hold a reference
-    that little beyond theirs."""
+    so that a reference on the border does not switch all the time; the policies can still hold a
+    reference this far outside their cell."""
     fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
-    """Actions over which the new policy's actions are blended in; 0 switches at once."""
+    """Number of actions over which the new policy's actions are blended in; 0 switches at once."""
     step_n: PositiveFloat = 0.5
-    """A reference that moves by this or more from one action to the next [N] is a step, where
-    nothing is blended; after smaller moves it is in part."""
+    """A reference that moves by this or more between two actions [N] is a step, after which nothing
+    is blended; after smaller moves the blending is partial."""
     replay: bool = True
     """Whether the new policy replays the last six actions as if it had been active, or starts with
     an empty memory."""
 
 
 class GridState(NamedTuple):
-    """Memory of the active policy, and what any other policy needs to take over."""
+    """Memory of the active policy, and what another policy needs to take over."""
 
     hidden: Array
     cell: Array
     actions: Array
-    """Past actions in [-1, 1], the last one first, side by side: a cycle, and those observed before
-    its first one."""
+    """Past actions in [-1, 1], the last one first: one cycle, and those observed at its first
+    action."""
     angles: Array
     """Angle of the shaft at each action of the last cycle, the last one first [rad]."""
     last_reference: Array
@@ -59,7 +59,7 @@ class GridState(NamedTuple):
     active_cell: Number
     """Index of the cell whose policy is active."""
     blend: Number
-    """Weight of the action one cycle ago in the next action; 0 where nothing is blended."""
+    """Weight of the action one cycle ago in the next action; 0 if nothing is blended."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class GridStep:
     ) -> tuple["GridStep", tuple[Cell, ...]]:
         """Build it from a controller's description and arrays; returns it with its cells."""
         if not cells:
-            raise ValueError("cells: there are none; a grid has one or more")
+            raise ValueError("cells: none given; a grid needs one or more")
         observation = PolicyObservation.model_validate(description["task"])
         low, high = (
             np.array([getattr(cell, corner) for cell in cells], np.float32)
@@ -114,7 +114,7 @@ class GridStep:
         )
 
     def act(self, ops: Operations, state: GridState, now: Array) -> tuple[GridState, Array]:
-        """Compute the deterministic action of the active policy, blended in where it has just taken
+        """Compute the deterministic action of the active policy, blended in if it has just taken
         over."""
         xp = ops.xp
         reference = now[1:]
@@ -151,8 +151,8 @@ class GridStep:
         return after, action
 
     def active_cell(self, ops: Operations, state: GridState, reference: Array) -> Number:
-        """Return the index of the cell whose policy acts: the last one, unless another is nearer by
-        the margin."""
+        """Return the index of the cell whose policy acts: the last one, unless another cell is
+        nearer by the margin."""
         xp = ops.xp
         low = ops.constant(self.low)
         high = ops.constant(self.high)
@@ -166,8 +166,8 @@ class GridStep:
     def _warm_up_memory(
         self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
     ) -> PolicyMemory:
-        """Replay the last cycle, or as much of it as there was, as if the reference had long been
-        this one."""
+        """Replay the last cycle, or as much of it as there was, as if the reference had been this
+        one for a long time."""
 
         def replayed(memory: PolicyMemory, ago: int) -> PolicyMemory:
             now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
@@ -188,7 +188,7 @@ class GridStep:
     def _blend(
         self, ops: Operations, state: GridState, switched: Number, reference: Array
     ) -> Number:
-        """Return the weight of the action one cycle ago: at first 1, once there is a whole
+        """Return the weight of the action one cycle ago, which starts at 1 once there is a whole
         cycle."""
         if not self.switching.fade_actions:
             return 0 * state.blend

@@ -31,7 +31,7 @@ COMMAND_OUTPUTS = ("command_angle", "command_velocity")
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
-"""A file whose commands differ by more from NumPy's is not written [rad, rad/s]."""
+"""Largest difference from NumPy's commands with which a file is written [rad, rad/s]."""
 
 EPISODE = 240
 """Actions that are compared."""
@@ -79,7 +79,7 @@ def _step_function(controller: LoadedController) -> Callable[..., dict[str, Arra
 
 
 def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
-    """Return the nearest float32 values that are not outside a range."""
+    """Return the range rounded inwards to float32."""
     first = np.float32(low)
     last = np.float32(high)
     if first < low:
@@ -90,7 +90,7 @@ def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
 
 
 def _metadata(controller: LoadedController) -> JsonObject:
-    """Facts that a user of the file must know."""
+    """Return the facts that a user of the file must know."""
     artifact = controller.artifact
     return {
         "controller": artifact.name,
@@ -118,10 +118,11 @@ def _metadata(controller: LoadedController) -> JsonObject:
 
 
 def _difference(data: bytes, controller: LoadedController) -> float:
-    """Compare the commands over an episode of steps and drifts all over the cells and a little
-    beyond.
+    """Compare the commands over an episode of steps and drifts all over the cells and slightly
+    outside.
 
-    Both carry their own state on, so errors that add up show. Returns the greatest difference.
+    Both carry on their own state, so errors that add up are visible. Returns the largest
+    difference.
     """
     numbers = np.random.default_rng(0)
     session = open_session(data)
@@ -144,6 +145,6 @@ def _difference(data: bytes, controller: LoadedController) -> float:
         state = dict(zip(state, found[len(COMMAND_OUTPUTS) :], strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
         difference = np.abs(np.array(command) - np.array(found[: len(COMMAND_OUTPUTS)])).max()
-        # Not a number is a difference, too.
+        # NaN also counts as a difference.
         worst = max(worst, float(difference)) if difference == difference else np.inf
     return worst

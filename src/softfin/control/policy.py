@@ -1,12 +1,14 @@
 """The step of a policy: observation and memory in, memory and action out (paper Sec. III-C2).
 
-    gates = [observation, hidden] kernel + bias;  cell' = s(f) cell + s(i) tanh(g);  hidden' = s(o)
-    tanh(cell') action = tanh(tanh(hidden' W + b) V + c + atanh(gait))
+    gates   = [observation, hidden] kernel + bias
+    cell'   = s(f) cell + s(i) tanh(g)
+    hidden' = s(o) tanh(cell')
+    action  = tanh(tanh(hidden' W + b) V + c + atanh(gait))
 
 It is the LSTM of Hochreiter and Schmidhuber (1997) with forget gates, and one layer behind it. Two
 things are folded into the weights when they are read: the units and the normalisation of the
 observation, and 1/2 for the gates, since the logistic function is s(x) = 1/2 + tanh(x / 2) / 2, so
-that one tanh computes all four gates. Policies that did not begin as gaits have no such term.
+that one tanh computes all four gates. Policies that did not start from gaits lack this term.
 """
 
 from collections.abc import Mapping
@@ -27,13 +29,13 @@ ANGLE_SCALE_RAD = np.pi / 2
 """Unit of observed angles in training."""
 
 GAITS = "gaits"
-"""Name before the arrays of a policy's gaits."""
+"""Prefix of the names of a policy's gait arrays."""
 
 MAX_ACTION = np.float32(0.999)
-"""Actions of gaits are scaled by this before their atanh."""
+"""Factor of gait actions before their atanh, which has no value at 1."""
 
 MIN_DEVIATION = 0.1
-"""Observations that hardly varied in training are divided by this."""
+"""Smallest deviation by which observations are divided."""
 
 _TURN = np.arange(CYCLE_ACTIONS, dtype=np.float32) * np.float32(2 * np.pi / CYCLE_ACTIONS)
 PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
@@ -41,10 +43,10 @@ PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
 
 
 class PolicyObservation(pydantic.BaseModel, frozen=True):
-    """The part of a task's configuration that a policy observes by."""
+    """The part of a task's configuration that defines a policy's observations."""
 
     past_actions: int = pydantic.Field(default=3, ge=0)
-    """Actions before the last one that are observed."""
+    """Number of observed actions before the last one."""
     phase: bool = False
     """Whether the clock's phase is observed."""
     force_scale_n: pydantic.PositiveFloat = 3.0
@@ -56,14 +58,14 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
         return MEASURED + 2 * (self.past_actions + 1) + (PHASES.shape[1] if self.phase else 0)
 
     def units(self) -> np.ndarray:
-        """Unit of each number of an observation in training."""
+        """Return the training unit of each number of an observation."""
         units = np.ones(self.size)
         units[:MEASURED] = ANGLE_SCALE_RAD, self.force_scale_n, self.force_scale_n
         return units
 
     def observe(self, ops: Operations, now: Array, actions: Array, age: Number) -> Array:
-        """Return the observation in SI units; of `actions`, side by side and the last one first, a
-        part is observed."""
+        """Return the observation in SI units; it contains the first of the past `actions`, of which
+        the last one comes first."""
         parts = [now, actions[: 2 * (self.past_actions + 1)]]
         if self.phase:
             parts.append(ops.row(ops.constant(PHASES), age % CYCLE_ACTIONS))
@@ -78,8 +80,8 @@ class PolicyMemory(NamedTuple):
 
 
 class PolicyNetwork(NamedTuple):
-    """Weights as they are used: gates in the order input, forget, output, cell; those of a grid
-    have a leading axis."""
+    """Weights as used: gates in the order input, forget, output, cell; those of a grid have a
+    leading axis."""
 
     kernel: Array
     """Weights of observation and hidden state, ``(observations + units, 4 units)``."""
@@ -133,8 +135,8 @@ def fold(
     """Build a network from a trained policy's named arrays, or from policies stacked along a
     leading axis.
 
-    Returns it with the gaits that its actions are added to, over references in N, where the policy
-    began as gaits. Raises ValueError where arrays are missing, unknown or have another shape.
+    Returns it with the gaits that its actions are added to, over references in N, if the policy
+    started from gaits. Raises ValueError if arrays are missing, unknown or of another shape.
     """
     gaits = _gaits(
         {name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}, observation

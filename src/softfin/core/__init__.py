@@ -1,1 +1,2 @@
-"""Shared by all rooms: quantities, the action clock, the plant contract, configuration, errors."""
+"""Shared by all packages: quantities, the action clock, the plant contract, configuration,
+errors."""

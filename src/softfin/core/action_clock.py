@@ -1,32 +1,33 @@
-"""The action clock: 3.0 Hz over 100 Hz exactly, 33, 33 and 34 ticks of 10 ms, again and again; no
-JAX here."""
+"""The action clock: actions at exactly 3.0 Hz on 100 Hz ticks: 33, 33 and 34 ticks of 10 ms,
+repeated; no JAX here."""
 
 ACTION_TICKS = (33, 33, 34)
-"""Ticks that each action is held, again and again: 3.0 Hz over 100 Hz exactly, so six actions are
-200 samples."""
+"""Number of ticks that each action is held, repeated: exactly 3.0 Hz, so six actions are 200
+samples."""
 
 MAX_ACTION_TICKS = max(ACTION_TICKS)
-"""Rows of an action in a program, in which all actions have one shape; of a shorter one the last
-row does not count."""
+"""Rows of an action in a compiled program, where all actions have the same shape; a shorter action
+ignores the last row."""
 
 ACTION_RATE_HZ = 3.0
 
 CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
-"""Actions that fill the evaluation window: what repeats every six, three or two leaves no ripple in
-its mean."""
+"""Number of actions that fill the evaluation window: a motion that repeats every six, three or two
+actions leaves no ripple in its mean."""
 
 WINDOW = 2 * sum(ACTION_TICKS)
-"""Samples whose mean force controllers are judged by: 200, 2 s, six actions (paper, Sec. IV-B)."""
+"""Number of samples in the mean force by which controllers are judged: 200, that is 2 s or six
+actions (paper, Sec. IV-B)."""
 
 
 def action_ticks(actions: int) -> list[int]:
-    """Ticks that each of the first so many actions is held."""
+    """Number of ticks that each of the first `count` actions is held."""
     return [ACTION_TICKS[action % len(ACTION_TICKS)] for action in range(actions)]
 
 
 def valid_rows(actions: int) -> list[int]:
-    """Rows that count, of the first so many actions with `MAX_ACTION_TICKS` rows each, one after
-    the other."""
+    """Indices of the valid rows when the first actions, with `MAX_ACTION_TICKS` rows each, stand
+    one after another."""
     return [
         action * MAX_ACTION_TICKS + tick
         for action, ticks in enumerate(action_ticks(actions))

@@ -1,4 +1,4 @@
-"""Pages that draw on a canvas share a script, which each of them has inline."""
+"""The script that all pages with a canvas share; each page contains a copy."""
 
 import importlib.resources
 
@@ -6,7 +6,7 @@ MARK = "/* canvas.js */"
 
 
 def with_canvas(page: str) -> str:
-    """A page, or the script of one, with the shared script where its mark is."""
+    """A page or its script, with the shared script inserted at the marker."""
     return page.replace(
         MARK, importlib.resources.files("softfin.core").joinpath("canvas.js").read_text("utf-8")
     )

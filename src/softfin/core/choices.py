@@ -25,22 +25,22 @@ AlgorithmPreset: TypeAlias = Literal["gradient", "ppo", "ppo-hindsight"]
 """Gradients through the plant, plain LSTM-PPO as in the paper, or LSTM-PPO with hindsight
 relabelling."""
 AlgorithmOption: TypeAlias = Literal["auto", AlgorithmPreset]
-"""How policies are trained; auto: by gradients if the plant has them, else by LSTM-PPO with
+"""How policies are trained; auto uses gradients if the plant has them, otherwise LSTM-PPO with
 hindsight relabelling."""
 
 EngineName: TypeAlias = Literal["local", "ray"]
 
 RobotTask: TypeAlias = Literal["wrenches", "hold", "lemniscate", "lissajous"]
-"""Tasks by which a robot is evaluated."""
+"""Tasks on which a robot is evaluated."""
 
 ViewedTask: TypeAlias = Literal["hold", "lemniscate", "lissajous"]
-"""Tasks whose motion a page can show."""
+"""Tasks that have a motion to show on a page."""
 
 TransportName: TypeAlias = Literal["auto", "rclpy", "dds"]
-"""How a ROS 2 node reaches others; auto: rclpy where it is installed, else DDS."""
+"""How a ROS 2 node reaches others; auto uses rclpy if it is installed, otherwise DDS."""
 
 LOOPBACK = "127.0.0.1"
-"""Address that only this computer reaches."""
+"""Address that only this computer can reach."""
 
 SEEDS = 2**31
-"""Seeds are whole numbers from 0 up to here: what every generator of random numbers takes."""
+"""Largest seed; every random number generator accepts whole numbers from 0 to this one."""

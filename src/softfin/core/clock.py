@@ -1,8 +1,9 @@
 """The clock shared by the 100 Hz loop, its threads and the emulated devices: real, or simulated as
-fast as it goes.
+fast as the computer allows.
 
-Whatever waits, waits on a clock: the clock makes the threads, events, locks and conditions, and
-what it makes is used with this clock alone. The simulated one is `softfin.rig.simulated_clock`.
+Everything that waits, waits on a clock: the clock creates the threads, events, locks and
+conditions, and they may only be used with the clock that created them. The simulated one is
+`softfin.rig.simulated_clock`.
 """
 
 import threading
@@ -10,7 +11,7 @@ import time
 from collections.abc import Callable
 
 PAIR_S = 0.005
-"""Longest time between two readings that count as readings of one moment [s]: a tenth of what
+"""Longest time between two clock readings that still count as simultaneous [s]: a tenth of what
 counts as a suspend."""
 
 
@@ -22,7 +23,7 @@ class Clock:
         return time.monotonic()
 
     def wall(self) -> float:
-        """Return the time of day that belongs to it [s since 1970]."""
+        """Return the wall-clock time [s since 1970]."""
         return time.time()
 
     def suspended(self) -> float:
@@ -30,8 +31,7 @@ class Clock:
         count it."""
         if not hasattr(time, "CLOCK_BOOTTIME"):
             return 0.0
-        # This thread may lose the processor between two readings, which would look like a short
-        # sleep.
+        # This thread may be preempted between two readings, which would look like a short sleep.
         while True:
             before = time.clock_gettime(time.CLOCK_MONOTONIC)
             boot = time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -47,8 +47,8 @@ class Clock:
         return threading.Event()
 
     def condition(self) -> threading.Condition:
-        """Make a condition with a re-entrant lock of its own; as `lock`, it may be held while its
-        holder waits."""
+        """Make a condition with a re-entrant lock of its own; like `lock`, it may be held while its
+        owner waits."""
         return threading.Condition()
 
     lock = condition

@@ -20,7 +20,7 @@ OLDER_GENERATOR = (
 
 
 def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function]:
-    """Return a decorator that compiles with this much effort.
+    """Return a decorator that compiles with the given effort.
 
     Compared with `equinox.filter_jit`, on two cores:
     - high: two thirds of the time to compile; networks of a surrogate learn at the same speed.

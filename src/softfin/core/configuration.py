@@ -71,12 +71,12 @@ class Configuration(pydantic.BaseModel):
         return self.build(values, "--set")
 
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
-        """Return a copy with a mapping, such as a part of a YAML file, laid over it."""
+        """Return a copy with a mapping, such as a part of a YAML file, merged into it."""
         return self.build(_merge(self.model_dump(), values), source)
 
 
 def read_yaml(path: Path) -> JsonObject:
-    """The mapping in a YAML file."""
+    """Return the mapping in a YAML file."""
     try:
         values = parse_yaml(path.read_text())
     except OSError as error:
@@ -91,7 +91,7 @@ def read_yaml(path: Path) -> JsonObject:
 
 
 def parse_yaml(text: str) -> Any:
-    """A YAML value; raises ValueError in one line for anything else."""
+    """Parse a YAML value; raises ValueError with a one-line message for anything else."""
     loader = yaml.SafeLoader(text)
     try:
         node = loader.get_single_node()
@@ -117,7 +117,7 @@ def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
     """
     if node in sizes:
         return sizes[node]
-    # Until its parts are counted: a part that leads back here has no end.
+    # Infinite until its parts are counted: a part that refers back here never ends.
     sizes[node] = math.inf
     parts: list[yaml.Node] = []
     if isinstance(node, yaml.SequenceNode):
@@ -139,11 +139,11 @@ def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
     errors = error.errors(include_url=False)
-    # Where a value may be one of several configurations, pydantic tries each: meant is the one that
-    # fits best.
+    # Where a value may be one of several configurations, pydantic tries each; the user meant the
+    # one that fits best.
     tried = Counter(_alternative(each["loc"]) for each in errors)
     meant = min(tried, key=lambda each: (each is not None, tried[each]))
-    # A misspelt key is a missing one, too: what was written says more than what was not.
+    # A misspelt key is also a missing one; the key that was written is the better clue.
     first = min(
         (each for each in errors if _alternative(each["loc"]) == meant),
         key=lambda each: each["type"] != "extra_forbidden",
@@ -159,17 +159,18 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
     if first["type"] == "missing":
-        # Its input is the mapping that lacks it.
+        # The input of this error is the mapping that lacks the key.
         return f"{name}: is required, and missing"
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
-        # Of a whole model: its validator names what is wrong, and its input is everything.
+        # An error of the whole model: its validator names what is wrong, and its input is the whole
+        # mapping.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {first['msg']}"
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:
-    """Name of a configuration's class where pydantic puts it among the names of fields, as
-    ``FitConfig``."""
+    """Name of a configuration class, such as ``FitConfig``, which pydantic inserts among the names
+    of fields."""
     return next(
         (part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")),
         None,

@@ -9,7 +9,7 @@ class SoftfinError(Exception):
 
 
 class InputError(SoftfinError):
-    """Input of the user that cannot be used."""
+    """Input from the user that cannot be used."""
 
     exit_code = 2
 
@@ -19,11 +19,11 @@ class ConfigurationError(InputError):
 
 
 class LogError(InputError):
-    """A recording that cannot be learnt from."""
+    """A recording that cannot be used for training."""
 
 
 class ArtifactError(InputError):
-    """A folder that is not, or no longer, a whole dataset, surrogate or controller."""
+    """A folder that is not a complete dataset, surrogate or controller."""
 
 
 class PlantError(InputError):
@@ -39,11 +39,11 @@ class CoverageError(InputError):
 
 
 class RigError(InputError):
-    """A rig's file that cannot be used, or a device that is not as the file says."""
+    """A rig's file that cannot be used, or a device that does not match the file."""
 
 
 class RunError(SoftfinError):
-    """A run that started well and failed midway."""
+    """A run that started correctly and failed midway."""
 
 
 class DeviceError(RunError):
@@ -51,12 +51,13 @@ class DeviceError(RunError):
 
 
 class SafetyStop(RunError):
-    """Something was wrong or somebody said stop: the fin was stopped and the motor disabled."""
+    """Something was wrong or somebody asked for a stop: the fin was stopped and the motor
+    disabled."""
 
     exit_code = 3
 
 
 def one_line(error: BaseException) -> str:
-    """Message of an error of any library, in one line of at most 300 characters; its type where it
-    has none."""
+    """Return the message of any library's error in one line of at most 300 characters; the error's
+    type if it has no message."""
     return " ".join(str(error).split())[:300] or type(error).__name__

@@ -5,7 +5,7 @@ ID = "softfin/ForceTracking-v0"
 
 
 def register() -> None:
-    """Register the environment; imports Gymnasium, does nothing the second time."""
+    """Register the environment; imports Gymnasium. A second call does nothing."""
     import gymnasium
 
     if ID not in gymnasium.registry:

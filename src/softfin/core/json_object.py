@@ -3,4 +3,4 @@
 from typing import Any, TypeAlias
 
 JsonObject: TypeAlias = dict[str, Any]
-"""A JSON or YAML object: names, and numbers, texts, lists or further objects."""
+"""A JSON or YAML object: maps names to numbers, strings, lists or objects."""

@@ -1,7 +1,7 @@
-"""The operations that controllers' formulas are written in: the array API, and what differs between
-its libraries.
+"""The operations from which controllers' formulas are built: the array API, and what differs
+between array libraries.
 
-So each formula exists once: NumPy runs it on the robot, and JAX compiles it and traces it for ONNX.
+Each formula exists once: NumPy runs it on the robot, and JAX compiles it and traces it for ONNX.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 Array: TypeAlias = Any
-"""An array of whichever library runs the formula; float32 but for counts."""
+"""An array of the library that runs the formula; float32, except for counts."""
 
 Number: TypeAlias = Any
 """A Python number, a NumPy scalar or an array without axes."""
@@ -24,8 +24,8 @@ class Operations:
     """The library's namespace of the array API (2023.12)."""
 
     def row(self, table: Array, index: Number) -> Array:
-        """Return ``table[index]`` along the first axis, for an index that is known only when the
-        formula runs."""
+        """Return ``table[index]`` along the first axis, for an index that is only known at run
+        time."""
         return table[index]
 
     def choose(
@@ -43,7 +43,7 @@ class Operations:
         return int(number)
 
     def real(self, number: Number) -> Number:
-        """Convert to a float32, or to a Python number, which does not widen one."""
+        """Convert to a float32, or to a Python number, which does not widen a float32."""
         return float(number)
 
     def clip(self, number: Number, low: Number, high: Number) -> Number:
@@ -51,12 +51,12 @@ class Operations:
         return min(max(number, low), high)
 
     def constant(self, values: object) -> Any:
-        """Convert an array, or a named tuple of arrays, to the library's."""
+        """Convert an array, or a named tuple of arrays, to this library."""
         return values
 
 
 class JaxOperations(Operations):
-    """The operations with JAX; both choices are computed, as under `jax.vmap` they always are."""
+    """The operations with JAX; both choices are computed, as always under `jax.vmap`."""
 
     def __init__(self) -> None:
         import jax
@@ -99,7 +99,7 @@ jax_operations = cache(JaxOperations)
 
 
 def select_operations(*values: object) -> Operations:
-    """Return NumPy's operations where all values are Python's or NumPy's, else JAX's."""
+    """Return NumPy's operations if all values are of Python or NumPy, otherwise JAX's."""
     for value in values:
         if not isinstance(value, (float, int, np.ndarray, np.generic, tuple)):
             return jax_operations()

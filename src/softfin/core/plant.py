@@ -1,5 +1,5 @@
-"""The Plant contract: what moves when commanded. The virtual tank, every surrogate, one's own
-simulator are Plants.
+"""The Plant contract: anything that moves when commanded. The virtual tank, every surrogate and
+your own simulator are Plants.
 
 A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go through it.
 """
@@ -21,57 +21,57 @@ State: TypeAlias = PyTree
 Output = TypeVar("Output")
 
 Ticks: TypeAlias = int | Int[Array, ""]
-"""33 or 34, how long an action is held; a value in a program and not a shape."""
+"""How long an action is held, 33 or 34; a traced value, not a shape."""
 
 
 @runtime_checkable
 class Plant(Protocol):
     """A fin, real enough to learn from: one fin, no batch axes (`jax.vmap` adds them).
 
-    Programs hold an action by `advance` of one tick, in a scan. A plant that is faster with many
-    ticks at once may have a method `hold_action(state, command, ticks)`, which does what the
-    function `hold_action` says.
+    Compiled programs hold an action by calling `advance` for one tick at a time in a scan. A plant
+    that is faster with many ticks at once may have a method `hold_action(state, command, ticks)`;
+    it must do the same as the function `hold_action`.
     """
 
     @property
     def limits(self) -> Limits:
-        """The commands that the plant takes, angle 0 among them [rad, rad/s]; beyond them its
-        readings mean nothing."""
+        """The commands that the plant accepts, including angle 0 [rad, rad/s]; outside them its
+        readings are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """The fin at rest at angle 0, time 0. The key draws whatever is random (sensor noise,
+        """The fin at rest at angle 0, time 0. The key determines everything random (sensor noise,
         conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """Hold the scalar command for `ticks` samples of 10 ms (static) and read after each: fields
-        ``(ticks,)``."""
+        """Hold the scalar command for `ticks` samples of 10 ms (a static number) and read after
+        each; fields have the shape ``(ticks,)``."""
 
 
 @runtime_checkable
 class TrueForcePlant(Plant, Protocol):
-    """A plant that simulates a sensor, and so knows the force behind its readings; errors are
-    judged by that force."""
+    """A plant that simulates a sensor, and therefore knows the true force behind its readings;
+    errors are computed from the true force."""
 
     def true_force(self, state: State) -> Float[Array, "2"]:
-        """Mean force of the fin on its mount over the last tick (x, y) [N], without the errors of a
-        sensor."""
+        """Mean force of the fin on its mount over the last tick (x, y) [N], without sensor
+        errors."""
 
 
 @runtime_checkable
 class ForceInterval(Protocol):
-    """Interval on the mean force of an ensemble over one window."""
+    """Prediction interval for the mean force of an ensemble over one window."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """Half of the interval's width [N], from the mean force of each member [N]."""
 
     def caveat(self) -> str | None:
-        """Reason not to rely on the interval, in a sentence; None where there is none."""
+        """Reason not to rely on the interval, in one sentence, or None."""
 
 
 @runtime_checkable
 class EnsemblePlant(Plant, Protocol):
-    """A plant of several members that estimates its own errors; `advance` reads the mean over the
-    members."""
+    """A plant with several members that estimates its own errors; `advance` returns the mean over
+    the members."""
 
     @property
     def size(self) -> int:
@@ -79,22 +79,21 @@ class EnsemblePlant(Plant, Protocol):
 
     @property
     def interval(self) -> ForceInterval:
-        """Interval on the mean force, from how much the members disagree."""
+        """Interval for the mean force, from the disagreement of the members."""
 
     def member(self, index: Int[Array, ""]) -> Plant:
-        """One member as a plant of its own; `index` may be a value in a program."""
+        """One member as a plant of its own; `index` may be a traced value."""
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """Advance as `advance` does, with every member's own reading: fields ``(members,
-        ticks)``."""
+        """Like `advance`, but with the reading of every member: fields ``(members, ticks)``."""
 
     def distance(self, state: State) -> Float[Array, ""]:
-        """Distance of the last motion from the training data: 1 at their edge, more beyond it."""
+        """Distance of the last motion from the training data: 1 at their edge, larger outside."""
 
 
 def check_commands(limits: Limits, commands: Command) -> None:
-    """Refuse commands beyond the limits, where their values are known: not while a program is being
-    compiled."""
+    """Refuse commands outside the limits if their values are known, which they are not while a
+    program is traced."""
     for name, unit, channel, low, high in (
         ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
         ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),
@@ -102,8 +101,8 @@ def check_commands(limits: Limits, commands: Command) -> None:
         if isinstance(channel, jax.core.Tracer):
             continue
         values = np.asarray(channel)
-        # Limits are kept in double precision, commands in single, whose error grows with the size
-        # of a limit.
+        # Limits are kept in double precision, commands in single, whose rounding error grows with
+        # the size of a limit.
         tolerance = 1e-6 * max(1.0, abs(low), abs(high))
         outside = ~((values >= low - tolerance) & (values <= high + tolerance))
         if outside.any():
@@ -114,8 +113,8 @@ def check_commands(limits: Limits, commands: Command) -> None:
 
 
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
-    """Issue one command a tick, ``(ticks,)``, and read after each; raises CommandError beyond the
-    plant's limits."""
+    """Issue one command per tick, ``(ticks,)``, and read after each; raises CommandError for
+    commands outside the plant's limits."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick, plant), state, commands)
 
@@ -123,8 +122,8 @@ def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]
 def roll_with_true_force(
     plant: Plant, state: State, commands: Command
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    """Issue commands as `roll` does; also return the true force ``(ticks, 2)`` [N], None where it
-    is not known."""
+    """Issue commands as `roll` does; also return the true force ``(ticks, 2)`` [N], or None if it
+    is unknown."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick_with_true_force, plant), state, commands)
 
@@ -142,7 +141,7 @@ def _tick_with_true_force(
 
 
 def rest_command(limits: Limits) -> Command:
-    """The command under which a fin at rest at angle 0 stays there: angle 0 at the least
+    """The command under which a fin at rest at angle 0 stays there: angle 0 at the lowest
     velocity."""
     return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
 
@@ -151,9 +150,9 @@ def hold_action(
     plant: Plant, state: State, command: Command, ticks: Ticks
 ) -> tuple[State, Reading]:
     """Hold a command for one action of 33 or 34 ticks; fields ``(34,)``, of which the first `ticks`
-    count.
+    are valid.
 
-    All actions have one shape, so whatever is compiled holds the plant once.
+    All actions have the same shape, so a compiled program contains the plant only once.
     """
     own = getattr(plant, "hold_action", None)
     if own is not None:
@@ -165,8 +164,8 @@ def hold_action(
 def hold_action_with_true_force(
     plant: Plant, state: State, command: Command, ticks: Ticks
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    """Hold a command as `hold_action` does; also return the true force ``(34, 2)`` [N], None where
-    it is not known."""
+    """Hold a command as `hold_action` does; also return the true force ``(34, 2)`` [N], or None if
+    it is unknown."""
     if not isinstance(plant, TrueForcePlant):
         state, reading = hold_action(plant, state, command, ticks)
         return state, (reading, None)
@@ -176,10 +175,9 @@ def hold_action_with_true_force(
 def repeat(
     tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks
 ) -> tuple[State, Output]:
-    """`tick` so many times; what it gives is stacked to ``(34, ...)``, of which the first `ticks`
-    count."""
-    # Where it is differentiated, a tick is computed again: quicker than to keep what lies within
-    # it.
+    """Call `tick` that many times; its results are stacked to ``(34, ...)``, of which the first
+    `ticks` are valid."""
+    # For gradients, a tick is computed again, which is faster than keeping its intermediate values.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
     def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
@@ -190,14 +188,14 @@ def repeat(
 
 
 def masked_mean(rows: Array, ticks: Ticks) -> Array:
-    """Mean over those of an action's rows ``(34, ...)`` that count."""
+    """Mean over the valid rows of an action, ``(34, ...)``."""
     counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
     return jnp.where(counts, rows, 0).sum(axis=0) / ticks
 
 
 def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
-    """Hold each of ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)`` with 100 ticks
-    for 3 actions."""
+    """Hold each of the ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)``, with 100
+    ticks per 3 actions."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
     held = (actions, jnp.asarray(action_ticks(count)))
@@ -206,6 +204,6 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
 
 
 def drop_padding(rows: Array, actions: int) -> Array:
-    """``(actions, 34, ...)`` rows of actions that follow one another from the clock's start, as
+    """Join the rows ``(actions, 34, ...)`` of consecutive actions from the start of the clock to
     ``(ticks, ...)``."""
     return rows.reshape(-1, *rows.shape[2:])[np.asarray(valid_rows(actions))]

@@ -1,10 +1,10 @@
 """Identity of plants: `identity` names a plant in files, `jit_argument` makes it an argument of
 compiled programs.
 
-softfin's own plants are pytrees of arrays and plain values, which are compared as such. Of a user's
-simulator only what it computes is known: a gain may be an attribute, a constant of its module, a
-closure or a file. So its `init` and `advance` are traced and lowered, which takes milliseconds, and
-the programs are compared.
+softfin's own plants are pytrees of arrays and plain values, which are compared directly. Of a
+user's simulator only the computation is known: a gain may be an attribute, a constant of its
+module, a closure or a file. So its `init` and `advance` are traced and lowered, which takes
+milliseconds, and the programs are compared.
 """
 
 import hashlib
@@ -25,21 +25,21 @@ from softfin.core.plant import EnsemblePlant, Plant, TrueForcePlant
 from softfin.core.quantities import Command, Limits
 
 PLAIN = (bool, int, float, str, type(None))
-"""Leaves of a pytree whose text says all about them."""
+"""Leaves of a pytree that are fully described by their text."""
 
 CALLBACK = re.compile(r"custom_call @\w*python\w*callback")
-"""A call back into Python in a lowered program; what happens there is not part of the program."""
+"""A call back into Python in a lowered program; what it does is not part of the program."""
 
 
 def identity(plant: Plant, computed: bool = False) -> str:
     """The type of a plant and a hash of what it computes: equal for equal plants in every process.
 
-    Of softfin's own it is a hash of what was loaded; with `computed` also of what XLA made of that,
-    whose last bits follow its options. Runs that go on where they stopped compare that, and files
-    had it in earlier versions. The hash of a user's simulator also depends on the version of JAX,
-    which writes the lowered program; it is named then. A simulator may state its identity itself,
-    in an attribute `identity`; one that does not must be traceable and not call back into Python,
-    else PlantError is raised.
+    For softfin's own plants it is a hash of what was loaded; with `computed` it also covers what
+    XLA computed from that, whose last bits depend on XLA's options. Resumed runs compare the
+    latter, and files contained it in earlier versions. The hash of a user's simulator also depends
+    on the version of JAX, which writes the lowered program; the version is then part of the text. A
+    simulator may state its identity itself, in an attribute `identity`; one that does not must be
+    traceable and not call back into Python, else PlantError is raised.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)
@@ -48,8 +48,8 @@ def identity(plant: Plant, computed: bool = False) -> str:
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
-        # The text of the structure has the names of its NamedTuples and fields: to rename one is to
-        # make every surrogate another plant, for which no map or controller was made.
+        # The text of the structure contains the names of NamedTuples and their fields: renaming one
+        # turns every surrogate into another plant, for which no map or controller exists.
         for each in () if computed else getattr(plant, "computed", ()):
             arrays = eqx.tree_at(operator.attrgetter(each), arrays, None)
         return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
@@ -63,14 +63,14 @@ def identity(plant: Plant, computed: bool = False) -> str:
 
 
 def matches_identity(stated: str | None, plant: Plant) -> bool:
-    """Whether the identity that a file states, of this version or an earlier one, is that of a
+    """Whether the identity in a file, written by this version or an earlier one, is that of a
     plant."""
     return stated in (identity(plant), identity(plant, computed=True))
 
 
 def jit_argument(plant: Plant) -> Plant:
-    """The plant as a pytree whose arrays are traced, and whose program, once compiled, serves equal
-    plants alone.
+    """The plant as a pytree whose arrays are traced, and whose compiled program is reused for equal
+    plants only.
 
     For `equinox.filter_jit`. A user's simulator is traced at each call of this function: a compiled
     program holds it as it was then, and is used again only for a plant that still computes the
@@ -93,7 +93,7 @@ def jit_argument(plant: Plant) -> Plant:
 
 @dataclass(frozen=True)
 class _Program:
-    """The part of a plant that is compiled into programs; equal where these are."""
+    """The part of a plant that is compiled into programs; equal if the programs are equal."""
 
     static: PyTree = field(compare=False)
     key: tuple[str, int | None]
@@ -115,7 +115,7 @@ class TracedPlant(eqx.Module):
 
     @property
     def limits(self) -> Limits:
-        """The commands that the simulator takes."""
+        """The commands that the simulator accepts."""
         return Limits(*eqx.combine(self.arrays, self.program.static).limits)
 
 
@@ -141,9 +141,9 @@ def _is_own(plant: Plant, static: PyTree) -> bool:
 
 def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
     """Everything that a plant does, as a lowered program; its arrays are arguments, other constants
-    stand in it.
+    are part of the program.
 
-    For one platform whatever the machine has, so that the text is the same on all.
+    Lowered for one fixed platform, so that the text is the same on every machine.
     """
 
     def everything(arrays: PyTree, key: PRNGKeyArray, command: Command) -> Any:
@@ -168,7 +168,7 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
         traced = jax.jit(everything).trace(arrays, jax.random.key(0), command)
         return f"{limits} {traced.lower(lowering_platforms=('cpu',)).as_text()}"
     except Exception as error:
-        # It is the user's code that runs here, and it may fail in any way.
+        # This runs the user's code, which may fail in any way.
         reason = one_line(error)
         raise PlantError(
             f"plant {type(plant).__qualname__}: cannot be traced ({type(error).__name__}: "
@@ -179,8 +179,8 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
 def _digest(arrays: PyTree, text: str) -> str:
     digest = hashlib.sha256()
     for leaf in jax.tree.leaves(arrays):
-        # Types and shapes stand in a simulator's program, and go with the kind of softfin's own
-        # plants.
+        # A simulator's program contains types and shapes; for softfin's own plants they follow from
+        # the kind.
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
     digest.update(text.encode())

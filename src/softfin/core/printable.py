@@ -1,13 +1,12 @@
-"""Text that came out of files and devices, made safe to show: a fin's name may hold what steers a
-terminal."""
+"""Text from files and devices, made safe to show: a fin's name may contain terminal control
+sequences."""
 
 
 def printable(text: str, keep: str = "", most: int | None = None) -> str:
-    r"""`text` with all that cannot be printed as escapes such as ``\x1b``, and cut where it is
-    longer than `most`.
+    r"""`text` with unprintable characters as escapes such as ``\x1b``, cut to `most` characters.
 
-    Escaped are control characters, marks that turn the direction of writing, halves of surrogate
-    pairs, and ends of lines unless `keep` holds them.
+    Control characters, direction marks, lone surrogates and line ends are escaped, unless `keep`
+    contains them.
     """
     shown = "".join(
         letter

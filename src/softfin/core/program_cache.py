@@ -13,13 +13,13 @@ OFF = "off"
 JAX_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
 
 MAX_CACHE_BYTES = 2**30
-"""Size above which the programs that were used least recently are deleted [bytes]."""
+"""Size above which the least recently used programs are deleted [bytes]."""
 
 JAX_SETTINGS = {
-    # Small programs, too: an evaluation in the tank has 45 of them, which take 30 ms each to
-    # compile.
+    # Small programs are kept, too: an evaluation in the tank has 45 of them, which take 30 ms each
+    # to compile.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-    # On a GPU, XLA would write files of its own, which JAX neither counts nor deletes.
+    # On a GPU, XLA would write files of its own, which JAX would neither count nor delete.
     "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES": "none",
 }
 
@@ -64,7 +64,7 @@ def use_program_cache() -> None:
 
 
 def delete_old_programs(folder: Path, max_bytes: int) -> None:
-    """Delete the programs that were used least recently until the folder is small enough.
+    """Delete the least recently used programs until the folder is small enough.
 
     JAX can limit the size itself (`jax_compilation_cache_max_size`), but it then reads the whole
     folder for each program that it adds: with 2,000 programs in it, 60 ms each.

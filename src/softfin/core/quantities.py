@@ -1,5 +1,5 @@
-"""The three records that everything passes on: Command, Reading, Log. SI units, float32 arrays,
-time before channel.
+"""The three records that all parts exchange: Command, Reading, Log. SI units, float32 arrays, time
+before channel.
 
 Axes: thrust that pushes the robot forward is +x. At angle theta the fin points along (-cos theta,
 +sin theta) from its shaft. Forces are those of the fin on its mount.
@@ -12,17 +12,17 @@ import numpy as np
 from jaxtyping import Float
 
 RATE_HZ = 100
-"""Readings a second: the rate of the paper's logs (Sec. III-A) and of every plant."""
+"""Readings per second: the rate of the paper's logs (Sec. III-A) and of every plant."""
 
 TICK_S = 1 / RATE_HZ
 
 DAY = 24 * 3600 * RATE_HZ
-"""Ticks. A plant counts them in 32 bits and tells its time in single precision: Unix time fits into
-neither."""
+"""Period of the day counter [ticks]. A plant counts ticks in 32 bits and reports its time in single
+precision; Unix time fits into neither."""
 
 
 def tick_at(time_s: float) -> int:
-    """The tick at a time on any clock, that of a log or of a computer, counted within the day."""
+    """Return the tick at a time of any clock, of a log or a computer, counted within the day."""
     return round(time_s * RATE_HZ) % DAY
 
 
@@ -36,8 +36,8 @@ else:
     class AnyArray(Protocol):
         """Array of float32: a JAX array in a compiled program, a NumPy one in files and figures.
 
-        Told by what it has: what runs on a robot must neither wait for JAX, which takes a second,
-        nor need it.
+        Recognized by its attributes: code on a robot must neither wait a second for JAX nor need
+        it.
         """
 
         @property
@@ -72,10 +72,10 @@ class Reading(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A recording: row k is what was read at ``reading.time[k]`` and the command that was issued
-    right then.
+    """A recording: row k holds what was read at ``reading.time[k]`` and the command issued at that
+    moment.
 
-    The command of row k therefore shows for the first time in the reading of row k + 1.
+    The command of row k therefore first affects the reading of row k + 1.
     """
 
     command: Command
@@ -83,21 +83,21 @@ class Log(NamedTuple):
 
 
 MAX_ANGLE_RAD = 2 * np.pi
-"""A fin turns at most once round, either way."""
+"""A fin turns at most one revolution in either direction."""
 
 MAX_VELOCITY_RAD_S = 50.0
-"""Eight turns a second: no fin in water comes near it."""
+"""Eight revolutions per second, far above any fin in water."""
 
 REST_TOLERANCE_RAD = 0.03
-"""Distance from angle 0 at which a shaft is at rest there; random commands hardly come closer to
-the end of a range."""
+"""Distance from angle 0 within which a shaft counts as at rest there; random commands rarely come
+closer to the end of a range."""
 
 REST_FIX = (
     "count all angles, those of the limits too, from where the fin rests; on a rig turn the fin "
     "there and run softfin rig zero --arm, in logs subtract it from the angle and its command"
 )
-"""Remedy for a range of angles without angle 0, at which every experiment, episode and log begins
-and ends."""
+"""Fix for a range of angles without angle 0, where every experiment, episode and log begins and
+ends."""
 
 ALLOWED_LIMITS = (
     f"a fin's are finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
@@ -107,7 +107,7 @@ ALLOWED_LIMITS = (
 
 
 class Limits(NamedTuple):
-    """The commands that a plant takes; `problem` says whether a fin may have them."""
+    """The commands that a plant accepts; `problem` says whether they are possible for a fin."""
 
     angle_min: float
     angle_max: float
@@ -127,7 +127,7 @@ class Limits(NamedTuple):
         values = []
         for name in cls(0, 0, 0, 0).to_dict():
             value = description.get(name) if isinstance(description, dict) else None
-            # To Python `true` is an int, and ints may be larger than any float.
+            # To Python `true` is an int, and an int may be larger than any float.
             if not (isinstance(value, float) or (type(value) is int and abs(value) < 1e300)):
                 met = "missing" if value is None else repr(value)[:80]
                 raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
@@ -139,22 +139,22 @@ class Limits(NamedTuple):
 
     @property
     def contains_rest(self) -> bool:
-        """Whether angle 0, at which a fin rests, may be commanded."""
+        """Whether angle 0, where a fin rests, may be commanded."""
         return self.angle_min <= 0 <= self.angle_max
 
     def problem(self, one_velocity: bool = False) -> str | None:
-        """Describe what is wrong with these limits and what is allowed; None where a fin may have
+        """Describe what is wrong with these limits and what is allowed; None if a fin may have
         them.
 
-        With `one_velocity` both velocities may be the same: such a fin can be recorded and learnt,
-        but not trained for.
+        With `one_velocity` both velocities may be equal: a surrogate can be fitted to such a fin,
+        but no controller can be trained.
         """
         named = self.to_dict()
         for name, value in named.items():
             low, high = (
                 (0, MAX_VELOCITY_RAD_S) if "velocity" in name else (-MAX_ANGLE_RAD, MAX_ANGLE_RAD)
             )
-            # Not a number is not within anything.
+            # NaN is not within any range.
             if not low <= value <= high:
                 return f"limits: {name} is {value:g}; {ALLOWED_LIMITS}"
         velocities = self.velocity_min < self.velocity_max or (
@@ -185,8 +185,8 @@ def action_to_command(limits: Limits, action: Any) -> Command:
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
-    """Return the range of the commands in logs, which are the limits of a surrogate that learns
-    from them.
+    """Return the range of the commands in logs; it becomes the limits of a surrogate fitted to
+    them.
 
     A range that ends close to angle 0 ends there: random commands never quite reach it, but the fin
     rests there.

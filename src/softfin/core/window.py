@@ -1,4 +1,4 @@
-"""The evaluation window: controllers are rewarded and scored by the mean force over 200 samples
+"""The evaluation window: controllers are rewarded and judged by the mean force over 200 samples
 (paper, Sec. IV-B).
 
     mean = sum(f) / 200        error = |mean - reference|
@@ -20,8 +20,8 @@ from softfin.core.quantities import AnyArray
 CONFIDENCE = 0.95
 
 FEWEST = 3
-"""Samples from which on an interval of their mean is stated: that of two is 12.7 times as wide as
-they are apart."""
+"""Fewest samples for which an interval of the mean is stated: with two, it is 12.7 times as wide as
+their distance."""
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
@@ -52,16 +52,17 @@ def sobolev(
     square = xp.where(counts[:, None], xp.diff(forces, axis=0) ** 2, 0).sum(axis=0)
     if form == "mean":
         square = square / xp.maximum(count - 1, 1)
-    # With slope 0 at 0: a fin at rest makes no force, and the slope of a root there is infinite.
+    # With slope 0 at 0: a fin at rest makes no force, and the derivative of a square root is
+    # infinite there.
     moves = square > 0
     return xp.where(moves, xp.sqrt(xp.where(moves, square, 1)), 0)
 
 
 def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:
-    """Mean over every whole window, ``(*batch, windows, channels)``; the first is of the first
+    """Mean over every whole window, ``(*batch, windows, channels)``; the first covers the first
     `window` samples."""
     xp: Any = series.__array_namespace__()
-    # In float64 where there is one: the difference of two long cumulative sums loses its digits in
+    # In float64 if available: the difference of two long cumulative sums loses its digits in
     # float32.
     total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
     total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
@@ -79,7 +80,7 @@ def moving_error(
 def window_means(
     series: Float[np.ndarray, "*batch ticks channels"],
 ) -> Float[np.ndarray, "*batch windows channels"]:
-    """Means over windows side by side, which do not overlap; a rest at the end is left out."""
+    """Means over adjacent windows that do not overlap; a remainder at the end is left out."""
     count = series.shape[-2] // WINDOW
     windows = series[..., : count * WINDOW, :].astype(np.float64)
     return np.asarray(
@@ -92,7 +93,8 @@ def interval(
 ) -> list[float] | None:
     """[low, high] of the mean over independent samples, by Student's t.
 
-    None of fewer than `FEWEST`, or where all are equal: then they are not independent.
+    None for fewer than `FEWEST` samples, or if all are equal, because then they are not
+    independent.
     """
     n = len(values)
     if n < FEWEST or np.ptp(values) == 0:

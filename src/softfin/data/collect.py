@@ -1,7 +1,7 @@
 """Collect a dataset: random commands to a plant, many logs in one program (paper Sec. III-A).
 
-A plant goes in; a dataset folder comes out, whole or not at all. Log number i of a part draws
-everything from the key ``collect/PART/i``, so it does not depend on what is simulated beside it.
+A plant goes in; a dataset folder comes out, complete or not at all. Log number i of a part draws
+everything from the key ``collect/PART/i``, so it does not depend on the logs simulated with it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,10 +35,10 @@ class CollectConfig(Configuration):
     rows: int = pydantic.Field(default=20_000, ge=2)
     """Readings per log at 100 Hz; the paper's 20,000, which are 200 s."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """Seed of the commands and of all that is random in the plant."""
+    """Seed of the commands and of everything random in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)
-    """Most logs simulated side by side; more are faster, and each takes about 30 bytes a row while
-    it runs."""
+    """Largest number of logs simulated at the same time; more are faster, and each takes about 30
+    bytes per row."""
     excitation: ExcitationConfig = ExcitationConfig()
     """The random commands."""
 
@@ -84,7 +84,7 @@ def collect_logs(
 
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
-    """Count the time in float64; raises PlantError where the plant's own time or readings are not
+    """Count the time in float64; raises PlantError if the plant's own time or readings are not
     valid."""
     for index, log in enumerate(logs):
         name = f"{part}/{index:0{DATASET_PARTS[part]}d}"

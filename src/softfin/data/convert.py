@@ -1,7 +1,7 @@
-"""Conversion of recordings of any kind: each of their logs as a Parquet file or as a ROS 2 bag.
+"""Converts recordings of any kind: each log becomes a Parquet file or a ROS 2 bag.
 
-Stamps and times stay what they were. A log has seven columns: what else a bag holds (torque,
-current, the force that was asked for, events) stays in the bag.
+Stamps and times are kept. A log has seven columns; the other contents of a bag (torque, current,
+references, events) stay in the bag.
 """
 
 import io
@@ -27,8 +27,8 @@ def convert(
     ignore_errors: bool = False,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write each log, several as ``NAME-1``, ``NAME-2`` ..; raises LogError where they have errors,
-    unless ignored."""
+    """Write each log; several are numbered ``NAME-1``, ``NAME-2`` and so on. Raises LogError if
+    they have errors, unless these are ignored."""
     if out.suffix not in (".mcap", ".parquet"):
         raise ConfigurationError(
             f"--out {out}: must end in .mcap or .parquet, which chooses what is written"
@@ -45,7 +45,7 @@ def convert(
     for file in files:
         artifacts.check_file(file, overwrite)
     for one, file in zip(opened.logs, files, strict=True):
-        # On the clock that the recording was made on: opened logs begin at 0.
+        # On the clock of the recording, because opened logs begin at 0.
         reading = one.log.reading
         log = one.log._replace(
             reading=reading._replace(time=one.start_s + np.asarray(reading.time, np.float64))
@@ -59,7 +59,7 @@ def convert(
 
 
 def encode_bag(log: Log, source: str) -> bytes:
-    """The bytes of a log's bag; raises LogError, under the name `source`, for a time before
+    """Return the bytes of a log's bag; raises LogError, with the name `source`, for a time before
     1970."""
     time = np.asarray(log.reading.time, np.float64)
     if len(time) and time.min() < 0:

@@ -1,4 +1,4 @@
-"""Issues of recordings: severity, place, remedy."""
+"""Issues of recordings: severity, place and fix."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from typing import Any, Literal
 Severity = Literal["error", "warning", "note"]
 
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
-"""Gravest first. An error stops training, unless errors are ignored; a note only tells what was
+"""Most severe first. An error stops training, unless errors are ignored; a note only tells what was
 done."""
 
 
@@ -22,7 +22,7 @@ class Issue:
     """Name of the log: its file, and its rows where the file holds several."""
     message: str
     fix: str = ""
-    """Remedy, as a rule the option to use."""
+    """Fix, usually the option to use."""
     column: str | None = None
     row: int | None = None
     """First row, counted from 0 in the log."""
@@ -31,7 +31,7 @@ class Issue:
 
     @property
     def place(self) -> str:
-        """Log, row and column as a message names them."""
+        """Log, row and column, as messages name them."""
         row = [] if self.row is None else [f"row {self.row}"]
         return ", ".join(
             [self.log, *row, *([] if self.column is None else [f"column {self.column}"])]
@@ -44,11 +44,11 @@ def counted(number: int, noun: str) -> str:
 
 
 def merge_issues(issues: Iterable[Issue]) -> list[Issue]:
-    """Join issues of one kind and column over all logs, gravest first; the first one's message
-    stands.
+    """Join issues of one kind and column over all logs, most severe first; the first message is
+    kept.
 
-    Notes are joined where they are alike, because what was done to one log does not hold for the
-    other.
+    Notes are joined only if they are equal, because what was done to one log need not hold for
+    another.
     """
     kinds: dict[Any, list[Issue]] = {}
     for issue in issues:

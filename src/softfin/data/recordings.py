@@ -1,5 +1,4 @@
-"""Recordings of any kind, a file or a folder of them, opened as logs at 100 Hz with all that is
-wrong with them.
+"""Recordings of any kind, a file or a folder of them, opened as logs at 100 Hz, with their issues.
 
 `softfin inspect`, `softfin import-logs` and `softfin fit` share this.
 """
@@ -26,13 +25,13 @@ from softfin.storage.paths import find_recordings, is_bag
 
 @dataclasses.dataclass(frozen=True)
 class OpenedLogs:
-    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` tell whether they may
-    be used."""
+    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` raise an error if they
+    may not be used."""
 
     logs: tuple[NamedLog, ...]
     inspection: Inspection
     data_hash: str
-    """Hash of a dataset; else SHA-256 over the files and what was done to them."""
+    """Hash of a dataset; for other recordings, SHA-256 over the files and their conversion."""
     metadata: JsonObject
     """Files, options and issues, for ``dataset.json``."""
 
@@ -47,7 +46,7 @@ class OpenedLogs:
         return [one.log for one in self.logs if one.part == "test"]
 
     def check_train(self, source: str) -> None:
-        """Raise LogError where all logs are test logs."""
+        """Raise LogError if all logs are test logs."""
         if not self.train:
             raise LogError(
                 f"{source}: no training logs: all of its {len(self.logs)} logs are test logs; see "
@@ -65,15 +64,15 @@ class OpenedLogs:
         )
         parts = [f"{errors[0].place}: {errors[0].message}", *filter(None, [errors[0].fix])]
         raise LogError(
-            f"{source}: {'; '.join(parts)}{more}; --ignore-errors takes these logs in spite of it"
+            f"{source}: {'; '.join(parts)}{more}; --ignore-errors uses these logs anyway"
         )
 
 
 def open_logs(
     path: Path, config: ImportConfig | None = None, progress: Progress | None = None
 ) -> OpenedLogs:
-    """Read and inspect everything at `path`; raises LogError or ArtifactError where it cannot be
-    read at all."""
+    """Read and inspect everything at `path`; raises LogError or ArtifactError if it cannot be read
+    at all."""
     config = config or ImportConfig()
     # A dataset that changed since it was written is refused before anything is read.
     dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
@@ -83,7 +82,7 @@ def open_logs(
     issues: list[Issue] = []
     for index, (file, name) in enumerate(files.items()):
         if is_bag(file):
-            # Without bags, what reads them need not be loaded.
+            # Without bags, their reader need not be loaded.
             from softfin.data.importing.rosbag import read_bag
 
             recordings = [read_bag(file, name, parts[name], config)]

@@ -1,4 +1,4 @@
-"""Simulate many plants under commands of their own: one compiled program over all, run piece by
+"""Simulate many plants, each under its own commands: one compiled program for all, run piece by
 piece in time."""
 
 import math
@@ -18,7 +18,7 @@ from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
 
 CHUNK_ROWS = 1000
-"""Approximate number of rows between two reports: 10 s, long beside the cost of one call."""
+"""Approximate number of rows between two reports: 10 s, much longer than the overhead of a call."""
 
 ReportRows = Callable[[int], None]
 """Function that is called with the number of rows done since the last call."""
@@ -35,7 +35,7 @@ def simulate(
     """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at
     once.
 
-    Plants that are pytrees alike but for their arrays run side by side, others one after another.
+    Plants whose pytrees differ only in their arrays run together, others one after another.
     """
     same = all(plant is plants[0] for plant in plants)
     parts = [
@@ -54,7 +54,7 @@ def simulate(
     batch = math.ceil(count / math.ceil(count / batch)) if count else 0
     for start in range(0, count, batch or 1):
         # The last batch is filled up with logs that are thrown away, so that one compiled program
-        # serves all.
+        # suffices.
         index = [i % count for i in range(start, start + batch)]
         (arrays, static) = parts[0]
         axis = None
@@ -67,8 +67,8 @@ def simulate(
 
 
 class _Fleet(NamedTuple):
-    """Plants that one program serves: what they share, and their arrays, stacked along `axis` or
-    shared (None)."""
+    """Plants that share one program: what they have in common, and their arrays, stacked along
+    `axis` or shared (None)."""
 
     arrays: PyTree
     static: PyTree
@@ -110,8 +110,8 @@ def _logs(
     command issued then."""
     chunks = math.ceil(rows / CHUNK_ROWS)
     chunk = math.ceil(rows / chunks)
-    # Repeated beyond the end, so that all pieces are equally long and share one program; the extra
-    # rows are cut off.
+    # Repeated past the end, so that all pieces have the same length and share one program; the
+    # extra rows are cut off.
     issued = jax.tree.map(
         lambda x: jnp.pad(x, ((0, 0), (0, chunk * chunks - rows)), mode="edge"), commands
     )

@@ -66,37 +66,37 @@ class ExperimentsConfig(Configuration):
     seeds: int = pydantic.Field(default=5, ge=1)
     """Repetitions, each with its own randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """The run's seed, from which those of the repetitions, and whatever else is random, are
-    drawn."""
+    """The run's seed, from which those of the repetitions, and everything else random, are
+    derived."""
 
     def keys(self) -> Key[Array, "seeds"]:
-        """The keys with which every repetition starts a plant."""
+        """Return the keys with which the repetitions start a plant."""
         return jnp.stack(
             [named_key(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
         )
 
 
 class EvaluateConfig(ExperimentsConfig):
-    """Experiments that a controller is scored by."""
+    """Experiments by which a controller is scored."""
 
     moving: tuple[MovingReference, ...] = ()
-    """Kinds of moving references: `evaluation.moving_references.SIGNALS`, laid out in the
+    """Kinds of moving references: `evaluation.moving_references.SIGNALS`, placed in the
     controller's range."""
     recorded: Recorded | None = None
-    """Another moving reference, as read from a file; its last force is held as long as the one
-    before."""
+    """Another moving reference, as read from a file; its last force is held as long as the previous
+    one."""
     strict: bool = False
-    """Whether a reference that the fin cannot make is refused; else the nearest one that it can
-    make is tracked."""
+    """Whether a reference that the fin cannot make is refused; otherwise the nearest one that it
+    can make is tracked."""
     trim: DisturbanceObserverConfig | None = None
-    """Force feedback around the controller, which subtracts its estimated steady-state error; None:
-    none."""
+    """Force feedback around the controller, which subtracts its estimated steady-state error; None
+    for no feedback."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
     """References along each side of a lattice over the controller's range, for a map of the error;
     None draws none."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
-    """References drawn at random over all that the controller was trained for and the fin can make;
-    None: none."""
+    """Number of references drawn at random over the forces for which the controller was trained and
+    that the fin can make, or None."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,24 +106,24 @@ class Evaluation:
     config: EvaluateConfig
     scores: Scores
     repetitions: int
-    """Number of independent repetitions: 1 for a plant without randomness, which does the same at
+    """Number of independent repetitions: 1 for a plant without randomness, which is the same at
     every seed."""
     recording: ExperimentRecording
-    """Recording of the first seed alone: fields ``(references, 1, ticks)``, as NumPy arrays."""
+    """Recording of the first seed only: fields ``(references, 1, ticks)``, as NumPy arrays."""
     uncertainty: SurrogateUncertainty | None = None
     """Uncertainty that a surrogate estimates; None for other plants."""
     warnings: tuple[str, ...] = ()
-    """Sentences on references that were replaced by the nearest that the fin can make."""
+    """Sentences about references that were replaced by the nearest ones that the fin can make."""
     moving: tuple[MovingScores, ...] = ()
-    """Experiments whose reference moves, those of one length together."""
+    """Experiments with moving references, grouped by length."""
     error_map: ErrorMap | None = None
     """Errors over the controller's range."""
     random: RandomErrors | None = None
     """Errors over random references."""
 
     def summary(self) -> EvaluationSummary:
-        """Conditions, scores by reference and their mean; the first part of what `write_evaluation`
-        writes."""
+        """Return conditions, scores by reference and their mean; the first part of what
+        `write_evaluation` writes."""
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
         head = artifacts.head("evaluation")
         summary: EvaluationSummary = {
@@ -208,7 +208,7 @@ def score_controller(
 ) -> Evaluation:
     """Run and score all experiments; errors are those against the tracked reference.
 
-    Raises CoverageError for a reference that the controller was not trained for, or with
+    Raises CoverageError for a reference for which the controller was not trained, or with
     `config.strict` for one that the fin cannot make.
     """
     resolved = [
@@ -242,7 +242,7 @@ def score_controller(
 def score_experiments(
     recording: ExperimentRecording, plant: EvaluationTarget, config: EvaluateConfig
 ) -> Evaluation:
-    """Score experiments of the configuration's references, whatever commanded the plant."""
+    """Score experiments of the configuration's references, no matter what commanded the plant."""
     recording = independent(recording)
     first = recording.first()
     repetitions = recording.reading.angle.shape[1]
@@ -250,8 +250,8 @@ def score_experiments(
 
 
 def together(each: Sequence[Evaluation]) -> Evaluation:
-    """One evaluation whose repetitions are these, each the mean of its own; the recordings are the
-    first's."""
+    """Return one evaluation whose repetitions are the given ones, each averaged over its own; the
+    recordings are those of the first."""
     means = [jax.tree.map(lambda field: field.mean(axis=1), e.scores) for e in each]
     scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
     estimates = [e.uncertainty for e in each if e.uncertainty is not None]

@@ -29,11 +29,11 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 MIN_SECONDS = 3
-"""Least length of an experiment [s]; the first window of the moving average takes 2 s."""
+"""Shortest length of an experiment [s]; the first window of the moving average takes 2 s."""
 
 
 ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]
-"""Reference forces (x, y) [N]: one for the whole experiment, or one a tick, in force until that
+"""Reference forces (x, y) [N]: one for the whole experiment, or one per tick, valid until that
 tick's reading."""
 
 
@@ -42,22 +42,21 @@ class ExperimentRecording(NamedTuple):
 
     reference: ReferenceSeries
     command: Command
-    """Fields ``(references, seeds, ticks)``: the command under which the reading of that tick came
-    about."""
+    """Fields ``(references, seeds, ticks)``: the command in force before the reading of that
+    tick."""
     reading: Reading
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
     true_force: Float[AnyArray, "references seeds ticks 2"] | None = None
-    """Force on the mount without the errors of the sensor [N]; None if the plant has only
-    readings."""
+    """Force on the mount without sensor errors [N]; None if the plant has only readings."""
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
-        """Force by which a controller is judged [N]: the true one if it is known, else the
+        """Force by which a controller is judged [N]: the true one if it is known, otherwise the
         reading."""
         return self.reading.force if self.true_force is None else self.true_force
 
     def first(self) -> "ExperimentRecording":
-        """The first seed alone, its axis kept, as NumPy arrays."""
+        """Return the first seed only, with its axis kept, as NumPy arrays."""
         series = jax.tree.map(
             lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
         )
@@ -66,23 +65,22 @@ class ExperimentRecording(NamedTuple):
 
 @runtime_checkable
 class RealTime(Protocol):
-    """A fin that no program can simulate, with the controller that it was given: experiments take
-    their time."""
+    """A real fin with its controller, on which experiments take real time."""
 
     @property
     def limits(self) -> Limits:
-        """The commands that it takes."""
+        """The commands that it accepts."""
         ...
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run every reference so many times, one after the other, each from rest."""
+        """Run every reference `repeats` times, one after the other, each from rest."""
         ...
 
 
 EvaluationTarget: TypeAlias = Plant | RealTime
-"""The fin that a controller is evaluated on, simulated or real."""
+"""The fin on which a controller is evaluated, simulated or real."""
 
 
 def run(
@@ -94,7 +92,7 @@ def run(
 ) -> ExperimentRecording:
     """Run every reference with every key of the plant, each from rest, for whole seconds.
 
-    A reference is one force, or one a tick of which the controller observes that of the tick at
+    A reference is one force, or one per tick, of which the controller observes that of the tick at
     which it acts.
     """
     asked = np.asarray(references, np.float32)
@@ -114,7 +112,7 @@ def run_together(
     experiments: Sequence[tuple[np.ndarray, int]],
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
-    """Run several sets of references, each for seconds of its own: in a simulated plant all in one
+    """Run several sets of references, each with its own duration; in a simulated plant all in one
     program."""
     if isinstance(plant, RealTime) or len(experiments) == 1:
         return [
@@ -125,7 +123,7 @@ def run_together(
     for references, _ in experiments:
         asked = np.asarray(references, np.float32)
         asked = asked[:, None] if asked.ndim == 2 else asked
-        # Beyond its end the last force is held, and what comes of it is left out below.
+        # After its end the last force is held, and the result is left out below.
         asked_series.append(
             np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge")
         )
@@ -143,8 +141,8 @@ def run_together(
 
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:
-    """Drop repetitions that are all alike, as those of a plant without randomness; raise PlantError
-    unless finite."""
+    """Drop identical repetitions, as of a plant without randomness; raise PlantError unless all is
+    finite."""
     force = np.asarray(recording.reading.force)
     angle = np.asarray(recording.reading.angle)
     finite = {"force": np.isfinite(force).all(axis=-1), "angle": np.isfinite(angle)}
@@ -166,7 +164,7 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
 
 
 RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
-"""Commands, readings and, if the plant knows it, the true force of a series of ticks."""
+"""Commands, readings and, if the plant knows it, the true force over a series of ticks."""
 
 
 @jit("low")
@@ -175,14 +173,14 @@ def _program(
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
 ) -> RecordedTicks:
-    """Run experiments; compiled once for controllers and plants that are alike but for their
+    """Run experiments; compiled once for controllers and plants that differ only in their
     arrays."""
     controller, plant = parties
     actions = references.shape[1]
     Carry: TypeAlias = tuple[ControllerState, State, Measured]
 
     def action(carry: Carry, now: tuple[Float[Array, "2"], Ticks]) -> tuple[Carry, RecordedTicks]:
-        """Act on what was read while the action before was held."""
+        """Act on the readings taken while the previous action was held."""
         (memory, state, measured) = carry
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)

@@ -1,4 +1,4 @@
-"""Figures of experiments: recordings and errors in, Matplotlib figures out."""
+"""Figures of experiments: recordings and errors go in, Matplotlib figures come out."""
 
 import math
 from collections.abc import Sequence
@@ -23,16 +23,17 @@ from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, style
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10
-"""Seconds from the start of an experiment that are drawn, as in the paper's evaluation figure."""
+"""Number of seconds from the start of an experiment that are drawn, as in the paper's evaluation
+figure."""
 
 ERROR_COLOURS = "Blues"
-"""Colour map of the errors: light where they are small; the same to the colour-blind, and in
-grey."""
+"""Colour map of the errors: light if they are small, also for colour-blind readers and in
+greyscale."""
 
 
 def experiments_figure(recording: ExperimentRecording) -> Figure:
-    """Every reference of a recording, at its first seed: the fin's trajectory, and the force on
-    both axes."""
+    """Draw every reference of a recording, at its first seed: the fin's trajectory, and the force
+    on both axes."""
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)
@@ -80,7 +81,7 @@ def _draw_experiment(
             float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9
         )
         low, high = limits[axis]
-        # A sensor that is dead, or a fin that stands, draws a level line.
+        # A dead sensor, or a fin that stands still, gives a horizontal line.
         axes.set(
             ylabel=f"force {AXES[axis]} [N]",
             ylim=(low, high) if high > low else (low - 1, high + 1),
@@ -94,8 +95,8 @@ def _draw_experiment(
 
 
 def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
-    """Draw the angle as the force's axes lie: at angle 0 the fin points to the left (-x), at
-    positive ones up (+y)."""
+    """Draw the angle in the axes of the force: at angle 0 the fin points to the left (-x), at
+    positive angles up (+y)."""
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
     axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
@@ -107,8 +108,8 @@ def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
 
 
 def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
-    """Every moving reference, at its first seed: the moving average beside it, the force, the fin's
-    angle."""
+    """Draw every moving reference, at its first seed: the moving average with it, the force, and
+    the fin's angle."""
     each = [(moving, index) for moving in experiments for index in range(len(moving.rows))]
     columns = min(len(each), 2)
     rows = math.ceil(len(each) / columns)
@@ -123,7 +124,7 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
             for axes in figure.get_axes()[:3]
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
         }
-        # As many side by side as one panel is wide for.
+        # As many columns as fit the width of one panel.
         figure.legend(
             labelled.values(), labelled.keys(), loc="outside lower center", ncols=3 * columns
         )
@@ -139,7 +140,7 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     late = time[WINDOW - 1 :]
     average = moving_average(force)
     asked = moving_average(reference)
-    # Without the force, whose peaks are several times the reference.
+    # The limits leave out the force, whose peaks are several times the reference.
     for axis, axes in enumerate(averages):
         wanted = reference[:, axis]
         axes.fill_between(
@@ -183,11 +184,11 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
 
 
 def error_map_figure(errors: ErrorMap) -> Figure:
-    """Heat maps of the error in x and y, with the paper's references and the forces that the fin
-    can make."""
+    """Draw heat maps of the error in x and y, with the paper's references and the forces that the
+    fin can make."""
     (left, bottom) = errors.cell.low
     (right, top) = errors.cell.high
-    # By row of y and column of x; NaN where no reference is tracked.
+    # In rows of y and columns of x; NaN where no reference is tracked.
     lattice = np.full((errors.points, errors.points, 2), np.nan)
     places = (errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points
     column, row = np.floor(places).astype(int).T
@@ -198,8 +199,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for index, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
             axes.grid(visible=False)
-            # Where the controller does not cover the reference, or the fin cannot make it: no
-            # colour of the map.
+            # Where the controller does not cover the reference, or the fin cannot make it: drawn
+            # without a colour of the map.
             axes.patch.set(facecolor="white", hatch="////", edgecolor="#CCCCCC")
             image = axes.imshow(
                 lattice[..., index],
@@ -211,10 +212,10 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                 interpolation="nearest",
             )
             error = errors.error[:, index]
-            # More numbers could not be read.
+            # More numbers would be unreadable.
             if errors.points <= 11:
                 for (x, y), value in zip(errors.references, error, strict=True):
-                    # Over a mark, on a patch of the map's own colour.
+                    # Over a mark, on a patch of the map's colour.
                     patch = {
                         "facecolor": colormaps[ERROR_COLOURS](value / greatest),
                         "edgecolor": "none",
@@ -265,7 +266,7 @@ def error_map_figure(errors: ErrorMap) -> Figure:
 
 
 def held_figure(recording: ExperimentRecording) -> Figure:
-    """The moving average beside each reference, at the first seed: both axes in one panel."""
+    """Draw the moving average with each reference, at the first seed: both axes in one panel."""
     count = len(recording.reference)
     columns = min(len(recording.reference), 2)
     rows = math.ceil(count / columns)

@@ -29,7 +29,7 @@ def headline(results: RunResults) -> Headline | None:
     """Choose the best controller of a run's ``results.json``, with force feedback if evaluated;
     None if there is none.
 
-    A controller under which the fin stands still comes last, however small its error.
+    A controller under which the fin stands still comes last, no matter how small its error is.
     """
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
@@ -77,18 +77,18 @@ def headline(results: RunResults) -> Headline | None:
 
 
 def greatest_error(row: MeanScores) -> float:
-    """The greater of both axes' errors [N]."""
+    """Return the larger of both axes' errors [N]."""
     return max(row[axis]["error_n"] for axis in AXES)
 
 
 def within(error_n: float) -> str:
-    """A bound of two decimals that the error does not exceed."""
+    """Return a bound with two decimals that the error does not exceed."""
     return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
 
 
 def over_seeds(interval: list[float] | None, values: Sequence[float]) -> str:
-    """Text behind a mean over seeds: half its interval, the range of the values of two seeds,
-    nothing for one seed."""
+    """Return the text after a mean over seeds: half its interval, the range of the values of two
+    seeds, or nothing for one seed."""
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.2f}"
     return f"({min(values):.3f} to {max(values):.3f})" if len(set(values)) > 1 else ""

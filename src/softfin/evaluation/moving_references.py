@@ -1,5 +1,5 @@
-"""Experiments whose reference moves: steps, ramps, sines within a controller's range, or a recorded
-signal.
+"""Experiments with moving references: steps, ramps and sines within a controller's range, or a
+recorded signal.
 
 Controller, plant and signals go in; recordings, tracking errors and the responses to every step
 come out.
@@ -36,7 +36,7 @@ from softfin.task.signals import (
 
 FORWARDS = ((3, 3), (5, 3))
 UP = ((3, 1), (3, 5))
-"""Start and end of a signal in a controller's range, in sixths of it on each axis."""
+"""Start and end of a signal in a controller's range, in sixths of its size on each axis."""
 
 
 def _sine(start_n: ReferenceForce, to_n: ReferenceForce) -> Sinusoid:
@@ -84,7 +84,7 @@ def moving_signals(
 
 
 class MovingScores(NamedTuple):
-    """Experiments of one length whose references move."""
+    """Experiments of the same length with moving references."""
 
     recording: ExperimentRecording
     """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1,
@@ -99,17 +99,17 @@ class MovingPlan(NamedTuple):
     signals: tuple[Signal, ...]
     seconds: int
     tracked: Float[np.ndarray, "signals ticks 2"]
-    """Tracked reference, one force a tick [N]: the signals, but for forces that the fin cannot
+    """Tracked reference, one force per tick [N]: the signals, except for forces that the fin cannot
     make."""
     warnings: tuple[str, ...] = ()
-    """Sentences on forces that the fin cannot make."""
+    """Sentences about forces that the fin cannot make."""
 
     @classmethod
     def of(
         cls, controller: Controller, signals: tuple[Signal, ...], seconds: int, strict: bool = False
     ) -> "MovingPlan":
-        """Find the forces to track; raises CoverageError beyond the controller's range, with
-        `strict` the fin's."""
+        """Find the forces to track; raises CoverageError for forces outside the controller's range,
+        and with `strict` outside the fin's."""
         pairs = [
             _resolve_signal(controller, signal, seconds * RATE_HZ, strict) for signal in signals
         ]
@@ -136,7 +136,7 @@ def _row(
     reading_error: Float[np.ndarray, "seeds 2"] | None,
 ) -> MovingRow:
     responses = [step_responses(force, tracked) for force in forces]
-    # Against the reference of that very instant, so the window's own delay counts too.
+    # Against the reference of the same instant, so the delay of the window also counts.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
     x, y = (
         _errors(
@@ -149,7 +149,7 @@ def _row(
     times = [step["settling_s"] for seed in responses for step in seed]
     settled = [time for time in times if time is not None]
     settles = len(settled) == len(times) if times else None
-    # The rows of a recorded signal may be many; they stand in its file.
+    # A recorded signal may have many rows; they remain in its file.
     left_out = {"kind", "time_s", "force_n"} if isinstance(signal, Recorded) else {"kind"}
     return {
         "kind": signal.kind,
@@ -166,8 +166,8 @@ def _row(
 
 
 def moving_together(each: Sequence[MovingScores]) -> MovingScores:
-    """Scores of the same signals, each at one seed, as those of all these seeds; the recording is
-    the first's."""
+    """Combine scores of the same signals, each at one seed, into those of all seeds; the recording
+    is that of the first."""
     return MovingScores(
         each[0].recording,
         [_row_together(rows) for rows in zip(*(e.rows for e in each), strict=True)],
@@ -218,8 +218,8 @@ def _errors(
 def _resolve_signal(
     controller: Controller, signal: Signal, ticks: int, strict: bool
 ) -> tuple[ReferenceSamples, str | None]:
-    """The force to track at each tick, the nearest that the fin can make, and a warning where it is
-    not the signal."""
+    """Return the force to track at each tick, the nearest one that the fin can make, and a warning
+    if it differs from the signal."""
     references = signal.sample(ticks)
     distinct, places = np.unique(references, axis=0, return_inverse=True)
     near = nearest_trackable(controller, distinct).astype(np.float32)[places.reshape(-1)]
@@ -243,7 +243,7 @@ def plan_moving(
     recorded: Recorded | None,
     strict: bool = False,
 ) -> list[MovingPlan]:
-    """The default signals of each kind, and a recorded one, as `MovingPlan.of` finds them."""
+    """Return the default signals of each kind, and a recorded one, as found by `MovingPlan.of`."""
     cell = controller_range(controller)
     reachable = reachable_set(controller)
     groups = [

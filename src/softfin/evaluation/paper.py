@@ -1,7 +1,8 @@
-"""The paper's own figures: Table II, as printed; of each row x error, x std, y error, y std [N].
+"""The paper's figures: Table II as printed; each row has x error, x std, y error, y std [N].
 
 Its last row, "Overall mean", is not always the mean of the rows above it (the grid's y std is
-printed 0.201, its rows give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and `recomputed_means`.
+printed as 0.201, but its rows give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and
+`recomputed_means`.
 """
 
 PaperScores = tuple[float, float, float, float]

@@ -1,8 +1,7 @@
 """Errors over a controller's whole range: at a lattice of references, and at references drawn at
 random.
 
-Controller and plant go in; all references run side by side in one compiled program, each from rest,
-at one seed.
+Controller and plant go in; all references run in one compiled program, each from rest, at one seed.
 """
 
 from collections.abc import Sequence
@@ -29,17 +28,17 @@ LATTICE_POINTS = 7
 """Default number of references along each side of the lattice."""
 
 MAX_RANDOM = 10_000
-"""Greatest number of random references, which run side by side."""
+"""Largest number of random references, which run together."""
 
 ROUNDS = 100
-"""Draws of as many references as are asked for, until the cells count as beyond the fin's reach."""
+"""Number of draws of the requested size before the cells count as out of the fin's reach."""
 
 
 class ErrorMap(NamedTuple):
     """Errors at the references of a lattice."""
 
     cell: Cell
-    """Range of the controller; each reference is the middle of an equal part of it."""
+    """Range of the controller; each reference is the centre of an equal part of it."""
     points: int
     """References along each side."""
     references: ReferenceForces
@@ -48,9 +47,9 @@ class ErrorMap(NamedTuple):
     error: ReferenceForces
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
-    """Outline of the mean forces that the fin can make [N]; None where it is not known."""
+    """Outline of the mean forces that the fin can make [N]; None if unknown."""
     not_reachable: int = 0
-    """References of the lattice that the controller covers and the fin cannot make."""
+    """Number of references of the lattice that the controller covers but the fin cannot make."""
 
     def to_dict(self) -> ErrorMapRows:
         """Values for JSON."""
@@ -74,8 +73,8 @@ class ErrorMap(NamedTuple):
 
 
 def controller_range(controller: Controller) -> Cell:
-    """The bounding box of a controller's cells; the paper's range for one that has none and covers
-    everything."""
+    """Return the bounding box of a controller's cells; the paper's range for one without cells,
+    which covers everything."""
     return bounding_box(controller_cells(controller) or (PAPER_RANGE,))
 
 
@@ -86,7 +85,7 @@ def errors_at(
     seconds: int,
     key: PRNGKeyArray,
 ) -> ReferenceForces:
-    """Mean |moving average - reference| of each reference [N]."""
+    """Return mean |moving average - reference| for each reference [N]."""
     recording = run(
         controller, plant, np.asarray(references, np.float32), seconds, jnp.stack([key])
     )
@@ -96,8 +95,8 @@ def errors_at(
 def map_errors(
     controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
 ) -> ErrorMap:
-    """Errors over a lattice of the controller's range; raises CoverageError where no reference of
-    it can be tracked."""
+    """Compute the errors over a lattice of the controller's range; raises CoverageError if no
+    reference in it can be tracked."""
     cell = controller_range(controller)
     reachable = reachable_set(controller)
     outline = None if reachable is None else reachable.corners()
@@ -136,7 +135,8 @@ def random_errors(
     seconds: int,
     key: PRNGKeyArray,
 ) -> RandomErrors:
-    """Errors at references drawn from `seed` over the controller's cells and the fin's reach.
+    """Compute the errors at references drawn from `seed` over the controller's cells and the fin's
+    reach.
 
     The 95th percentile is over the references.
     """
@@ -163,11 +163,11 @@ def _random_errors(
 def draw_references(
     cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
 ) -> ReferenceForces:
-    """Forces uniform over the part of the cells that the fin can make; raises CoverageError where
-    it makes hardly any.
+    """Draw forces uniformly over the part of the cells that the fin can make; raises CoverageError
+    if it can make hardly any.
 
-    Cells of no area, single references or lines, are drawn from with equal probability if no other
-    has any.
+    If no cell has an area, because all are single references or lines, they are drawn from with
+    equal probability.
     """
     low, high = (
         np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high")

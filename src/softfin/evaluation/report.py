@@ -1,8 +1,7 @@
 """One self-contained ``report.html`` of a whole run: tables, figures, learning curves,
 configuration, provenance.
 
-Results and figures go in; the page needs no network, and a part whose data is absent is absent from
-the page.
+Results and figures go in; the page needs no network, and parts without data are left out.
 """
 
 import importlib.resources
@@ -61,8 +60,8 @@ CONTROLLER_COLOURS = {"gaits": GREEN, "single": BLUE, "grid": ORANGE}
 def write_report(
     path: Path, results: RunResults, figures: Mapping[str, Figures] = MappingProxyType({})
 ) -> None:
-    """Write the page, with `figures` of the parts named in `PARTS`; leave out what `results`
-    lacks."""
+    """Write the page, with `figures` of the parts named in `PARTS`; parts that `results` lacks are
+    left out."""
     controllers = results.get("controllers") or {}
     configuration = results.get("configuration")
     scores = (results.get("surrogate") or {}).get("scores") or {}
@@ -114,17 +113,18 @@ def write_report(
 
 
 def _number(value: float) -> str:
-    """Three significant digits, as the paper prints them; no exponent for the sizes met here."""
+    """Format with three significant digits, as the paper does; without an exponent for the usual
+    sizes."""
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 
 class Cell(NamedTuple):
-    """A mean over the seeds [N], and what stands behind it."""
+    """A mean over the seeds [N], and the text after it."""
 
     mean: float
     over_seeds: str
     reading: float | None = None
-    """Mean of the sensor's reading [N]."""
+    """Mean according to the sensor [N]."""
     paper: float | None = None
 
 
@@ -150,7 +150,7 @@ class Table(NamedTuple):
 
 
 class OverviewRow(NamedTuple):
-    """One controller: on the plant, with force feedback, in the surrogate."""
+    """One controller: in the plant, with force feedback, and in the surrogate."""
 
     name: str
     errors: list[list[Cell] | None]
@@ -194,8 +194,8 @@ def _std_cell(scores: AxisScores) -> Cell:
 
 
 def _overview(results: RunResults) -> list[OverviewRow]:
-    """A row for each controller: mean errors in the plant, with force feedback, in the surrogate;
-    settling times."""
+    """Return a row for each controller: mean errors in the plant, with force feedback, and in the
+    surrogate; settling times."""
     parts = [
         results.get("controllers") or {},
         results.get("trimmed") or {},
@@ -217,7 +217,7 @@ def _overview(results: RunResults) -> list[OverviewRow]:
 
 
 def _settling(rows: Iterable[MovingRow]) -> str | None:
-    """The longest time that a step takes at any seed, or that there is one that never settles; None
+    """Return the longest settling time of a step at any seed, or that one never settles; None
     without steps."""
     stepped = [row for row in rows if row["settles"] is not None]
     if not stepped:
@@ -231,12 +231,12 @@ def _force(reference: Iterable[float | int]) -> str:
 
 
 def _svgs(figures: Figures) -> dict[str, Markup]:
-    # Safe: Matplotlib escapes all text that it draws.
+    # Safe, because Matplotlib escapes all text.
     return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
 
 
 class Bars(NamedTuple):
-    """The bars of one controller: a reference each, then the mean."""
+    """The bars of one controller: one per reference, then the mean."""
 
     label: str
     error_n: list[float]
@@ -275,8 +275,8 @@ def _bars(name: str, summary: EvaluationSummary, axis: Axis) -> Bars:
 
 
 def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
-    """Errors by reference: each controller's ``evaluation.json``, beside the paper's figures where
-    it has them."""
+    """Draw the errors by reference: each controller's ``evaluation.json``, next to the paper's
+    figures if it has them."""
     references: list[tuple[float, ...]] = [
         tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]
     ]
@@ -316,7 +316,7 @@ def prediction_figure(
     predicted: Mapping[str, Float[np.ndarray, "ticks 2"]],
     start_s: float = 0.0,
 ) -> Figure:
-    """Measured force and predictions of it by name, at 100 Hz from `start_s` [s]."""
+    """Draw the measured force and its predictions by name, at 100 Hz from `start_s` [s]."""
     time = start_s + np.arange(len(measured)) / RATE_HZ
     with styled():
         figure = new_figure(9, 4.2)

@@ -1,7 +1,7 @@
 """The rows of ``evaluation.json``, ``baselines.json`` and ``results.json``, defined once.
 
-They are plain dictionaries, since they are written as JSON and read from it. docs/files.md explains
-the keys.
+They are plain dictionaries, because they are written and read as JSON. docs/files.md explains the
+keys.
 """
 
 from typing import NotRequired, TypedDict
@@ -40,7 +40,7 @@ class MeanScores(TypedDict):
 
 
 class UncertaintyRow(TypedDict):
-    """Uncertainty that a surrogate states at one reference."""
+    """Uncertainty stated by a surrogate at one reference."""
 
     out_of_distribution_fraction: float
     furthest: float
@@ -169,7 +169,7 @@ class Baselines(TypedDict):
 
 
 class StageRow(TypedDict):
-    """One stage of a run; a stage that an earlier run finished has no times."""
+    """One stage of a run; a stage finished by an earlier run has no times."""
 
     stage: str
     what: str
@@ -195,7 +195,7 @@ class RunResults(TypedDict, total=False):
     trimmed: dict[str, EvaluationSummary] | None
     """Evaluations with force feedback."""
     in_surrogate: dict[str, EvaluationSummary] | None
-    """Evaluations in the surrogate that the controllers were trained in."""
+    """Evaluations in the surrogate in which the controllers were trained."""
     stages: list[StageRow]
     wall_s: dict[str, float]
     peak_memory_gib: float

@@ -1,24 +1,22 @@
 """The scores of Table II and of responses to steps: a recording goes in, errors by reference, seed
 and axis come out.
 
-The force f is the true one if the plant knows it, as the virtual tank does. The sensor's reading
-must not judge a controller with force feedback: feedback integrates that reading to the reference,
-so drift and mounting errors of the sensor would not be seen. On a real rig there is only the
-reading.
+The force f is the true one if the plant knows it, as the virtual tank does. A controller with force
+feedback must not be judged by the sensor's reading: feedback drives that reading to the reference,
+so drift and mounting errors of the sensor would be invisible. A real rig has only the reading.
 
-With m the moving average of f over the 200 samples up to each instant, where those are all
-recorded, and r the reference, which is averaged over the same samples where it moves
-(`softfin.core.window`):
+Let m be the moving average of f over the 200 samples up to each instant, if all are recorded, and r
+the reference, averaged over the same samples if it moves (`softfin.core.window`):
 
     error = mean |m - r|
     std = standard deviation of m
     raw std = standard deviation of f
 
-Responses are also of m: of a force that jumped at once it would rise for 1.6 s and settle after at
-most 2.0 s.
+Responses are also those of m: for a force that jumps at once, m rises for 1.6 s and settles after
+at most 2.0 s.
 
-How far scores in a surrogate can be trusted is `score_uncertainty`: an ensemble is run over the
-recorded commands once more, for its distance from its data and its intervals; other plants have
+`score_uncertainty` tells how far scores in a surrogate can be trusted: an ensemble is run over the
+recorded commands again, for its distance from its data and its intervals; other plants have
 neither.
 """
 
@@ -40,14 +38,14 @@ from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
 from softfin.evaluation.results import StepResponse, UncertaintyRow
 
 STILL_RAD_S = 0.1
-"""A shaft that travels less than this in the second half of the experiment stands still; a working
-one does > 1."""
+"""Speed below which a shaft counts as standing still in the second half of the experiment [rad/s];
+a working one exceeds 1."""
 
 SETTLED_N = 0.2
-"""Distance on both axes within which the force has settled at the reference [N]."""
+"""Distance from the reference on both axes within which the force counts as settled [N]."""
 
 RARELY = 0.01
-"""Fraction of samples beyond the data up to which there is no warning: ten times that of the data
+"""Fraction of samples outside the data up to which there is no warning: ten times that of the data
 themselves."""
 
 ForceSeries = Float[np.ndarray, "ticks 2"]
@@ -64,18 +62,18 @@ class Scores(NamedTuple):
     raw_std: Float[np.ndarray, "references seeds 2"]
     """Standard deviation of the force itself [N]."""
     command_travel: Float[np.ndarray, "references seeds"]
-    """Path of the target angle a second [rad/s]."""
+    """Path of the target angle per second [rad/s]."""
     shaft_travel: Float[np.ndarray, "references seeds"]
-    """Path of the shaft a second [rad/s]."""
+    """Path of the shaft per second [rad/s]."""
     late_travel: Float[np.ndarray, "references seeds"]
-    """Path of the shaft a second in the second half [rad/s]; below `STILL_RAD_S` it stands
+    """Path of the shaft per second in the second half [rad/s]; below `STILL_RAD_S` it stands
     still."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
-    """Error of the sensor's reading [N]; None if `error` is that already."""
+    """Error of the sensor's reading [N]; None if `error` already is that."""
 
 
 def score(recording: ExperimentRecording) -> Scores:
-    """Score every experiment of a recording, of at least one window."""
+    """Score every experiment of a recording with at least one window."""
     force = np.asarray(recording.force, np.float64)
     asked = np.asarray(recording.reference, np.float64)
     reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
@@ -94,13 +92,13 @@ def score(recording: ExperimentRecording) -> Scores:
 
 
 def judged_force(recording: ExperimentRecording) -> str:
-    """Name of the force that `score` judges by, for files and reports."""
+    """Return the name of the force by which `score` judges, for files and reports."""
     return "reading" if recording.true_force is None else "true force"
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
-    """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds
-    to it."""
+    """Return the path length per second [rad/s], sampled at the ends of actions, so that sensor
+    noise does not add to it."""
     ends = np.cumsum(action_ticks(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
@@ -124,9 +122,9 @@ def step_responses(force: ForceSeries, reference: ForceSeries) -> list[StepRespo
     end.
 
     ``rise_x_s`` is the time from 10% to 90% of the step [s], ``overshoot_x_percent`` how far the
-    force goes beyond the new reference in parts of the step, ``settling_s`` the time until both
-    axes are within `SETTLED_N` of the new reference and stay there [s]; None where an axis does not
-    step, or the force never comes that far.
+    force exceeds the new reference as a percentage of the step, ``settling_s`` the time until both
+    axes are within `SETTLED_N` of the new reference and stay there [s]; None if an axis does not
+    step, or the force never gets there.
     """
     average = moving_average(force)
     asked = np.asarray(reference, np.float64)
@@ -138,7 +136,8 @@ def _response(
 ) -> StepResponse:
     start = reference[first - 1]
     to = reference[first]
-    # Window k ends with tick k + WINDOW - 1, and the force before was held long enough for one.
+    # Window k ends with tick k + WINDOW - 1; the previous force was held long enough for one
+    # window.
     after = average[first - WINDOW + 1 : stop - WINDOW + 1]
     rise_s: list[float | None] = [None, None]
     overshoot: list[float | None] = [None, None]
@@ -165,15 +164,15 @@ class SurrogateUncertainty(NamedTuple):
     """Uncertainty of a surrogate's forces, for each reference."""
 
     out_of_distribution_fraction: Float[np.ndarray, "references"]
-    """Fraction of the samples at a distance of more than 1: further than all but 1 of 1000 training
-    moments."""
+    """Fraction of the samples at a distance above 1, which only 1 of 1000 training moments
+    exceeds."""
     furthest: Float[np.ndarray, "references"]
     """Greatest distance."""
     half_width: Float[np.ndarray, "references 2"]
     """Half-width of the stated interval of the mean force, mean over the windows [N]."""
 
     def to_dict(self, index: int) -> UncertaintyRow:
-        """Values of one reference, for JSON."""
+        """Return the values of one reference, for JSON."""
         return {
             "out_of_distribution_fraction": float(self.out_of_distribution_fraction[index]),
             "furthest": float(self.furthest[index]),
@@ -182,7 +181,7 @@ class SurrogateUncertainty(NamedTuple):
         }
 
     def warning(self) -> str | None:
-        """A sentence on how much lies beyond the data; None where hardly anything does."""
+        """Return a sentence on how much is outside the data; None if hardly anything is."""
         fraction = self.out_of_distribution_fraction.mean()
         text = (
             f"{fraction:.1%} of the samples lie beyond what the surrogate was fitted to (distance "

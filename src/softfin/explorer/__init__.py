@@ -1,1 +1,1 @@
-"""The page to try controllers in, as one HTML file."""
+"""The page to try controllers, as one HTML file."""

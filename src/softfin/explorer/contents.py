@@ -25,11 +25,11 @@ from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
 
 COLD_C = 5.0
-"""Temperature of the cold water that the page offers [degrees Celsius]."""
+"""Temperature of the cold water option of the page [degrees Celsius]."""
 
 
 def encode_arrays(array: AnyArray) -> JsonObject:
-    """Shape of an array, and its numbers in single precision as base64."""
+    """Return the shape of an array, and its numbers in single precision as base64."""
     values = np.asarray(array, np.float32)
     return {
         "shape": list(values.shape),
@@ -38,7 +38,8 @@ def encode_arrays(array: AnyArray) -> JsonObject:
 
 
 def plant_data(name: str, plant: Plant) -> JsonObject:
-    """Data of a virtual tank or a streaming surrogate; raises PlantError for any other plant."""
+    """Return the data of a virtual tank or a streaming surrogate; raises PlantError for any other
+    plant."""
     if isinstance(plant, Tank):
         return tank_data(plant)
     if isinstance(plant, StreamingSurrogate):
@@ -55,7 +56,7 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
 
 
 def tank_data(tank: Tank) -> JsonObject:
-    """Data of a virtual tank; its sensor's noise, drift and resolution are left out."""
+    """Return the data of a virtual tank, without its sensor's noise, drift and resolution."""
     cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
     return {
         "kind": "tank",
@@ -69,8 +70,8 @@ def tank_data(tank: Tank) -> JsonObject:
 
 
 def outline(tank: Tank) -> JsonObject:
-    """Length [m] of a tank's fin, and the thickness [m] of its plates, mount first: what is
-    drawn."""
+    """Return what is drawn of a tank's fin: its length [m], and the thickness [m] of its plates,
+    mount first."""
     return {
         "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
         "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),
@@ -78,7 +79,7 @@ def outline(tank: Tank) -> JsonObject:
 
 
 def surrogate_data(surrogate: StreamingSurrogate) -> JsonObject:
-    """Data of a streaming surrogate, with the state of its members long at rest."""
+    """Return the data of a streaming surrogate, with the state of its members after a long rest."""
     description, arrays = surrogate.to_files()
     return {
         "kind": "surrogate",
@@ -93,7 +94,8 @@ def surrogate_data(surrogate: StreamingSurrogate) -> JsonObject:
 
 
 def controller_data(controller: LoadedController) -> JsonObject:
-    """Data of a controller of any kind, and the configuration of its optional force feedback."""
+    """Return the data of a controller of any kind, and the configuration of its optional force
+    feedback."""
     step = controller.step
     reachable = controller.reachable
     data: JsonObject = {
@@ -123,7 +125,7 @@ def _table(table: GaitTable) -> JsonObject:
 
 
 def _numbers(module: eqx.Module) -> JsonObject:
-    """The arrays of a module as nested numbers, under the names of its fields."""
+    """Return the arrays of a module as nested numbers, under the names of its fields."""
     numbers: JsonObject = {}
     for place, array in name_net_arrays(module).items():
         *outer, last = place.split(".")

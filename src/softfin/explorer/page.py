@@ -14,14 +14,14 @@ from softfin.explorer.contents import COLD_C
 from softfin.storage import artifact as artifacts
 
 SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "loop")
-"""Scripts that compute, in their order; they need no page."""
+"""Scripts that compute, in order; they need no page."""
 
 DRAWN = ("drawing", "page")
-"""Scripts that draw, and that answer to hands and keys."""
+"""Scripts that draw and handle input."""
 
 
 def read_script(*names: str) -> str:
-    """Return scripts of this folder, one after the other."""
+    """Return the given scripts of this folder, concatenated."""
     folder = importlib.resources.files("softfin.explorer")
     return "\n".join(folder.joinpath(f"{name}.js").read_text("utf-8") for name in names)
 
@@ -32,7 +32,7 @@ def write_explorer_page(
     controllers: Sequence[Mapping[str, object]],
     plants: Sequence[Mapping[str, object]],
 ) -> None:
-    """Write the page: nothing is fetched, so it opens by a double click."""
+    """Write the page; it needs no network, so a double click opens it."""
     template = (
         importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
     )
@@ -49,7 +49,7 @@ def write_explorer_page(
             surrogate=any(plant["kind"] == "surrogate" for plant in plants),
             grid=any(controller["kind"] == "grid" for controller in controllers),
             cold_c=f"{COLD_C:g}",
-            # No text within may close the element.
+            # No text inside may close the element.
             contents=Markup(contents.replace("<", "\\u003c")),
             script=Markup(
                 with_canvas(f'"use strict";\n/* canvas.js */\n{read_script(*SIMULATION, *DRAWN)}')

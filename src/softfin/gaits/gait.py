@@ -1,5 +1,5 @@
-"""Gaits on a lattice of reference forces, blended in between; and the force map, which holds what
-they make. No JAX.
+"""Gaits on a lattice of reference forces, interpolated in between; and the force map with the
+forces that they make. No JAX.
 
 A gait is six actions, repeated: on the 33/33/34 clock they fill the window of the moving average
 exactly, so in the steady state a gait leaves no ripple in it. Its actions ``(6, 2)`` are in [-1,
@@ -32,14 +32,14 @@ class GaitTable(NamedTuple):
 
     @classmethod
     def empty(cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int]) -> "GaitTable":
-        """A table of `nodes` in x and y, 2 or more, of which every action is 0."""
+        """A table of `nodes` in x and y, 2 or more, in which every action is 0."""
         actions = np.zeros((*nodes, CYCLE_ACTIONS, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
 
     @classmethod
     def over(cls, cell: Cell, spacing_n: float) -> "GaitTable":
-        """An empty table with nodes at most `spacing_n` apart, the corners of the cell among
-        them."""
+        """Return an empty table with nodes at most `spacing_n` apart, including the corners of the
+        cell."""
         x, y = (
             max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1)
             for a, b in zip(cell.low, cell.high, strict=True)
@@ -47,7 +47,7 @@ class GaitTable(NamedTuple):
         return cls.empty(cell.low, cell.high, (x, y))
 
     def halved(self, times: int = 1) -> "GaitTable":
-        """An empty table over the same box, its spacing halved so many times."""
+        """Return an empty table over the same box, with its spacing halved `halvings` times."""
         x, y = ((count - 1) * 2**times + 1 for count in self.nodes)
         return self._replace(actions=np.zeros((x, y, CYCLE_ACTIONS, 2), np.float32))
 
@@ -57,7 +57,7 @@ class GaitTable(NamedTuple):
         return self.actions.shape[0], self.actions.shape[1]
 
     def gait(self, reference: Any, operations: Operations | None = None) -> Any:
-        """Blend the gaits of the four nodes round the reference; beyond the lattice, take that of
+        """Interpolate the gaits of the four nodes around the reference; outside the lattice, use
         its edge."""
         ops = operations or select_operations(reference, self.actions)
         rows = self.actions.shape[1]
@@ -84,7 +84,7 @@ class GaitTable(NamedTuple):
         """Return, along one axis, the node before a force and the distance from it in units of the
         spacing."""
         last = self.actions.shape[axis] - 1
-        # A box for a single reference has no width, and all its nodes are the same.
+        # A box for a single reference has no width, so all its nodes are equal.
         width = self.high[axis] - self.low[axis] + 1e-9
         place = last * ops.clip(ops.real((force - self.low[axis]) / width), 0.0, 1.0)
         node = ops.clip(ops.whole(place), 0, last - 1)
@@ -136,7 +136,7 @@ class ForceMap(NamedTuple):
     def from_dict(
         cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
     ) -> "ForceMap":
-        """Build a map from what `to_dict` and `arrays` gave; raises KeyError, TypeError or
+        """Build a map from the results of `to_dict` and `arrays`; raises KeyError, TypeError or
         ValueError otherwise."""
         lattice = description["lattice"]
         nodes = tuple(int(count) for count in lattice["nodes"])
@@ -160,7 +160,7 @@ class ForceMap(NamedTuple):
             or (actions.shape, force.shape, smoothness.shape) != shapes
         ):
             raise ValueError(
-                f"gaits {actions.shape} do not fit a lattice of {nodes} nodes, two or more a side"
+                f"gaits {actions.shape} do not fit a lattice of {nodes} nodes, two or more per side"
             )
         # Actions were rounded to float32.
         if not (

@@ -25,9 +25,9 @@ class InverseConfig(Configuration):
     arm_m: PositiveFloat = 0.1
     """Distance r_c from the shaft to the fin's centre [m]."""
     amplitude_min_rad: float = Field(default=0.1, ge=0)
-    """Least amplitude that their driver asks for [rad]."""
+    """Smallest amplitude that their driver commands [rad]."""
     amplitude_max_rad: float = Field(default=1.2, gt=0, le=np.pi)
-    """Greatest amplitude that their driver asks for [rad]."""
+    """Largest amplitude that their driver commands [rad]."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "InverseConfig":
@@ -49,6 +49,5 @@ class InverseConfig(Configuration):
 def find_amplitude(
     force_n: Float[np.ndarray, "n"], frequency_hz: float, constant: float
 ) -> Float[np.ndarray, "n"]:
-    """Return the amplitude for the size of each force [rad]; pi where no amplitude gives as
-    much."""
+    """Return the amplitude for the size of each force [rad]; pi if no amplitude is large enough."""
     return np.asarray(np.arccos(np.maximum(1 - force_n / (constant * frequency_hz**2), -1.0)))

@@ -1,8 +1,8 @@
-"""Regions of mean forces: the cells that controllers are trained for, and the region that a fin can
-reach.
+"""Regions of mean forces: the cells for which controllers are trained, and the region that a fin
+can reach.
 
-The reachable region is star-shaped about a force inside it, kept as a radius in equally spaced
-directions; so whether a force is inside is one division. It works on NumPy arrays and, for
+The reachable region is star-shaped about a force inside it, stored as a radius in equally spaced
+directions, so that one division tells whether a force is inside. It works on NumPy arrays and, for
 `project`, within JAX programs.
 """
 
@@ -30,10 +30,10 @@ PAPER_REFERENCES: tuple[ForceVector, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (
 """Reference forces of the paper's Table II [N]."""
 
 TOLERANCE_N = 1e-3
-"""Forces this near to the edge of a region count as inside it."""
+"""Forces this close to the edge of a region count as inside."""
 
 MAX_CHUNK_FORCES = 2048
-"""Forces for which the nearest ones are computed together, which bounds the memory."""
+"""Number of forces whose nearest ones are computed together, which limits the memory."""
 
 
 class Cell(Configuration):
@@ -42,7 +42,7 @@ class Cell(Configuration):
     low: ForceVector
     """Least (x, y) [N]."""
     high: ForceVector
-    """Greatest (x, y) [N]; not under `low`, equal to it for a single reference."""
+    """Upper corner (x, y) [N]; not below `low`, equal to it for a single reference."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Cell":
@@ -61,7 +61,7 @@ class Cell(Configuration):
         )
 
     def expanded(self, margin_n: float) -> "Cell":
-        """Build the cell that is wider by the margin on every side."""
+        """Build the cell that is larger by the margin on every side."""
         (x0, y0) = self.low
         (x1, y1) = self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
@@ -102,8 +102,8 @@ class Reachable(NamedTuple):
 
     @classmethod
     def from_dict(cls, description: object) -> "Reachable":
-        """Build it from what `to_dict` gave; raises KeyError, TypeError or ValueError for anything
-        else."""
+        """Build it from the result of `to_dict`; raises KeyError, TypeError or ValueError for
+        anything else."""
         if not isinstance(description, dict):
             raise TypeError(
                 f"reachable is {description!r}; it must be an object with centre_n and radius_n"
@@ -133,8 +133,8 @@ class Reachable(NamedTuple):
         )
 
     def project(self, force: Any) -> Any:
-        """Return each force, or where the line from it to the centre meets the edge; NumPy arrays
-        or JAX's."""
+        """Return each force if it is inside, otherwise the point where the line to the centre meets
+        the edge; takes NumPy or JAX arrays."""
         ops = select_operations(force, self.radius)
         count = self.radius.shape[-1]
         xp = ops.xp
@@ -151,7 +151,7 @@ class Reachable(NamedTuple):
             (radius[k] * ways[k, 0], radius[k] * ways[k, 1]) for k in (first, (first + 1) % count)
         )
         # The ray (x, y) * s meets the side a + (b - a) t where (x, y) x (a - b) s = a x (a - b),
-        # both under 0.
+        # both negative.
         across = x * (ay - by) - y * (ax - bx)
         reach = (ax * (ay - by) - ay * (ax - bx)) / xp.minimum(across, -1e-9)
         edge = xp.asarray([self.centre[0] + x * reach, self.centre[1] + y * reach])
@@ -163,7 +163,7 @@ class Reachable(NamedTuple):
         return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
 
     def nearest(self, force: Any) -> Forces:
-        """Return each force that is inside, else the nearest point of the edge [N]."""
+        """Return each force if it is inside, otherwise the nearest point of the edge [N]."""
         at = np.asarray(force, float)
         corners = self.corners().astype(float)
         points = _on_sides(corners, at, 0, 1)
@@ -175,11 +175,11 @@ class Reachable(NamedTuple):
         )
 
     def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
-        """Return, for each force, the nearest one that is inside both the region and a cell; NaN
-        where there is none.
+        """Return, for each force, the nearest one that is inside both the region and a cell; NaN if
+        there is none.
 
-        It is the nearest force of a cell, of one of the cell's sides or its corners, or lies on the
-        region's edge.
+        It is the nearest point of the cell, of one of its sides or corners, or of the region's
+        edge.
         """
         if len(forces) > MAX_CHUNK_FORCES:
             return np.concatenate(
@@ -218,7 +218,7 @@ class Reachable(NamedTuple):
     ) -> Float[np.ndarray, "forces candidates 2"]:
         corners = self.corners().astype(float)
         side = np.roll(corners, -1, axis=0) - corners
-        # Where each side enters and leaves the cell, as a part of its length (Liang and Barsky
+        # Where each side enters and leaves the cell, as a fraction of its length (Liang and Barsky
         # 1984).
         with np.errstate(divide="ignore", invalid="ignore"):
             crossings = np.stack(
@@ -236,7 +236,7 @@ class Reachable(NamedTuple):
             .clip(max=1)
         )
         on_side = _on_sides(corners, forces, enter, np.maximum(enter, leave))
-        # Rounding must not lead out of the cell.
+        # Rounding must not leave the cell.
         return np.where((enter <= leave)[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
 
     def area(self) -> float:
@@ -246,7 +246,7 @@ class Reachable(NamedTuple):
         return float(np.sin(turn) / 2 * (radius * np.roll(radius, -1)).sum())
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Least and greatest (x, y) [N]."""
+        """Lower and upper corner (x, y) of the bounding box [N]."""
         (x0, x1), (y0, y1) = ((float(side.min()), float(side.max())) for side in self.corners().T)
         return (x0, y0), (x1, y1)
 

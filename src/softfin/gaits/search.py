@@ -1,5 +1,4 @@
-"""The search for gaits: those of a whole lattice of reference forces at once, in one compiled
-program.
+"""The search for the gaits of a whole lattice of reference forces, in one compiled program.
 
 Mean force and Sobolev term of a gait are smooth functions of its twelve numbers, and the plant
 gives their derivatives. Two of the twelve directions change the force; Gauss-Newton steps along
@@ -7,9 +6,9 @@ these bring it to the reference, while the other ten lower the Sobolev term and 
 those of its neighbours, so that gaits in between may be blended (null-space projection, as for
 redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
 
-The search begins with one family of strokes, so that neighbours are alike from the first. Then the
-lattice is halved: nodes in between begin as the blends of their neighbours and take the shortest
-steps to their own references, which takes off what blending leaves.
+The search starts with one family of strokes, so that neighbours are similar from the start. Then
+the spacing is halved: new nodes start as blends of their neighbours and take the shortest steps to
+their own references, which removes the interpolation error.
 """
 
 from collections.abc import Callable
@@ -54,27 +53,29 @@ class GaitConfig(Configuration):
     """Configuration of the search for gaits."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Windows that a gait is repeated for from rest; the last one counts. The fin and its wake must
-    settle before."""
+    """Number of windows for which a gait is repeated from rest; only the last one counts, after the
+    fin and its wake have settled."""
     steps: PositiveInt = 8
-    """Gauss-Newton steps; the last `EXACT` of them look at the force alone."""
+    """Gauss-Newton steps; the last `EXACT` of them consider only the force."""
     smoothness: NonNegativeFloat = 0.05
-    """Weight of the Sobolev term (form `mean`) among what the force leaves open."""
+    """Weight of the Sobolev term (form `mean`) in the directions that do not change the force."""
     likeness: NonNegativeFloat = 1.0
     """Weight of the distance to the mean of the neighbours, squared."""
     halvings: NonNegativeInt = 1
-    """Times that the spacing of the lattice is halved after these steps."""
+    """Number of times that the spacing of the lattice is halved after these steps."""
 
 
 EXACT = 2
-"""Last steps, without any but the force to please; as many bring a node in between to its force."""
+"""Number of last steps that only reduce the force error; a node added by halving also takes this
+many."""
 
 STUCK_N = 0.05
-"""A node further from its force than this begins again where a neighbour is."""
+"""Force error above which a node starts again from a neighbour [N]."""
 
 FORCE_STEP = 0.6
 FREE_STEP = 0.25
-"""Longest steps in the atanh of the actions, along the force and across."""
+"""Largest steps in the atanh of the actions, along and across the directions that change the
+force."""
 
 SWEEPS = 10
 UNLIKE_N = 0.5
@@ -84,7 +85,7 @@ the actions) from the neighbours [N], and in the first choice that of the greate
 strokes make some forces a second time."""
 
 FINER = 5
-"""Strokes per step of the survey's centres and amplitudes, between which its forces are
+"""Strokes per step of the survey's centres and amplitudes, between which the forces are
 interpolated."""
 
 ENOUGH_N = 0.02
@@ -98,11 +99,11 @@ def find_gaits(
     config: GaitConfig,
     report: ReportSearch = lambda *_: None,
 ) -> GaitSearchResult:
-    """Find a gait for every node of an empty table, beginning with the gaits of a survey of the
-    same plant.
+    """Find a gait for every node of an empty table, starting from the gaits of a survey of the same
+    plant.
 
-    The table that is returned has half the spacing, as often as the configuration says. A node
-    beyond the fin's reach gets the nearest force that the fin can make.
+    The spacing of the returned table is halved as often as the configuration says. A node outside
+    the fin's reach gets the nearest force that the fin can make.
     """
     plant = jit_argument(plant)
     total = config.steps + EXACT * config.halvings
@@ -112,7 +113,7 @@ def find_gaits(
         nonlocal done
         done += 1
         error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
-        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
+        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N largest")
 
     nodes = _search(plant, survey, table, config, told)
     for _ in range(config.halvings):
@@ -136,8 +137,8 @@ def _search(
     config: GaitConfig,
     told: Callable[[GaitSensitivity, NodeForces], None],
 ) -> GaitSensitivity:
-    """Find gaits for the nodes of a table from the strokes of the survey."""
-    # The key is no constant of the module: making it starts JAX, which an import must not.
+    """Find gaits for the nodes of a table, starting from the strokes of the survey."""
+    # The key is not a constant of the module: creating it starts JAX, which an import must not do.
     shape = table.nodes
     key = named_key(0, "gaits")
     target = jnp.asarray(survey.reachable.nearest(table.references().reshape(-1, 2)), jnp.float32)
@@ -162,7 +163,7 @@ def _between(
     config: GaitConfig,
     told: Callable[[GaitSensitivity, NodeForces], None],
 ) -> tuple[GaitSensitivity, GaitTable]:
-    """Add nodes halfway between those of a table, which begin as blends."""
+    """Add nodes halfway between those of a table; they start as blends."""
     finer = table.halved()
     key = named_key(0, "gaits")
     new = np.ones(finer.nodes, bool)
@@ -190,8 +191,8 @@ def _between(
 
 
 def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
-    """Choose the family of strokes that comes nearest; of it, strokes that come near and are like
-    their neighbours.
+    """Choose the family of strokes that comes closest to the forces, and within it strokes that are
+    close and similar to their neighbours.
 
     Centre and amplitude vary within a family, one waveform at one velocity.
     """
@@ -229,7 +230,7 @@ def _stepped(
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
     def along(force: NodeForces) -> PreTanh:
-        """Return the smallest change of the actions that changes the force so."""
+        """Return the smallest change of the actions that changes the force by the given amount."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
     wanted = _shortened(along(target - nodes.out[:, :2]), FORCE_STEP)
@@ -256,7 +257,7 @@ def _better(
         error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
 
-    # Leaning towards a neighbour may cost a little.
+    # Moving towards a neighbour may cost a little.
     better = merit(trial) < merit(nodes) + (ENOUGH_N if smoothness else 0)
     chosen = jax.tree.map(
         lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes
@@ -267,7 +268,7 @@ def _better(
 def _restarted(
     nodes: GaitSensitivity, target: NodeForces, scale: StepScales, shape: LatticeShape
 ) -> tuple[GaitSensitivity, StepScales]:
-    """Let nodes that are stuck begin again where the best of their neighbours is."""
+    """Restart nodes that are stuck from the best of their neighbours."""
     error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
     beside = np.stack(
@@ -282,7 +283,7 @@ def _restarted(
 
 @partial(jax.jit, static_argnums=1)
 def _neighbours(pre_tanh: PreTanh, shape: LatticeShape) -> PreTanh:
-    """Average the four neighbours; at the edge a node stands in for the one that is missing."""
+    """Average the four neighbours; at the edge a node replaces its missing neighbour."""
     grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
     return mean.reshape(pre_tanh.shape)

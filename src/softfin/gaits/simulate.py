@@ -1,5 +1,5 @@
-"""Gaits simulated in a plant: mean force, Sobolev term, their gradients; and the survey of what a
-plant can make.
+"""Simulates gaits in a plant: mean force, Sobolev term and their gradients; and surveys the forces
+that a plant can make.
 
 The survey estimates the reachable mean forces: it simulates a grid of gaits, then pushes the
 boundary outwards by gradient ascent.
@@ -27,42 +27,44 @@ from softfin.gaits.gait import Gait
 from softfin.gaits.reachable import Reachable, directions
 
 ReportSearch = Callable[[float, str], None]
-"""Called with the done part (0 .. 1) and a note."""
+"""Function that is called with the completed fraction (0 .. 1) and a note."""
 
 PreTanh = Float[AnyArray, "gaits 12"]
 """atanh of the actions of gaits."""
 
 CYCLES = 3
-"""Windows that a gait is repeated for from rest, where nothing else is asked for."""
+"""Default number of windows for which a gait is repeated from rest."""
 
 MAX_SEARCHED_ACTION = 0.97
-"""Actions are moved through atanh, which has no value at 1."""
+"""Largest action, because steps are taken in its atanh, which is infinite at 1."""
 
 SIDE_BY_SIDE = 32
-"""Gaits of one call of the program that finds their slopes: one size, so that all who ask share the
-program."""
+"""Number of gaits in one call of the program that finds their gradients; one size, so that all
+callers share the program."""
 
 WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5)])
-"""Angles of a gait about its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2 s."""
+"""Angles of a gait relative to its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2
+s."""
 
 VELOCITIES = (1.0, 0.3, -0.3)
 CENTRES = np.linspace(-1, 1, 11)
 AMPLITUDES = np.linspace(0.05, 0.9, 7)
-"""Parameters that every waveform is tried with, as actions."""
+"""Parameters with which every waveform is tried, as actions."""
 
 FAMILIES = tuple(product(WAVEFORMS, VELOCITIES))
 """Waveform and velocity of each family of gaits; within a family, neighbouring forces come from
 neighbouring gaits."""
 
 NEAR = 0.2
-"""Part of half the diagonal of all forces within which a gait counts as near to their middle."""
+"""Fraction of half the diagonal of all forces within which a gait counts as close to their
+middle."""
 
 ASIDE = 2.0
-"""A newton beside the direction costs as much as this many along it."""
+"""Cost of a newton across the direction, relative to the gain of one along it."""
 
 
 class GaitResponse(NamedTuple):
-    """Forces of a gait in the steady state."""
+    """Steady-state forces of a gait."""
 
     force: Float[Array, "2"]
     """Mean force over the last window [N]."""
@@ -71,7 +73,7 @@ class GaitResponse(NamedTuple):
 
 
 def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> GaitResponse:
-    """Repeat a gait from rest; the last of `cycles` windows counts."""
+    """Repeat a gait from rest; only the last of `cycles` windows counts."""
     last = steady_state_force(plant, gait, cycles, key)[-WINDOW:]
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(WINDOW)))
 
@@ -79,7 +81,7 @@ def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> G
 def steady_state_force(
     plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray
 ) -> Float[Array, "ticks 2"]:
-    """Forces [N] of a gait that is repeated from rest."""
+    """Return the forces [N] of a gait that is repeated from rest."""
     actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
     commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
     return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
@@ -92,7 +94,7 @@ class GaitSensitivity(NamedTuple):
     out: Float[AnyArray, "gaits 3"]
     """Mean force (x, y) and the sum of both Sobolev terms [N]."""
     slope: Float[AnyArray, "gaits 3 12"]
-    """Gradient of `out` by `pre_tanh`."""
+    """Gradient of `out` with respect to `pre_tanh`."""
     smoothness: Float[AnyArray, "gaits 2"]
     """Sobolev terms (x, y) [N]."""
 
@@ -109,7 +111,7 @@ def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
 def gait_sensitivity(
     plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray
 ) -> GaitSensitivity:
-    """Simulate gaits and differentiate their forces; `plant` as `jit_argument` makes it."""
+    """Simulate gaits and differentiate their forces; `plant` is the result of `jit_argument`."""
     count = len(pre_tanh)
     padded = np.resize(
         np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1])
@@ -138,18 +140,18 @@ def _respond(
 
 
 def missing_gradient(plant: Plant) -> str | None:
-    """Explain why the force of a plant has no gradient with respect to its commands; None where it
-    has one.
+    """Explain why the force of a plant has no gradient with respect to its commands; None if it has
+    one.
 
-    Raises PlantError where the plant itself fails.
+    Raises PlantError if the plant itself fails.
     """
     strokes = action_to_pre_tanh(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
-    # Raises where the plant does not go forward.
+    # Raises if the plant itself cannot be run.
     argument = jit_argument(plant)
     try:
         slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0)).slope[:, :2]
     except (TypeError, ValueError, NotImplementedError) as error:
-        # What JAX raises where there is no derivative.
+        # These are the errors that JAX raises if there is no derivative.
         return (
             f"JAX cannot differentiate it ({type(error).__name__}: "
             f"{str(error).partition(chr(10))[0]})"
@@ -163,18 +165,17 @@ class SurveyConfig(Configuration):
     """Configuration of the search for reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Windows that a gait is repeated for from rest; the last one counts."""
+    """Number of windows for which a gait is repeated from rest; only the last one counts."""
     batch: PositiveInt = 128
-    """Gaits that are simulated side by side."""
+    """Number of gaits that are simulated at the same time."""
     directions: int = Field(default=32, ge=8)
     """Corners of the region."""
     pushes: int = Field(default=8, ge=0)
-    """Gradient steps by which each corner is pushed outwards; 0 keeps the farthest of the tried
-    ones."""
+    """Number of gradient steps that push each corner outwards; 0 keeps the farthest tried force."""
 
 
 class Survey(NamedTuple):
-    """Forces of the gaits that were simulated, and the region that a fin can reach."""
+    """Forces of the simulated gaits, and the region that a fin can reach."""
 
     force: Float[np.ndarray, "families centres amplitudes 2"]
     """Mean force over a window [N]."""
@@ -187,7 +188,7 @@ def strokes(
     centre: Float[np.ndarray, "n"],
     amplitude: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 6 2"]:
-    """Return gaits of one family."""
+    """Return the gaits of one family."""
     angle = np.clip(centre[:, None] + amplitude[:, None] * waveform, -1, 1)
     return np.stack([angle, np.full_like(angle, velocity)], axis=-1).astype(np.float32)
 
@@ -225,7 +226,7 @@ def _pushed(
     force: Float[np.ndarray, "n 2"],
     config: SurveyConfig,
 ) -> Reachable:
-    """Push the farthest gait in each direction on; directions are seen from the middle of all
+    """Push the farthest gait in each direction further; directions start from the middle of all
     forces.
 
     It ascends the gradient of the distance along the direction, in the atanh of the actions, by
@@ -242,13 +243,13 @@ def _pushed(
         forces.append(np.asarray(found.out)[:, :2])
         offset = forces[-1] - centre
         side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
-        # Of the distance along the direction, less `ASIDE` times that beside it.
+        # The gradient of the distance along the direction, minus `ASIDE` times that across it.
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
         pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (
             np.linalg.norm(change, axis=1, keepdims=True) + 1e-6
         )
-    # The greatest distance in each direction, over the forces in the sector about it.
+    # The largest distance in each direction, over the forces in the sector around it.
     offset = np.concatenate(forces) - centre
     along = offset @ outward.T
     length = np.linalg.norm(offset, axis=1)
@@ -257,8 +258,8 @@ def _pushed(
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
-    """Return the middle of the box round all forces; where no gait comes near it, the force that
-    comes nearest."""
+    """Return the middle of the bounding box of all forces; if no gait comes close to it, the
+    nearest force."""
     low = force.min(axis=0)
     high = force.max(axis=0)
     middle = (low + high) / 2

@@ -1,5 +1,5 @@
-"""Configuration of a training run: its fields, the presets, the choice between them, and whether it
-fits a plant."""
+"""Configuration of a training run: its fields, the presets, the choice between them, and the check
+against a plant."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -25,32 +25,32 @@ from softfin.task.references import PAPER_CELLS, PAPER_RANGE, check_apart
 from softfin.task.task import TaskConfig
 
 EDGE_ROUNDING_N = 1e-3
-"""Edges of lattices and regions are rounded in their files."""
+"""Tolerance for the edges of lattices and regions, which are rounded in their files [N]."""
 
 
 class TrainConfig(Configuration):
-    """A training run; the defaults are those of `GRID`."""
+    """Configuration of a training run; the defaults are those of `GRID`."""
 
     controller: PolicyLayout = "grid"
     """One policy for a whole range of references, or one for each cell of a grid."""
     steps: PositiveInt = 10_000
-    """Actions in the plant for each policy, over all its environments: the paper's 10,000 a cell,
-    30,000 single."""
+    """Actions in the plant for each policy, over all its environments; the paper has 10,000 per
+    cell, and 30,000 for single."""
     cells: tuple[Cell, ...] = Field(PAPER_CELLS, min_length=1)
-    """References [N] that each policy is trained for; one cell for `single`."""
+    """References [N] for which each policy is trained; one cell for `single`."""
     margin_n: NonNegativeFloat = 0.0
-    """Distance beyond their cells for which policies are trained, too [N]: a grid switches with a
-    hysteresis."""
+    """Margin around their cells for which policies are also trained [N], because a grid switches
+    with a hysteresis."""
     switching: SwitchingConfig = SwitchingConfig(margin_n=0.0)
-    """How a grid's policies take over from one another; beyond `margin_n`, its own margin gives a
-    policy references that it was not trained for, so the paper's grid has none of either."""
+    """How a grid switches between its policies; a switching margin larger than `margin_n` gives a
+    policy references for which it was not trained, so the paper's grid has neither."""
     task: TaskConfig = TaskConfig()
     """The force-tracking task."""
     policy: PolicyConfig = PolicyConfig()
     """Size and start of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """Use of an ensemble: fins are the mean of all members or each is another member; the mean is
-    evaluated. Only ensembles of two members or more take `each`."""
+    """Use of an ensemble in training: each fin is the mean of all members, or one of the members;
+    the mean is evaluated. `each` needs an ensemble of two or more members."""
     algorithm: Algorithm = "ppo"
     """LSTM-PPO or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
@@ -58,14 +58,14 @@ class TrainConfig(Configuration):
     gradient: GradientConfig = GradientConfig()
     """Settings of gradient training."""
     num_evaluations: PositiveInt = 10
-    """Number of evaluations of the deterministic policies, evenly over the run; a checkpoint is
-    written each time."""
+    """Number of evaluations of the deterministic policies, evenly spaced over the run; a checkpoint
+    is written each time."""
     lattice: PositiveInt = 2
     """Policies are evaluated at lattice x lattice references of each cell; these actions do not
     count as `steps`.
 
     The best policy is kept. The defaults avoid the paper's six references, which are the centres of
-    its cells: a policy must not be selected on the references that its errors are reported for.
+    its cells: a policy must not be selected on the references for which its errors are reported.
     """
 
     @model_validator(mode="after")
@@ -85,7 +85,7 @@ class TrainConfig(Configuration):
 
     @property
     def num_updates(self) -> int:
-        """Updates of each policy: as many whole rollouts as `steps` hold."""
+        """Updates of each policy: as many whole rollouts as fit into `steps`."""
         return self.steps // self.learning.steps_per_update
 
     @property
@@ -95,19 +95,19 @@ class TrainConfig(Configuration):
 
     @property
     def begins_as_gaits(self) -> bool:
-        """Whether policies begin as copies of gaits, which are found over all their references."""
+        """Whether policies start as copies of gaits, which are found over all their references."""
         return self.algorithm == "gradient" and self.gradient.warm_start
 
     @property
     def training_range(self) -> Cell:
-        """The box round all references that policies are trained for."""
+        """The bounding box of all references for which policies are trained."""
         return bounding_box(self.cells).expanded(self.margin_n)
 
     def evaluation_references(
         self, reachable: Reachable | None
     ) -> Float[np.ndarray, "cells references 2"]:
-        """The lattice of references of each cell [N], each as the nearest force that the fin can
-        make."""
+        """The lattice of references of each cell [N], each moved to the nearest force that the fin
+        can make."""
         lattices = [cell.lattice(self.lattice) for cell in self.cells]
         return np.asarray(
             lattices if reachable is None else reachable.nearest(lattices), np.float32
@@ -153,10 +153,10 @@ GRADIENT_GRID = GRADIENT_SINGLE.merged(
     },
     "grid",
 )
-"""A policy a cell by gradients through the plant: 20 updates."""
+"""One policy per cell by gradients through the plant: 20 updates."""
 
 HINDSIGHT = ("ppo.relabelling=1",)
-"""Learn from each rollout for other references, too; not in the paper."""
+"""Also learn from each rollout for other references; not in the paper."""
 
 TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = MappingProxyType(
     {
@@ -168,14 +168,14 @@ TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = Mapp
         ("gradient", "grid"): GRADIENT_GRID,
     }
 )
-"""Configurations by algorithm and kind of controller."""
+"""Presets by algorithm and kind of controller."""
 
 
 def choose_preset(
     plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto"
 ) -> tuple[TrainConfig, str]:
-    """The preset for a plant, and why its algorithm was chosen; auto: gradients wherever the plant
-    has them."""
+    """Return the preset for a plant, and why its algorithm was chosen; auto uses gradients if the
+    plant has them."""
     if algorithm != "auto":
         return TRAIN_PRESETS[algorithm, controller], f"{algorithm}, as asked"
     missing = missing_gradient(plant)
@@ -189,8 +189,8 @@ def choose_preset(
 def check(
     plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None
 ) -> None:
-    """Raise ConfigurationError where the budget is smaller than one rollout, or anything else does
-    not fit."""
+    """Raise ConfigurationError if the budget is smaller than one rollout, or anything else does not
+    fit."""
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
     learning = config.learning
@@ -204,8 +204,9 @@ def check(
         samples := task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
     ) < task.window_samples:
         raise ConfigurationError(
-            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples holds "
-            f"no whole window of {task.window_samples} to evaluate; give a longer episode or a "
+            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples "
+            f"contains no whole window of {task.window_samples} to evaluate; give a longer episode "
+            "or a "
             "smaller task.window_samples"
         )
     if config.ensemble == "each" and (plant.size if isinstance(plant, EnsemblePlant) else 1) < 2:

@@ -1,5 +1,5 @@
-"""Trained policies as controllers' folders, with their scores and the figure of their errors over
-the training."""
+"""Writes trained policies as controller folders, with their scores and a figure of their errors
+during training."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
@@ -31,8 +31,8 @@ REFINED = "refined"
 
 
 def write_learning(folder: Path) -> None:
-    """Draw ``learning.svg`` beside the logs of a run and of its jobs, a curve for every seed of
-    each log."""
+    """Draw ``learning.svg`` next to the logs of a run and of its tasks, with a curve for every seed
+    of each log."""
     runs: dict[str, list[Curve]] = {}
     for log in sorted(folder.rglob(LOG)):
         is_refined = REFINED in log.relative_to(folder).parts
@@ -44,7 +44,7 @@ def write_learning(folder: Path) -> None:
 
 
 def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
-    """The error of each seed against the steps, where the policies were evaluated."""
+    """Return the error of each seed over the steps at which the policies were evaluated."""
     first, second = (f"/score_{axis}_n" for axis in AXES)
     scored = [entry for entry in entries if any(name.endswith(first) for name in entry)]
     seeds = (
@@ -58,13 +58,14 @@ def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
 
 
 def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
-    """One line a group of runs, such as seeds: their mean, over each run in faint."""
+    """Draw one line per group of runs, such as seeds: their mean, with each run in a lighter
+    colour."""
     styles = zip(cycle((BLUE, ORANGE, GREEN, BLACK)), cycle(("-", "--", "-.", ":")), strict=False)
     with styled():
         figure = new_figure(7, 3.4)
         axes = figure.subplots()
         for (name, curves), (colour, line) in zip(runs.items(), styles, strict=False):
-            # On the steps of the first run, as far as all go.
+            # On the steps of the first run, as far as all runs reach.
             reach = min(steps[-1] for steps, _ in curves)
             steps = [step for step in curves[0][0] if step <= reach]
             values = np.stack([np.interp(steps, *curve) for curve in curves])
@@ -87,8 +88,8 @@ def save_controller(
     learnt: Mapping[str, object] = UNKNOWN,
     overwrite: bool = False,
 ) -> None:
-    """Write the controller of one seed, whole or not at all; `learnt` tells what its plant has
-    learnt from."""
+    """Write the controller of one seed, completely or not at all; `learnt` describes the data of
+    its plant."""
     config = trained.config
     index = trained.seeds.index(seed)
     # Those of a grid have a leading axis of cells.
@@ -124,11 +125,12 @@ def _scores(
     scored: PolicyEvaluation,
     index: int,
 ) -> list[JsonObject]:
-    """List, for each cell, its references and the force errors in the plant that it was trained in.
+    """List, for each cell, its references and the force errors in the plant in which it was
+    trained.
 
-    Errors are against ``tracked_reference_n``, the nearest force that the fin can make, where its
-    reach is known. ``out_of_distribution_fraction`` is the share of actions that left the training
-    data of the plant, where that is a surrogate with such a measure.
+    Errors are against ``tracked_reference_n``, the nearest force that the fin can make, if its
+    reach is known. ``out_of_distribution_fraction`` is the fraction of actions that left the
+    training data of the plant, if that is a surrogate with such a measure.
     """
     rows = []
     outside = scored.out_of_distribution_fraction

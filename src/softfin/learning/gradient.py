@@ -1,14 +1,14 @@
 """Gradient training: the force error of whole rollouts is differentiated through the plant into the
 policy.
 
-The policy begins as a table of gaits, to whose actions its networks add, so that gradients only
-have to correct errors. A gait's action depends on the reference and the phase alone, so it is
+The policy starts as a table of gaits, to whose actions its networks add, so that gradients only
+have to correct errors. The action of a gait depends only on the reference and the phase, so it is
 defined in every state.
 
 The rest is truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC)
-without its critic: an action acts on the fin for two or three seconds, and the window of the reward
-holds two, so a rollout of six seconds covers nearly all effects of an action. Pure; one agent,
-`vmap` adds agents.
+without its critic: an action affects the fin for two or three seconds, and the window of the reward
+has two, so a rollout of six seconds covers nearly all effects of an action. Pure; one agent, `vmap`
+adds agents.
 """
 
 from dataclasses import dataclass
@@ -43,26 +43,26 @@ class GradientConfig(Configuration):
     """Settings of gradient training."""
 
     num_envs: PositiveInt = 32
-    """Fins that each policy moves side by side."""
+    """Number of fins that each policy moves at the same time."""
     num_steps: int = Field(default=18, ge=3, multiple_of=3)
-    """Actions between updates, whole cycles of three; gradients reach back as far."""
+    """Actions between updates, a multiple of three; gradients reach back as far."""
     learning_rate: PositiveFloat = 1e-3
-    """Learning rate of Adam, at its greatest."""
+    """Largest learning rate of Adam."""
     final_learning_rate: float = Field(default=0.01, ge=0, le=1)
-    """Learning rate at the end, as a part of the greatest; it falls as a cosine."""
+    """Learning rate at the end, as a fraction of the largest; it falls as a cosine."""
     max_grad_norm: PositiveFloat = 1.0
-    """Norm to which longer gradients are scaled down."""
+    """Norm to which larger gradients are scaled down."""
     rounding_n: PositiveFloat = 0.05
-    """Force errors below this are weighed as their squares [N]: near 0 the sign of an error is
-    mostly noise."""
+    """Force errors below this count quadratically [N]: near 0 the sign of an error is mostly
+    noise."""
     warm_start: bool = True
-    """Whether the policy begins as a table of gaits, to whose actions it adds."""
+    """Whether the policy starts as a table of gaits, to whose actions it adds."""
     map: MapConfig = MapConfig()
     """How the table is found; its box is the bounding box of all cells."""
 
     @property
     def steps_per_update(self) -> int:
-        """Actions of an update over all environments."""
+        """Actions per update over all environments."""
         return self.num_envs * self.num_steps
 
 
@@ -75,10 +75,10 @@ class Gradient:
     policy: PolicyConfig
     num_updates: int
     table: GaitTable | None = None
-    """Gaits that the policy begins as, over references in N."""
+    """Gaits with which the policy starts, over references in N."""
 
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
-        """A new policy, fins at rest."""
+        """Return a new policy, with its fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
         task = self.task.config
         gaits = self.table
@@ -95,7 +95,7 @@ class Gradient:
         )
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
-        """A rollout without noise, and one step down the gradient of its loss."""
+        """Run a rollout without noise, and take one step down the gradient of its loss."""
         gradient, (env_state, metrics) = jax.grad(self.loss, has_aux=True)(
             agent.policy, agent.env_state
         )

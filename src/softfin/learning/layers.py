@@ -20,11 +20,11 @@ class LinearLayer(eqx.Module):
 
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, outputs: int, gain: float) -> "LinearLayer":
-        """New weights; `gain` scales the outputs."""
+        """Return new weights; `gain` scales the outputs."""
         return cls(weights(key, (inputs, outputs), gain), jnp.zeros(outputs))
 
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch outputs"]:
-        """The outputs for each vector in a batch."""
+        """Return the outputs for each vector in a batch."""
         return x @ self.kernel + self.bias
 
 
@@ -38,7 +38,8 @@ class LSTMCell(eqx.Module):
 
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTMCell":
-        """New weights; the forget gate starts open, so that early gradients reach far back."""
+        """Return new weights; the forget gate starts open, so that early gradients reach far
+        back."""
         first, second = jax.random.split(key)
         kernel = weights(first, (inputs, 4 * units))
         recurrent = weights(second, (units, 4 * units))
@@ -50,13 +51,13 @@ class LSTMCell(eqx.Module):
         return PolicyMemory(empty, empty)
 
     def step(self, memory: PolicyMemory, x: Float[Array, "inputs"]) -> PolicyMemory:
-        """One step; its output is the new hidden state."""
+        """Do one step; its output is the new hidden state."""
         return self._step(memory, x @ self.kernel + self.bias)
 
     def sequence(
         self, memory: PolicyMemory, x: Float[Array, "time inputs"], is_first: Bool[Array, "time"]
     ) -> Float[Array, "time units"]:
-        """The hidden state after each step, the memory cleared before every step that
+        """Return the hidden state after each step; the memory is cleared before every step that
         `is_first`."""
 
         def step(memory: PolicyMemory, now: tuple[Array, Array]) -> tuple[PolicyMemory, Array]:
@@ -75,28 +76,28 @@ class LSTMCell(eqx.Module):
 def weights(
     key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0
 ) -> Float[Array, "inputs outputs"]:
-    """Uniform random weights that keep the variance of their inputs, times gain^2."""
+    """Return uniform random weights that preserve the variance of their inputs, times gain^2."""
     bound = gain * (3 / shape[0]) ** 0.5
     return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
 
 
 def cleared(memory: Memories, where: Bool[Array, ""]) -> Memories:
-    """The memory of one LSTM or of several, emptied where true."""
+    """Return the memory of one LSTM or of several, cleared where the mask is true."""
     return cast(Memories, jax.tree.map(lambda x: jnp.where(where, 0.0, x), memory))
 
 
 class Normalisation(eqx.Module):
-    """(x - mean) / deviation, number by number; nothing is changed before the first `updated`.
+    """Normalises each number as (x - mean) / deviation; does nothing before the first `updated`.
 
-    The statistics are leaves of the network and saved with its weights, but no gradient reaches
+    The statistics are leaves of the network and saved with its weights, but gradients do not reach
     them.
     """
 
     mean: Float[Array, "*stack numbers"]
     std: Float[Array, "*stack numbers"]
-    """Standard deviation; it divides as `MIN_DEVIATION` where it is less."""
+    """Standard deviation; the divisor is at least `MIN_DEVIATION`."""
     count: Float[Array, "*stack"]
-    """Number of vectors that the statistics weigh as."""
+    """Number of vectors behind the statistics."""
 
     @classmethod
     def create(cls, numbers: int) -> "Normalisation":
@@ -104,7 +105,7 @@ class Normalisation(eqx.Module):
         return cls(jnp.zeros(numbers), jnp.ones(numbers), jnp.zeros(()))
 
     def __call__(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
-        """The numbers with a mean of about 0 and a deviation of about 1."""
+        """Return the numbers with a mean of about 0 and a deviation of about 1."""
         return (x - jax.lax.stop_gradient(self.mean)) / jax.lax.stop_gradient(self.scale)
 
     def inverse(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
@@ -114,7 +115,7 @@ class Normalisation(eqx.Module):
     def updated(
         self, x: Float[Array, "*batch numbers"], most: float | int = jnp.inf
     ) -> "Normalisation":
-        """The normalisation with a batch of vectors counted, too; earlier ones weigh as at most
+        """Return the normalisation updated by a batch of vectors; earlier ones count as at most
         `most` vectors.
 
         Merged as in Chan, Golub and LeVeque 1979.
@@ -131,5 +132,5 @@ class Normalisation(eqx.Module):
 
     @property
     def scale(self) -> Float[Array, "*stack numbers"]:
-        """Divisor of the deviations from the mean."""
+        """Return the divisor of the deviations from the mean."""
         return jnp.maximum(self.std, MIN_DEVIATION)

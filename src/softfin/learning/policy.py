@@ -1,11 +1,13 @@
-"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic that only training needs; both
-normalise.
+"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic, which only training needs;
+both normalise their inputs.
 
 Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), std). The
-deterministic action is tanh(mean). So every action is within the limits, and none is clipped.
+deterministic action is tanh(mean). Every action is therefore within the limits, and none is
+clipped.
 
-A policy may begin as a table of gaits: its networks then learn what is added to the gait for the
-reference, before the tanh (residual policy learning: Silver et al. 2018; Johannink et al. 2019).
+A policy may start as a table of gaits: its networks then learn a correction that is added to the
+gait for the reference, before the tanh (residual policy learning: Silver et al. 2018; Johannink et
+al. 2019).
 """
 
 import math
@@ -29,7 +31,7 @@ class PolicyConfig(Configuration):
     """Size and start of the networks."""
 
     units: PositiveInt = 64
-    """Units of the LSTM; the paper does not give its own."""
+    """Units of the LSTM; the paper does not state its number."""
     width: PositiveInt = 64
     """Units of the layer after the LSTM."""
     critic_width: PositiveInt = 128
@@ -54,7 +56,7 @@ class Policy(eqx.Module):
     normalisation: Normalisation
     """Normalisation of the observations."""
     gaits: GaitTable | None
-    """Gaits that the networks' outputs are added to, over references in units of the observation;
+    """Gaits to which the networks' outputs are added, over references in units of the observation;
     not trained."""
 
     @classmethod
@@ -66,8 +68,8 @@ class Policy(eqx.Module):
         actions: int = 2,
         gaits: GaitTable | None = None,
     ) -> "Policy":
-        """New weights; at the start the mean action is nearly the gait's, or the middle, whatever
-        is observed."""
+        """Return new weights; at the start the mean action is close to that of the gait, or to 0
+        without gaits, for any observation."""
         lstm, hidden, output = jax.random.split(key, 3)
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
@@ -87,14 +89,14 @@ class Policy(eqx.Module):
     def act(
         self, memory: PolicyMemory, observation: Float[Array, "observations"]
     ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
-        """The deterministic action, in (-1, 1)."""
+        """Return the deterministic action, in (-1, 1)."""
         memory, mean = self.step(memory, observation)
         return memory, jnp.tanh(mean)
 
     def step(
         self, memory: PolicyMemory, observation: Float[Array, "observations"]
     ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
-        """The mean action before the tanh."""
+        """Return the mean action before the tanh."""
         memory = self.net.lstm.step(memory, self.normalisation(observation))
         return memory, self._mean(memory.hidden) + self._gait(observation)
 
@@ -104,8 +106,8 @@ class Policy(eqx.Module):
         observation: Float[Array, "time observations"],
         is_first: Bool[Array, "time"],
     ) -> Float[Array, "time actions"]:
-        """The outputs of `step` over a sequence, the memory cleared before every step that
-        `is_first`."""
+        """Return the outputs of `step` over a sequence; the memory is cleared before every step
+        that `is_first`."""
         hidden = self.net.lstm.sequence(memory, self.normalisation(observation), is_first)
         return self._mean(hidden) + jax.vmap(self._gait)(observation)
 
@@ -113,8 +115,8 @@ class Policy(eqx.Module):
         return self.net.output(jnp.tanh(self.net.hidden(hidden)))
 
     def _gait(self, observation: Float[Array, "observations"]) -> Array:
-        """The action of the gait for the observed reference and phase, before the tanh; 0 without
-        gaits."""
+        """Return the action of the gait for the observed reference and phase, before the tanh; 0
+        without gaits."""
         if self.gaits is None:
             return jnp.zeros_like(self.log_std)
         gaits = jax.lax.stop_gradient(self.gaits)
@@ -122,38 +124,39 @@ class Policy(eqx.Module):
         return jnp.asarray(gait_before_tanh(jax_operations(), gaits, observation[1:MEASURED], age))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
-        """The policy with observations counted in its normalisation."""
+        """Return the policy with its normalisation updated by observations."""
         return self.with_normalisation(self.normalisation.updated(observation))
 
     def with_normalisation(self, normalisation: Normalisation) -> "Policy":
-        """The policy with another normalisation."""
+        """Return the policy with another normalisation."""
         return cast(Policy, eqx.tree_at(lambda policy: policy.normalisation, self, normalisation))
 
     def log_prob(
         self, mean: Float[Array, "*t actions"], pre_tanh_action: Float[Array, "*t actions"]
     ) -> Float[Array, "*t"]:
-        """Log-density of the action before the tanh, which cancels in every ratio of densities."""
+        """Return the log-density of the action before the tanh; the tanh cancels in every ratio of
+        densities."""
         z = (pre_tanh_action - mean) / jnp.exp(self.log_std)
         return -jnp.sum(0.5 * z**2 + self.log_std + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
 
     def action_entropy(self) -> Float[Array, ""]:
-        """Entropy of the action before the tanh [nat]."""
+        """Return the entropy of the action before the tanh [nat]."""
         return jnp.sum(self.log_std + 0.5 * jnp.log(2 * jnp.pi * jnp.e))
 
 
 class Critic(eqx.Module):
-    """Value of a state, from the privileged observation: it needs no memory, and no robot needs
-    it."""
+    """The value of a state, from the privileged observation: it needs no memory, and robots do not
+    need it."""
 
     layers: tuple[LinearLayer, LinearLayer, LinearLayer]
     inputs: Normalisation
     """Normalisation of the privileged observation."""
     values: Normalisation
-    """Normalisation of the values, which the layers compute in units of it."""
+    """Normalisation of the values; the layers compute normalised values."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, privileged: int, width: int) -> "Critic":
-        """New weights for `privileged` inputs."""
+        """Return new weights for `privileged` inputs."""
         sizes = ((privileged, width), (width, width), (width, 1))
         first, second, last = (
             LinearLayer.create(k, *size, 1.0)
@@ -168,7 +171,7 @@ class Critic(eqx.Module):
     def loss(
         self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"]
     ) -> Float[Array, ""]:
-        """Mean squared error, in the layers' unit."""
+        """Return the mean squared error of the normalised values."""
         return jnp.mean(
             (self._normalised(privileged) - self.values(target[..., None])[..., 0]) ** 2
         )
@@ -179,8 +182,8 @@ class Critic(eqx.Module):
         target: Float[Array, "*batch"],
         most: float | int,
     ) -> "Critic":
-        """The critic with inputs and values counted in its normalisations, earlier values as at
-        most `most`.
+        """Return the critic with its normalisations updated by inputs and values; earlier values
+        count as at most `most`.
 
         The last layer is changed so that values in their new unit stay the same (van Hasselt et al.
         2016); the new normalisation of the inputs still changes the value of the same inputs a
@@ -205,7 +208,7 @@ class ActorCritic(eqx.Module):
 
 
 def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
-    """The leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
+    """Return the leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
     paths, _ = jax.tree_util.tree_flatten_with_path(policy)
     names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
     return {
@@ -214,12 +217,12 @@ def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
 
 
 STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
-"""Names in files that differ from those here: folders of earlier versions have them."""
+"""Names in files that differ from those in the code, for compatibility with earlier versions."""
 
 
 def policy_memory(policy: Policy) -> dict[str, int]:
-    """Memory of one policy or of a stack of them, for JSON: weights and optimiser, without critic
-    and rollouts."""
+    """Return the memory of one policy or a stack of them, for JSON: weights and optimiser, without
+    critic and rollouts."""
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights = sum(leaf.size for leaf in leaves) // count
@@ -237,7 +240,7 @@ def policy_memory(policy: Policy) -> dict[str, int]:
 
 
 def describe_memory(memory: Mapping[str, int]) -> str:
-    """The numbers of `policy_memory` in a line of text."""
+    """Return the numbers of `policy_memory` in one line of text."""
     each, stored, trained = (
         f"{memory[name] / 1e3:.0f} kB"
         for name in ("weights_bytes", "total_weights_bytes", "total_bytes")

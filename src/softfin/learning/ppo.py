@@ -1,9 +1,9 @@
 """LSTM-PPO (Schulman et al. 2017): collect, advantages, epochs of clipped updates. Pure; one agent,
 `vmap` adds more.
 
-The networks' inputs and values are normalised by their own running mean and deviation, and the
-policy that is kept is an average over the last updates. Every rollout is learnt from for other
-references, too, whose rewards are known.
+The networks' inputs and values are normalised by their running mean and deviation, and the policy
+that is kept is an average over the last updates. Every rollout is also used for other references,
+whose rewards are known.
 """
 
 from dataclasses import dataclass
@@ -32,53 +32,52 @@ from softfin.task.references import References
 from softfin.task.task import ForceTracking, RewardTerms
 
 RECENT_UPDATES = 4
-"""Rollouts over which values are normalised: values rise as the policy learns."""
+"""Number of rollouts over which values are normalised, because values rise as the policy learns."""
 
 MAX_LOG_RATIO = 20.0
-"""Logarithm up to which ratios of probabilities are told apart."""
+"""Largest logarithm of a ratio of probabilities; larger ones are clipped."""
 
 PerStep = Float[Array, "time environments"]
 
 
 class PPOConfig(Configuration):
-    """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, from each of
-    which much is learnt."""
+    """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, each of which
+    learns as much as possible."""
 
     num_envs: PositiveInt = 16
-    """Fins that each policy moves side by side."""
+    """Number of fins that each policy moves at the same time."""
     num_steps: int = Field(default=15, ge=3, multiple_of=3)
-    """Actions of each fin between updates, whole cycles of three; gradients reach back as far."""
+    """Actions of each fin between updates, a multiple of three; gradients reach back as far."""
     num_epochs: PositiveInt = 10
     """Passes over each rollout."""
     relabelling: NonNegativeFloat = 0.0
-    """Root mean square distance between a rollout's references and the other references that it is
-    learnt from as well (hindsight), in units of the rollout's root mean square force error; 0:
-    none, as in the paper."""
+    """Root mean square distance between a rollout's references and the other references for which
+    it is also used (hindsight), in units of the rollout's root mean square force error; 0: none, as
+    in the paper."""
     num_minibatches: PositiveInt = 8
-    """Updates a pass; each takes whole sequences of num_envs/num_minibatches fins, and as many
+    """Updates per pass; each uses whole sequences of num_envs/num_minibatches fins, and as many
     relabelled ones."""
     learning_rate: PositiveFloat = 3e-3
     """Learning rate of Adam, at the start."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
-    """Learning rate at the end, as a part of that at the start; in between it falls linearly."""
+    """Learning rate at the end, as a fraction of that at the start; it falls linearly."""
     discount: float = Field(default=0.8, gt=0, lt=1)
-    """Gamma an action; 0.8 looks ahead 5 actions, and the window of the reward holds the last 6."""
+    """Gamma per action; 0.8 looks ahead 5 actions, and the window of the reward has the last 6."""
     gae_lambda: float = Field(default=0.8, ge=0, le=1)
     """Lambda of generalised advantage estimation."""
     clip_ratio: PositiveFloat = 0.2
-    """Greatest change of the probability ratio that is rewarded."""
+    """Largest change of the probability ratio that is rewarded."""
     entropy_coef: NonNegativeFloat = 0.0
     """Weight of the entropy [1/nat], at the start."""
     final_entropy_coef: float = Field(default=0.0, ge=0, le=1)
-    """Weight of the entropy at the end, as a part of that at the start; in between it falls
-    linearly."""
+    """Weight of the entropy at the end, as a fraction of that at the start; it falls linearly."""
     averaging: NonNegativeFloat = 2.0
-    """Number of updates that the policy is averaged over which is evaluated and kept, about; 0 is
-    the newest."""
+    """Approximate number of updates over which the evaluated policy is averaged; 0 takes the
+    newest."""
     value_coef: PositiveFloat = 0.5
     """Weight of the critic's loss."""
     max_grad_norm: PositiveFloat = 0.5
-    """Norm to which longer gradients are scaled down."""
+    """Norm to which larger gradients are scaled down."""
 
     @model_validator(mode="after")
     def _divides(self) -> "PPOConfig":
@@ -91,21 +90,21 @@ class PPOConfig(Configuration):
 
     @property
     def steps_per_update(self) -> int:
-        """Actions of an update over all environments."""
+        """Actions per update over all environments."""
         return self.num_envs * self.num_steps
 
     @property
     def gradients_per_update(self) -> int:
-        """Steps of the optimiser in an update."""
+        """Optimiser steps per update."""
         return self.num_epochs * self.num_minibatches
 
     def learning_rates(self, updates: int) -> optax.Schedule:
-        """Learning rate of a run, by the optimiser's steps."""
+        """Return the learning rate of a run over the optimiser's steps."""
         end = self.learning_rate * self.final_learning_rate
         return optax.linear_schedule(self.learning_rate, end, updates * self.gradients_per_update)
 
     def entropy_coefs(self, updates: int) -> optax.Schedule:
-        """Weight of the entropy in a run, by its updates."""
+        """Return the weight of the entropy in a run over its updates."""
         return optax.linear_schedule(
             self.entropy_coef, self.entropy_coef * self.final_entropy_coef, updates
         )
@@ -116,7 +115,7 @@ class Batch(NamedTuple):
 
     rollout: Rollout
     advantage: PerStep
-    """Advantages of mean 0 and standard deviation 1."""
+    """Return the advantages with mean 0 and standard deviation 1."""
     target: PerStep
     """Targets of the critic."""
 
@@ -131,7 +130,7 @@ class PPO:
     num_updates: int
 
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
-        """New networks, fins at rest."""
+        """Return new networks, with fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
         state = jax.eval_shape(self.task.reset, environment_key, references)
         privileged = jax.eval_shape(self.task.privileged_observation, state)
@@ -163,7 +162,7 @@ class PPO:
         )
         learnt = self._learn(agent, ActorCritic(networks.policy, critic), rollout, learn_key)
         networks, averaged, optimiser, learning = learnt
-        # After the learning, so that the probabilities there are those of the rollout.
+        # Updated after the learning, so that the probabilities in it are those of the rollout.
         policy = networks.policy.update_statistics(rollout.observation)
         networks = ActorCritic(policy, networks.critic)
         averaged = averaged.with_normalisation(policy.normalisation)
@@ -171,7 +170,7 @@ class PPO:
         return agent, metrics | learning
 
     def batch(self, critic: Critic, rollout: Rollout) -> tuple[Batch, Metrics]:
-        """Advantages and targets of a rollout.
+        """Compute the advantages and targets of a rollout.
 
         With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever
         the discount.
@@ -180,7 +179,7 @@ class PPO:
         value = critic(rollout.privileged_observation)
         next_value = critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
-        # The later part of an advantage counts as far as the actions there do (Munos et al. 2016).
+        # The later terms of an advantage count as much as the actions there (Munos et al. 2016).
         traces = self.config.gae_lambda * jnp.roll(rollout.weight, -1, axis=0)
         advantage = advantages(reward, value, next_value, rollout.truncated, discount, traces)
         normalised = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -199,13 +198,13 @@ class PPO:
         start: PolicyMemory,
         entropy_coef: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Metrics]:
-        """Clipped surrogate objective, squared error of the critic, weighed entropy; whole
-        sequences from `start`."""
+        """Return the loss: clipped surrogate objective, squared error of the critic and weighted
+        entropy, over whole sequences from `start`."""
         config = self.config
         rollout = batch.rollout
         mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
-        # Finite, so that a weight of 0 makes it 0.
+        # Kept finite, so that a weight of 0 gives 0.
         ratio = jnp.exp(jnp.minimum(log_ratio, MAX_LOG_RATIO))
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
         gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
@@ -228,13 +227,14 @@ class PPO:
         references: References,
         key: PRNGKeyArray,
     ) -> Rollout:
-        """The rollout, and beside it the same actions as if other references had been asked for.
+        """Return the rollout together with a copy of it in which other references had been
+        requested.
 
         A reward is known for every reference (hindsight: Andrychowicz et al. 2017, for policy
-        gradients Rauber et al. 2019). Actions weigh as often as the policy would choose them there,
-        at most 1, and ratios are against the policy there, so that clipping stays what it was
-        (Hilton et al. 2022). The window is scored as if the other reference had been asked for all
-        along.
+        gradients Rauber et al. 2019). Actions are weighted by how often the policy would choose
+        them there, at most 1, and ratios are relative to the policy there, so that clipping works
+        as before (Hilton et al. 2022). The window is scored as if the other reference had been
+        requested from the start.
         """
         if not self.config.relabelling:
             return rollout
@@ -268,7 +268,8 @@ class PPO:
     def _learn(
         self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
     ) -> tuple[ActorCritic, Policy, Any, Metrics]:
-        """Epochs of minibatches; the networks, the averaged policy and the optimiser after them."""
+        """Run the epochs of minibatches; returns the networks, the averaged policy and the
+        optimiser."""
         config = self.config
         optimiser = self._optimiser()
         behaviour = agent.networks
@@ -325,7 +326,7 @@ def _replay(
     observation: Float[Array, "time fins observations"],
     is_first: Bool[Array, "time fins"],
 ) -> Float[Array, "time fins actions"]:
-    """Mean actions of whole sequences, each from its own memory."""
+    """Return the mean actions of whole sequences, each from its own memory."""
     return jax.vmap(policy.sequence, in_axes=(0, 1, 1), out_axes=1)(start, observation, is_first)
 
 

@@ -1,10 +1,10 @@
 """Training on a Ray cluster (extra `ray`): a task for each seed, or for each cell if there is one
 seed.
 
-Agents need no data of each other, so a task is a training run of its own, in a part of the run's
-folder. All machines must see that folder under the same path. Ray starts a task again if its worker
-dies, and the task resumes at its last checkpoint. The result of a task depends on its seed and
-cells alone, whichever worker does it.
+Agents do not exchange data, so each task is a separate training run in a part of the run's folder.
+All machines must see that folder at the same path. Ray starts a task again if its worker dies, and
+the task resumes at its last checkpoint. The result of a task depends only on its seed and cells,
+not on the worker.
 """
 
 import os
@@ -30,14 +30,14 @@ from softfin.learning.train import find_map, train
 from softfin.storage.run_directory import RunDirectory
 
 STORE_BYTES = 256 * 2**20
-"""Memory for the objects of a cluster that is started here [bytes]: plants and policies are small.
+"""Memory for the objects of a cluster that is started here [bytes]; plants and policies are small.
 By default Ray takes a third of all memory."""
 
 CONNECTION_S = 5.0
 """Longest wait for a cluster's address to accept a connection [s]."""
 
 MAX_RETRIES = 2
-"""Times that a task is started again after its worker died."""
+"""Number of times that a task is started again after its worker died."""
 
 CLUSTER_PROGRAM = """
 import os, sys, ray
@@ -47,7 +47,7 @@ os.write(sys.stdout.fileno(), (started.address_info["gcs_address"] + "\\n").enco
 sys.stdin.read()
 ray.shutdown()
 """
-"""Program of a cluster of this machine alone, for as long as standard input stays open; it prints
+"""Program that runs a cluster on this machine for as long as standard input stays open, and prints
 its address.
 
 It runs in a process without JAX: Ray forks, and JAX's threads do not survive that.
@@ -86,11 +86,11 @@ def train_on_ray(
     """Train as `softfin.learning.train.train` does, on the cluster at HOST:PORT or on one started
     for this run.
 
-    A task that fails is reported when all others are done, so that their checkpoints are kept.
+    A failed task is reported when all others are done, so that their checkpoints are kept.
 
     Raises:
         ConfigurationError: as `check`; Ray or the cluster cannot be used.
-        RunError: a task failed; the last good checkpoints are left.
+        RunError: a task failed; the last good checkpoints are kept.
     """
     check(plant, config, seeds, force_map)
     if force_map is None:
@@ -131,7 +131,7 @@ def _run_tasks(
     force_map: ForceMap | None,
     progress: Progress,
 ) -> list[BestPolicies]:
-    # A task without a GPU sees none, and would compute on the processor.
+    # A task without a GPU sees none, and would compute on the CPU.
     gpus_per_task = 1 if jax.default_backend() == "gpu" else 0
     if gpus_per_task and not ray.cluster_resources().get("GPU"):
         raise ConfigurationError(
@@ -182,8 +182,8 @@ def _run_task(
 
 @contextmanager
 def _connected(cluster: str | None) -> Iterator[Any]:
-    """Connect Ray to a cluster, or to one started on this machine; a connection of the caller's
-    stays as it is."""
+    """Connect Ray to a cluster, or to one started on this machine; an existing connection of the
+    caller is kept."""
     ray = _import_ray(is_own_cluster=cluster is None)
     if ray.is_initialized():
         yield ray
@@ -201,8 +201,8 @@ def _connected(cluster: str | None) -> Iterator[Any]:
 
 @contextmanager
 def _started() -> Iterator[str]:
-    """Start a cluster on this machine and yield its address; it ends with this process, however
-    that ends."""
+    """Start a cluster on this machine and yield its address; it ends with this process, no matter
+    how that ends."""
     command = [sys.executable, "-P", "-c", CLUSTER_PROGRAM, str(STORE_BYTES)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -233,8 +233,8 @@ def _describe(error: Exception) -> str:
 
 
 def _import_ray(is_own_cluster: bool) -> Any:
-    """Import Ray without usage statistics; a cluster of one's own takes work from this process and
-    its children alone.
+    """Import Ray without usage statistics; a cluster started here accepts work only from this
+    process and its children.
 
     Ray reads these settings when it is imported. Without the token it would write one to the user's
     home.

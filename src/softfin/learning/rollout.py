@@ -1,5 +1,5 @@
 """A policy in its environments: an agent's state, rollouts with exploration noise, and episodes
-without to evaluate it.
+without noise to evaluate it.
 
 Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions,
 and each action is one vmapped call of the plant.
@@ -32,15 +32,15 @@ class EnvState(NamedTuple):
     memories: PolicyMemory
     """The policy's memory of the observations before this one."""
     is_first: Bool[Array, "environments"]
-    """Whether the environment was just reset, so that the memory is of another episode."""
+    """Whether the environment was just reset, so that the memory belongs to another episode."""
 
 
 class AgentState(NamedTuple):
-    """Everything that the training of one policy carries from update to update: its key and
-    environments, too."""
+    """Everything that the training of one policy carries from update to update, including its key
+    and environments."""
 
     networks: ActorCritic | None
-    """Networks that act and learn; None where the policy itself does."""
+    """Networks that act and learn; None if the policy itself does."""
     policy: Policy
     """The policy that is evaluated and kept."""
     optimiser: PyTree
@@ -51,12 +51,12 @@ class AgentState(NamedTuple):
 
 
 Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
-"""Scalars of an update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others
-of the algorithm."""
+"""Scalars per update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others of
+the algorithm."""
 
 
 def clipped_adam(rate: optax.Schedule, max_norm: float) -> optax.GradientTransformation:
-    """Adam on gradients of at most this norm, over all weights as one vector, which compiles sooner
+    """Return Adam with clipping to a norm, over all weights as one vector, which compiles faster
     than one by one."""
     return optax.flatten(
         optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5))
@@ -84,15 +84,15 @@ class Rollout(NamedTuple):
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
     weight: Float[Array, "*batch"]
-    """Weight of the transition: less than 1 where the policy would seldom act so, given this
+    """Weight of the transition: less than 1 if the policy would rarely act like this, given this
     reference."""
 
 
 def start_episodes(
     task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int
 ) -> EnvState:
-    """Fins at rest; their first episodes are shorter by whole cycles, so that later resets are
-    spread over time."""
+    """Return fins at rest; their first episodes are shorter by whole cycles, so that later resets
+    are spread over time."""
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycles = task.config.episode_actions // len(ACTION_TICKS)
     age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
@@ -155,7 +155,7 @@ def _act(
 
 
 def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
-    """The environments, those whose episodes are over with their fins at rest again."""
+    """Return the environments, with the fins of finished episodes at rest again."""
     truncated = jax.vmap(task.truncated)(env_state.states)
 
     def choose(new: Array, old: Array) -> Array:
@@ -166,7 +166,7 @@ def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
 
 
 class PolicyEvaluation(NamedTuple):
-    """Errors of a policy without its exploration noise, from an episode per reference, as in the
+    """Errors of a policy without exploration noise, from one episode per reference, as in the
     paper's Table II."""
 
     error: Float[AnyArray, "*batch references 2"]
@@ -174,13 +174,14 @@ class PolicyEvaluation(NamedTuple):
     std: Float[AnyArray, "*batch references 2"]
     """Standard deviation of the moving average [N]."""
     out_of_distribution_fraction: Float[AnyArray, "*batch references"] | None = None
-    """Share of the actions that led out of an ensemble's training data; None of other plants."""
+    """Fraction of the actions that left an ensemble's training data; None for other plants."""
 
 
 def evaluate_policy(
     task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray
 ) -> PolicyEvaluation:
-    """Play one episode from rest for each reference, all side by side; the reference stays."""
+    """Run one episode from rest for each reference, all at the same time, with a constant
+    reference."""
     count = len(references)
     window = task.config.window_samples
     states = jax.vmap(task.reset)(

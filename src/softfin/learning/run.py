@@ -1,7 +1,7 @@
-"""The agents of a training run, side by side in one program: init, update, evaluation; over all
-devices of the machine.
+"""The agents of a training run in one compiled program, on all devices of the machine: init,
+update, evaluation.
 
-Seeds x cells are the agents. Agents need no data of each other, so devices do not communicate.
+Seeds x cells are the agents. Agents do not exchange data, so devices do not communicate.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ class RunState(NamedTuple):
 
 
 BestPolicies: TypeAlias = tuple[Policy, PolicyEvaluation]
-"""Each agent's policy of the smallest deterministic error, and its evaluation; leaves ``(seeds,
+"""Each agent's policy with the smallest deterministic error, and its evaluation; leaves ``(seeds,
 cells, ...)``."""
 
 
@@ -59,7 +59,7 @@ class TrainingResult(NamedTuple):
     evaluation: PolicyEvaluation
     """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
     force_map: ForceMap | None = None
-    """Map of the fin, where there is one."""
+    """Map of the fin, if there is one."""
 
     @classmethod
     def of_plant(
@@ -71,14 +71,14 @@ class TrainingResult(NamedTuple):
         evaluation: PolicyEvaluation,
         force_map: ForceMap | None,
     ) -> "TrainingResult":
-        """Build the result of a run in a plant, whose limits are those of its policies."""
+        """Build the result of a run in a plant, whose limits apply to its policies."""
         limits = Limits(*map(float, plant.limits))
         return cls(config, limits, tuple(seeds), policies, evaluation, force_map)
 
 
 class OneMember(eqx.Module):
-    """Meets the Plant contract: every fin is another member of an ensemble, so that no policy
-    exploits its errors.
+    """Meets the Plant contract: every fin is a randomly drawn member of an ensemble, so that no
+    policy can exploit the errors of one.
 
     The key draws the member, which stays for as long as the episode lasts; its index is part of the
     state.
@@ -92,7 +92,7 @@ class OneMember(eqx.Module):
         return self.ensemble.limits
 
     def init(self, key: PRNGKeyArray) -> tuple[Int[Array, ""], State]:
-        """A drawn member, at rest at angle 0."""
+        """Return a randomly drawn member, at rest at angle 0."""
         index = jax.random.randint(key, (), 0, self.ensemble.size)
         return index, self.ensemble.member(index).init(jax.random.fold_in(key, 1))
 
@@ -150,15 +150,15 @@ class TrainingRun:
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
         self.reachable = None if force_map is None else force_map.reachable
         self.plant = jit_argument(plant)
-        # Jobs that differ by their cells and seeds alone share their programs.
+        # Tasks that differ only in their cells and seeds share their programs.
         self.compiled = config.model_copy(update={"cells": ()})
         self.references = jnp.asarray(
             np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1))
         )
 
     def start(self) -> RunState:
-        """Return new agents, none of which has an evaluation yet."""
-        # The key of an agent depends on its seed and cell alone, not on the agents beside it.
+        """Return new agents without any evaluation."""
+        # The key of an agent depends only on its seed and cell, not on other agents.
         keys = jnp.stack([named_key(seed, f"train/{cell}") for seed, cell in self.agents])
         boxes = stack_references(
             [cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable
@@ -172,8 +172,8 @@ class TrainingRun:
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
 
     def over_devices(self, tree: AgentTree) -> AgentTree:
-        """A tree with a leading axis of agents, over as many of the machine's devices as have equal
-        parts of them."""
+        """Distribute a tree with a leading axis of agents over as many devices as can have equal
+        parts of it."""
         devices = jax.devices()
         used = max(count for count in range(1, len(devices) + 1) if len(self.agents) % count == 0)
         if used == 1:
@@ -183,7 +183,7 @@ class TrainingRun:
         return cast(AgentTree, jax.device_put(tree, parts))
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
-        """Update every agent, the `number`-th time; raises RunError where a loss or its gradient is
+        """Update every agent for the `number`-th time; raises RunError if a loss or its gradient is
         not finite."""
         agents, metrics = _update(self.compiled, self.plant, agents)
         self._check_finite(
@@ -192,11 +192,11 @@ class TrainingRun:
         return agents, metrics
 
     def evaluate(self, policies: Policy, update: int) -> PolicyEvaluation:
-        """Evaluate every agent's policy without noise; raises RunError where the plant's forces are
+        """Evaluate every agent's policy without noise; raises RunError if the plant's forces are
         not finite.
 
-        Noise of the sensed angle is for learning, too: the policy that is kept is the best one as
-        `softfin evaluate` evaluates it.
+        Noise of the sensed angle is also only for learning: the best policy is chosen under the
+        conditions of `softfin evaluate`.
         """
         without_noise = self.config.task.sensing.model_copy(update={"noise_rad": 0.0})
         task = self.config.task.model_copy(update={"sensing": without_noise})
@@ -216,7 +216,7 @@ class TrainingRun:
             )
 
     def by_seed(self, metrics: Metrics) -> dict[str, float]:
-        """Means over the cells, named ``seedN/...``."""
+        """Return the means over the cells, named ``seedN/...``."""
         means = {
             name: np.reshape(values, (len(self.seeds), -1)).mean(axis=1)
             for name, values in metrics.items()
@@ -228,13 +228,13 @@ class TrainingRun:
         }
 
     def note(self, metrics: Metrics, state: RunState) -> str:
-        """The newest figures, for a progress bar."""
+        """Return the newest figures, for a progress bar."""
         note = f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N"
         x, y = np.mean(state.best_evaluation.error, axis=(0, 1))
         return f"{note}, best deterministic {x:.2f}/{y:.2f} N" if np.isfinite(x + y) else note
 
     def result(self, state: RunState) -> BestPolicies:
-        """The best policies and their evaluation, by seed and cell; NumPy arrays."""
+        """Return the best policies and their evaluation, by seed and cell, as NumPy arrays."""
         shape = (len(self.seeds), len(self.config.cells))
         best: BestPolicies = jax.tree.map(
             lambda x: np.asarray(x).reshape(*shape, *x.shape[1:]),
@@ -244,8 +244,8 @@ class TrainingRun:
 
 
 def summary(evaluation: PolicyEvaluation) -> Metrics:
-    """Mean error of each agent over its references, and how often it left an ensemble's training
-    data."""
+    """Return the mean error of each agent over its references, and how often it left an ensemble's
+    training data."""
     errors = {
         f"score_{axis}_n": np.asarray(evaluation.error)[..., i].mean(axis=-1)
         for i, axis in enumerate(AXES)
@@ -259,8 +259,8 @@ def summary(evaluation: PolicyEvaluation) -> Metrics:
 
 
 def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
-    """The state with each agent's policy as its best, where its mean error is less than before;
-    NumPy arrays."""
+    """Return the state with the policy of each agent as its best one if its mean error is lower
+    than before; NumPy arrays."""
     new, old = (
         np.asarray(each.error).mean(axis=(1, 2)) for each in (evaluation, state.best_evaluation)
     )
@@ -277,14 +277,14 @@ def _is_key(leaf: Any) -> bool:
 
 
 def without_keys(tree: AgentTree) -> AgentTree:
-    """The tree with keys of the random generator as numbers, for storage."""
+    """Return the tree with random keys as numbers, for storage."""
     return cast(
         AgentTree, jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree)
     )
 
 
 def with_keys(tree: AgentTree, like: AgentTree) -> AgentTree:
-    """The tree with numbers as keys again, where `like` has keys."""
+    """Return the tree with numbers turned back into keys, where `like` has keys."""
     return cast(
         AgentTree,
         jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like),

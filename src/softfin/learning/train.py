@@ -1,8 +1,8 @@
 """Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell
 out.
 
-All agents of a run learn side by side in one program. A resumed run ends with the same weights as
-one that was never stopped.
+All agents of a run learn in one compiled program. A resumed run ends with the same weights as one
+that was never stopped.
 """
 
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ def train(
 
     Raises:
         ConfigurationError: as `check`.
-        RunError: a loss is no longer finite; the last good checkpoint is left in the run_directory.
+        RunError: a loss is no longer finite; the last good checkpoint is kept in the run_directory.
     """
     check(plant, config, seeds, force_map)
     if force_map is None:
@@ -68,8 +68,8 @@ def train(
             evaluation = run.evaluate(agents.policy, done)
             state = keep_best(state, evaluation)
             scalars |= run.by_seed(summary(evaluation))
-        # Before the checkpoint: a resumed run drops entries that are too many, but cannot make up
-        # for one.
+        # Logged before the checkpoint: a resumed run drops surplus entries, but cannot restore a
+        # missing one.
         record.write(done * steps_per_update, **scalars)
         if done in due:
             run_directory.save(without_keys(state), {"updates": done})
@@ -85,8 +85,8 @@ def train(
 def find_map(
     plant: Plant, config: TrainConfig, run_directory: RunDirectory, progress: Progress | None
 ) -> ForceMap | None:
-    """Map the forces of a fin whose policies begin as gaits, or read the map of a stopped run; None
-    of other runs."""
+    """Map the forces of a fin whose policies start as gaits, or read the map of a stopped run; None
+    for other runs."""
     if not config.begins_as_gaits:
         return None
     settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")

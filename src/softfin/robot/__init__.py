@@ -1,2 +1,2 @@
-"""Robots with several fins on one body: forces and torques asked for, fins that make them, control
-of motion."""
+"""Robots with several fins on one body: allocation of a wrench to the fins, and control of
+motion."""

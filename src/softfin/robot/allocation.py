@@ -1,16 +1,16 @@
-"""Allocation: a wrench on the body becomes one mean force a fin, within what each fin can make.
-NumPy alone.
+"""Allocation: turns a wrench on the body into one mean force per fin, within the reach of each fin.
+NumPy only.
 
 Forces f = (x, y of the first fin, of the second, ...) minimise
 
     |Q^(1/2) (B f - wrench)|^2 / 2 + ridge / 2 sum_i |f_i - p_i|^2 / r_i^2,   |f_i| <= r_i
 
-with the fins' matrix B, priorities Q, preferred forces p and reaches r. Where no fin is at its
-reach that is linear in the wrench, and the ridge is so small that all of the wrench is made. Where
-some are, it is a quadratic programme over disks, solved by an accelerated projected gradient with
-restarts (Nesterov 1983; O'Donoghue and Candes 2015): some steps a call, which begin at the forces
-of the call before. From anywhere they come within 0.1 N of the optimum in nine cases of ten; while
-a robot goes on asking for much the same, they arrive.
+with the fins' matrix B, priorities Q, preferred forces p and reaches r. If no fin is at its reach,
+the solution is linear in the wrench, and the ridge is so small that the full wrench is made.
+Otherwise it is a quadratic program over disks, solved by an accelerated projected gradient with
+restarts (Nesterov 1983; O'Donoghue and Candes 2015): some steps per call, starting from the forces
+of the previous call. From any start they come within 0.1 N of the optimum in nine cases of ten;
+while the wrench changes slowly, they reach it.
 """
 
 from typing import NamedTuple
@@ -23,13 +23,13 @@ RIDGE = 1e-5
 axis."""
 
 GRADIENT_STEPS = 10
-"""Steps of the projected gradient in a call, beyond reach."""
+"""Steps of the projected gradient per call, if the wrench is out of reach."""
 
 TOUCHING = 1e-6
 SETTLING = 20
 
 GIVEN_UP = 0.03
-"""An axis counts as given up where more than this part of the wrench is missing [-], and over
+"""An axis counts as given up if more than this fraction of the wrench is missing [-], and more than
 `SMALL`."""
 
 SMALL = (0.02, 0.02, 0.02, 0.005, 0.005, 0.005)
@@ -41,18 +41,18 @@ SixVector = Float[np.ndarray, "6"]
 
 
 class Allocation(NamedTuple):
-    """Forces for the fins, and what they make."""
+    """Forces for the fins, and the resulting wrench."""
 
     forces: FinForces
     """Mean force of each fin in its own axes [N]."""
     wrench: SixVector
     """Wrench that they make together, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "6"]
-    """Axes in which they make less than was asked for, or something else."""
+    """Axes in which the wrench differs from the requested one."""
 
 
 class Allocator:
-    """Shares wrenches among the fins of one robot."""
+    """Allocates wrenches to the fins of one robot."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class Allocator:
 
     @property
     def reach(self) -> Float[np.ndarray, "fins"]:
-        """Greatest mean force of each fin [N]; 0 of a dead one. May be set."""
+        """Largest mean force of each fin [N]; 0 for a dead one. May be set."""
         return self._reach
 
     @reach.setter
@@ -82,7 +82,7 @@ class Allocator:
         self._descend = np.eye(len(self._scale)) - self._step * normal
 
     def reach_along(self, axis: int) -> float:
-        """Return the greatest force or moment along one axis with none along the others [N, N m],
+        """Return the largest force or moment along one axis without any along the others [N, N m],
         within 1%."""
         unit = np.eye(6)[axis]
         low = 0.0
@@ -99,10 +99,10 @@ class Allocator:
     def allocate(
         self, wrench: SixVector, preferred: FinForces | None = None, start: FinForces | None = None
     ) -> Allocation:
-        """Share a wrench in body axes [N, N m]; every finite wrench has an answer.
+        """Allocate a wrench in body axes [N, N m]; every finite wrench has a solution.
 
-        Where it is beyond reach, the search begins at the forces `start`, such as those of the
-        action before.
+        If it is out of reach, the search starts from the forces `start`, such as those of the
+        previous action.
         """
         near = self._over_reach(preferred)
         parts = near + self._gain @ (wrench - self.matrix @ (near * self._scale))
@@ -122,8 +122,8 @@ class Allocator:
         return parts
 
     def _within(self, right: MatrixColumns, parts: MatrixColumns) -> MatrixColumns:
-        """Return forces over reaches of which none is longer than 1, after some steps towards the
-        best."""
+        """Return forces relative to the reaches, none longer than 1, after some steps towards the
+        optimum."""
         # A gradient step is linear: descend @ x + shift.
         shift = self._step * right
         ahead = parts
@@ -141,6 +141,6 @@ class Allocator:
 
 
 def _clipped(parts: MatrixColumns) -> MatrixColumns:
-    # As complex numbers, which NumPy measures in one call.
+    # As complex numbers, so that NumPy computes all lengths in one call.
     pairs = parts.view(complex)
     return np.asarray((pairs / np.maximum(np.abs(pairs), 1)).view(float))

@@ -1,4 +1,4 @@
-"""Drivers to compare with: what allocation, phases and measured gaits are each worth."""
+"""Drivers for comparison, which show the benefit of allocation, phases and measured gaits."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -14,20 +14,20 @@ from softfin.robot.phases import NUM_PHASES
 from softfin.robot.wrench_driver import WrenchDriver
 
 MakeDriver: TypeAlias = Callable[[int], WrenchDriver]
-"""Makes the driver of a trial from its seed."""
+"""Function that builds the driver of a trial from its seed."""
 
 STROKE_HZ = ACTION_RATE_HZ / 2
 FORCES_N = np.linspace(0, 12, 49)
-"""Forces for which the inverse model gives amplitudes [N]."""
+"""Forces at which the inverse model is evaluated [N]."""
 
 
 def build_drivers(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
     """Return drivers by name, the simplest last.
 
-    In `still water`, fins do not make up for what the robot's motion costs them. Independent phases
-    are drawn anew for every trial. The pseudo-inverse has no bracing and shares a wrench by least
-    squares. The analytic driver is that of the U-CAT robots, its amplitude law at the frequency of
-    our strokes.
+    In `still water`, fins do not compensate the force that they lose by the robot's motion.
+    Independent phases are drawn for every trial. The pseudo-inverse has no bracing and allocates a
+    wrench by least squares. The analytic driver is that of the U-CAT robots, with its amplitude law
+    at our stroke frequency.
     """
     still = [each._replace(stream_loss=np.zeros_like(each.stream_loss)) for each in gaits]
     plain = robot.merged({"allocation": {"brace_n": 0, "smoothing": 0}}, "baseline")
@@ -46,8 +46,8 @@ def build_drivers(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Ma
 
 
 def _analytic(gaits: FinGaits) -> FinGaits:
-    """The amplitudes of the inverse model, up to its greatest, with the limits and the ripple of a
-    fin's gaits."""
+    """Return gaits with the amplitudes of the inverse model, up to its largest, and the limits and
+    the ripple of a fin's own gaits."""
     model = InverseConfig()
     amplitude = find_amplitude(FORCES_N, STROKE_HZ, model.constant)
     count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))

@@ -13,7 +13,7 @@ SixNotNegative = tuple[Least0, Least0, Least0, Least0, Least0, Least0]
 
 
 class BodyConfig(Configuration):
-    """A rigid body in water; six numbers are of x, y, z and of roll, pitch, yaw, in body axes about
+    """A rigid body in water; six numbers refer to x, y, z and roll, pitch, yaw, in body axes about
     the origin."""
 
     mass_kg: PositiveFloat
@@ -31,7 +31,7 @@ class BodyConfig(Configuration):
     centre_of_buoyancy_m: Three = (0, 0, 0)
     """Centre of buoyancy [m]."""
     buoyancy_n: NonNegativeFloat | None = None
-    """Buoyancy [N]; none: that of a body that neither sinks nor rises."""
+    """Buoyancy [N]; none: neutral, so that the body neither sinks nor rises."""
 
     @property
     def upward_n(self) -> float:
@@ -67,11 +67,11 @@ class BodyConfig(Configuration):
         if least <= 0:
             raise ValueError(
                 f"inertia_kg_m2 = {np.asarray(self.inertia_kg_m2).tolist()} is singular or "
-                f"negative: its least principal moment is {least:.4g}; all must be over 0 kg m2"
+                f"negative: its smallest principal moment is {least:.4g}; all must be over 0 kg m2"
             )
         if least + middle < most * (1 - 1e-6):
             raise ValueError(
                 f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}: no "
-                "body has one greater than the sum of the others"
+                "body has one larger than the sum of the others"
             )
         return self

@@ -1,5 +1,4 @@
-"""Bracing: fins push against each other where a weak force would have no steady direction. NumPy
-alone.
+"""Bracing: fins push against each other if a weak force would have no steady direction. NumPy only.
 
 Between a wrench and the mean force of each fin [N], action by action: allocation, bracing,
 smoothing.
@@ -16,20 +15,21 @@ from softfin.robot.description import RobotConfig
 
 WAYS = 8
 SIZES = (0.5, 1.0, 1.5)
-"""Bracing that is tried: ways within the forces that cancel, sizes over the least force."""
+"""Bracing that is tried: directions in the space of forces that cancel, and sizes relative to the
+smallest force."""
 
 EFFORT = 0.02
-"""Cost of a newton of force, squared, against that of a newton too little."""
+"""Cost of a newton of force, squared, relative to that of a missing newton."""
 
 SAME_N = 1e-6
-"""Bracing whose forces differ by less is the same [N]."""
+"""Difference of forces below which two bracings are the same [N]."""
 
 
 class BracedAllocation:
-    """Shares wrenches among the fins of a robot, as `allocation` in its file says."""
+    """Allocates wrenches to the fins of a robot, as configured by `allocation` in its file."""
 
     def __init__(self, robot: RobotConfig, reach: Sequence[float | int]) -> None:
-        """`reach` is the greatest mean force of each fin [N]."""
+        """`reach` is the largest mean force of each fin [N]."""
         self._config = robot.allocation
         self.allocator = Allocator(
             robot.matrix(), np.array(reach, float), np.asarray(self._config.priority, float)
@@ -38,7 +38,7 @@ class BracedAllocation:
         self._braces = self._bracing()
 
     def declare_dead(self, fin: int) -> None:
-        """Ask nothing more of a fin; the others make what they can."""
+        """Command no more forces from a fin; the others make what they can."""
         self.dead = (*self.dead, fin)
         reach = self.allocator.reach.copy()
         reach[fin] = 0
@@ -48,13 +48,13 @@ class BracedAllocation:
     def share(
         self, wrench: SixVector, forces: FinForces, brace: FinForces
     ) -> tuple[Allocation, FinForces]:
-        """Share a wrench in body axes [N, N m], after the forces and the bracing of the last
+        """Allocate a wrench in body axes [N, N m], given the forces and the bracing of the last
         action.
 
         Returns:
             The allocation and its bracing: forces that cancel one another.
         """
-        # Of a dead fin nothing is left to fade out.
+        # The force of a dead fin does not fade out.
         forces = np.where(self.allocator.reach[:, None] > 0, forces, 0.0)
         brace = self._brace(self.allocator.allocate(wrench, start=forces).forces, brace)
         found = self.allocator.allocate(wrench, brace, forces)
@@ -63,7 +63,8 @@ class BracedAllocation:
         return Allocation(smoothed, self.allocator.matrix @ smoothed.ravel(), found.given_up), brace
 
     def _bracing(self) -> Float[np.ndarray, "braces fins 2"]:
-        """Forces that cancel one another, about the least force in size; the first is none."""
+        """Return forces that cancel each other, with sizes around the smallest force; the first is
+        zero."""
         alive = np.repeat(self.allocator.reach > 0, 2)
         _, values, rows = np.linalg.svd(self.allocator.matrix[:, alive])
         free = rows[(values > 1e-6 * values.max(initial=0)).sum() :]
@@ -82,8 +83,8 @@ class BracedAllocation:
         return np.array(found).reshape(len(found), -1, 2)
 
     def _brace(self, forces: FinForces, present: FinForces) -> FinForces:
-        """Return the bracing under which fins make the least force, or nearly so, with little
-        effort."""
+        """Return the bracing under which all fins make at least about the smallest force, with
+        little effort."""
         least = self._config.brace_n
         if len(self._braces) == 1:
             return np.zeros_like(forces)
@@ -93,20 +94,20 @@ class BracedAllocation:
         lacking = (np.maximum(least - sizes, 0) ** 2)[:, alive].sum(axis=1)
         beyond = (np.maximum(sizes - self.allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
         costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
-        # By its forces, not by a number: after a death there are other ways, and the present one
-        # may be none of them.
+        # Compared by forces, not by number: after a fin's death there are other directions, and the
+        # present one may not be among them.
         unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
         costs[unchanged] -= self._config.brace_change
-        # Of ways that cost the same the first, however the last digits are rounded.
+        # Of equal costs the first is taken, regardless of rounding in the last digits.
         return np.asarray(self._braces[costs.round(6).argmin()])
 
 
 def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 columns"]:
-    """Two ways to push that make no wrench: as near to y of the last fin as one can, and across; 0
-    where there is none.
+    """Return two directions that make no wrench: the one closest to y of the last fin, and one
+    across; 0 if there is none.
 
-    The rows of `free` span all ways; how they are turned in their span depends on the library of
-    linear algebra.
+    The rows of `free` span all directions; their rotation within the span depends on the linear
+    algebra library.
     """
     left = free.T @ free
     found = np.zeros((2, free.shape[1]))

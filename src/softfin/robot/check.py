@@ -12,14 +12,14 @@ from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import FinGaits
 
 WEAK = 1e-3
-"""A singular value below this part of the greatest counts as none."""
+"""A singular value below this fraction of the largest counts as zero."""
 
 
 def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> JsonObject:
     """Return rank and singular values, with all fins and without each of them, reach and
     acceleration of every axis.
 
-    `problems` are sentences about a body that cannot be controlled as it is described.
+    `problems` are sentences on why the body, as described, cannot be controlled.
     """
     matrix = robot.matrix()
     count = len(robot.fins)
@@ -51,11 +51,11 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> JsonObject:
 
 
 def _swing_frequencies(dynamics: Dynamics) -> dict[str, float]:
-    """Return the frequencies at which the body swings about upright [Hz]; none where nothing rights
+    """Return the frequencies at which the body swings about upright [Hz]; none if nothing rights
     it.
 
-    Without drag, and with sway and surge free to follow: a centre of gravity off the origin couples
-    them.
+    Computed without drag, with sway and surge free, because a centre of gravity off the origin
+    couples them.
     """
     if dynamics.righting_nm_rad <= 0:
         return {}

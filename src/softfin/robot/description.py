@@ -1,4 +1,5 @@
-"""The robot's file: its body, its fins, how motion is controlled. `ucat` is built in. No JAX."""
+"""The robot's file: its body, its fins, and the control of its motion. `ucat` is built in. No
+JAX."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -28,17 +29,17 @@ class FinMountConfig(Configuration):
     """Mount of a fin on the body, and the fin's plant."""
 
     position_m: Three
-    """Shaft, where its force acts [m]."""
+    """Position of the shaft, where the fin's force acts [m]."""
     zero_direction: Three
     """Unit vector along which the fin's thrust pushes the body when the shaft is at angle 0: x of
     the fin's axes."""
     shaft_axis: Three
-    """Unit vector about which positive angles turn, by the right hand."""
+    """Unit vector about which positive angles turn, by the right-hand rule."""
     range_rad: tuple[float, float] | None = None
-    """Least and greatest angle of the shaft [rad]; none: it turns all the way round. So far others
-    are refused."""
+    """Smallest and largest angle of the shaft [rad]; none: it turns without limit. Other values are
+    not supported yet."""
     plant: str = "tank"
-    """Fin: tank, or the YAML file of another tank; on a real robot it does not count."""
+    """Fin: tank, or the YAML file of another tank; it is ignored on a real robot."""
 
     @model_validator(mode="after")
     def _has_axes(self) -> "FinMountConfig":
@@ -56,7 +57,7 @@ class FinMountConfig(Configuration):
                 "at right angles to its shaft"
             )
         if self.range_rad is not None and not self.range_rad[0] < self.range_rad[1]:
-            raise ValueError(f"range_rad = {list(self.range_rad)}: the least angle comes first")
+            raise ValueError(f"range_rad = {list(self.range_rad)}: give the smaller angle first")
         return self
 
     def axes(self) -> Float[np.ndarray, "3 2"]:
@@ -90,17 +91,17 @@ class RobotConfig(Configuration):
     name: str
     """Name of the robot."""
     size_m: tuple[PositiveFloat, PositiveFloat, PositiveFloat] = (0.5, 0.3, 0.2)
-    """Length, width, height [m]: only to draw it."""
+    """Length, width, height [m]; only for drawing."""
     body: BodyConfig
     """Body without fins."""
     fins: dict[str, FinMountConfig] = Field(min_length=1, max_length=7)
-    """Fins by name; of more, all patterns of phases could not be tried."""
+    """Fins by name; with more, there would be too many patterns of phases to try."""
     allocation: AllocationConfig = AllocationConfig()
-    """How a wrench is shared among the fins."""
+    """How a wrench is allocated to the fins."""
     control: ControlConfig = ControlConfig()
     """How motion is controlled."""
     silent_fin: Literal["stop", "dead"] = "stop"
-    """When a fin faults or falls silent: stop the robot, or go on without it."""
+    """When a fin has a fault or falls silent: stop the robot, or continue without it."""
 
     def mounts(self) -> FinMounts:
         """Return the mounts of the fins, in their order."""
@@ -113,8 +114,8 @@ class RobotConfig(Configuration):
         )
 
     def matrix(self) -> Float[np.ndarray, "6 columns"]:
-        """Return the wrench in body axes of each fin's unit forces: columns x and y of the first
-        fin, of the second."""
+        """Return the wrenches of unit forces of the fins in body axes: columns x and y of the first
+        fin, then of the second."""
         places, axes, _ = self.mounts()
         columns = [
             np.concatenate([a, np.cross(place, a, axisb=0).T])
@@ -124,7 +125,7 @@ class RobotConfig(Configuration):
 
 
 def load_robot(name: str) -> RobotConfig:
-    """Load a robot that is built in, or a YAML file; raises ConfigurationError in one line for
+    """Load a built-in robot or a YAML file; raises ConfigurationError with a one-line message for
     anything else."""
     if name in BUILT_IN:
         text = files("softfin.robot").joinpath(f"robots/{name}.yaml").read_text()

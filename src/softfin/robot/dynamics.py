@@ -4,7 +4,7 @@
 Body axes are x forward, y left, z up (REP 103), world axes have z up. A twist is (velocity of the
 body's origin, angular velocity) and a wrench (force, moment about the origin), six numbers each, in
 body axes. The added mass is part of the inertia, and the body's momentum obeys Kirchhoff's
-equations (Lamb 1932, art. 124), which hold the Coriolis forces of body and water and the Munk
+equations (Lamb 1932, art. 124), which include the Coriolis forces of body and water and the Munk
 moment. The formulas run with NumPy on the robot, and with JAX in simulations.
 """
 
@@ -34,7 +34,7 @@ class BodyState(NamedTuple):
 
     @classmethod
     def rest(cls) -> "BodyState":
-        """At the world's origin, upright, still."""
+        """At the world's origin, upright, at rest."""
         return cls(np.zeros(3), IDENTITY, np.zeros(6))
 
 
@@ -107,7 +107,7 @@ class Dynamics(NamedTuple):
         )
 
     def gyroscopic(self, twist: SixVector) -> SixVector:
-        """Return the wrench by which the momentum of body and water turns along with the body."""
+        """Return the wrench that rotates the momentum of body and water with the body."""
         momentum = self.inertia @ twist
         velocity = twist[:3]
         turn = twist[3:]
@@ -128,12 +128,12 @@ class Dynamics(NamedTuple):
     def step(
         self, state: BodyState, wrench: SixVector, current: Vector, seconds: float = TICK_S
     ) -> BodyState:
-        """Hold a wrench of the fins for a step of time (Runge and Kutta's of fourth order)."""
+        """Hold a wrench of the fins for one time step (fourth-order Runge-Kutta)."""
 
         def rates(state: BodyState) -> BodyState:
             xp = select_operations(*state, wrench, current).xp
             turn = state.twist[3:]
-            # Seen from the body, a steady current turns.
+            # Seen from the body, a steady current rotates.
             seen = cross(current @ matrix(state.attitude), turn)
             return BodyState(
                 matrix(state.attitude) @ state.twist[:3],

@@ -31,12 +31,12 @@ from softfin.tank import Tank
 ReportNote = Callable[[float, str], None]
 
 MIN_COUNTED_S = MAX_ACTION_TICKS * TICK_S
-"""Least time of a trial whose errors count [s]: an action, of which half may be lost by rounding to
-whole actions."""
+"""Shortest part of a trial whose errors count [s]: one action, half of which may be lost by
+rounding to whole actions."""
 
 EARLIEST_DEATH = 0.2
 LATEST_DEATH = 0.6
-"""Moments between which a fin dies, in parts of a trial's time."""
+"""Range of moments at which a fin dies, as fractions of a trial's time."""
 
 
 class RobotEvaluateConfig(Configuration):
@@ -45,11 +45,11 @@ class RobotEvaluateConfig(Configuration):
     tasks: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
     """Tasks, in order."""
     seeds: PositiveInt = 5
-    """Repetitions; each has its own noise, and its own directions of push and current."""
+    """Number of repetitions; each has its own noise, and its own directions of push and current."""
     wrenches: PositiveInt = 100
     """Wrenches that are drawn."""
     part_of_reach: float = Field(0.7, gt=0, le=1)
-    """Part of the reach within which they are drawn."""
+    """Fraction of the reach within which they are drawn."""
     hold_s: PositiveFloat = 120
     """Time of holding [s], to the nearest action of 1/3 s."""
     path_s: PositiveFloat = 150
@@ -65,14 +65,14 @@ class RobotEvaluateConfig(Configuration):
     lissajous_m_s: PositiveFloat = 0.1
     """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
     baselines: bool = False
-    """Simpler drivers beside it: without phases, with the pseudo-inverse, with an analytic model of
-    the fin."""
+    """Also evaluate simpler drivers: without phases, with the pseudo-inverse, with an analytic
+    model of the fin."""
     dead: bool = False
-    """A fin dies at a random moment of every trial, each fin in turn."""
+    """Whether a fin dies at a random moment of every trial, each fin in turn."""
     noise: NoiseConfig = NoiseConfig()
     """Noise of the estimate of the robot's state."""
     seed: int = Field(0, ge=0)
-    """Seed of all of it."""
+    """Seed of everything random."""
 
     @model_validator(mode="after")
     def _settles(self) -> "RobotEvaluateConfig":
@@ -80,14 +80,14 @@ class RobotEvaluateConfig(Configuration):
             if task == "wrenches":
                 continue
             name, seconds = ("hold_s", self.hold_s) if task == "hold" else ("path_s", self.path_s)
-            # A push comes within two of them.
+            # A push comes within two actions.
             least = self.settled_s * (3 if task == "hold" else 1) + MIN_COUNTED_S
             if self.dead:
                 least = max(least, (self.settled_s + MIN_COUNTED_S) / (1 - LATEST_DEATH))
             if seconds < least:
                 raise ValueError(
                     f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
-                    f"{self.settled_s:g}, or no time counts"
+                    f"{self.settled_s:g}, otherwise no time counts"
                 )
         return self
 
@@ -157,7 +157,7 @@ def evaluate_robot(
 
 
 def find_all_gaits(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
-    """Find the gaits of each fin; fins that are the same object share them."""
+    """Find the gaits of each fin; fins with the same plant share them."""
     found = {id(tank): find_fin_gaits(tank) for tank in {id(tank): tank for tank in tanks}.values()}
     return tuple(found[id(tank)] for tank in tanks)
 
@@ -207,8 +207,8 @@ def trial(
         settled_from_s = at + config.settled_s
         told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
     record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
-    # The record's own ticks: a trial is of whole actions, a little longer or shorter than
-    # `seconds`.
+    # The ticks of the record: a trial consists of whole actions, so it is slightly longer or
+    # shorter than `seconds`.
     ticks = np.arange(len(record.time))
     counted = ticks >= settled_from_s * RATE_HZ
     if push_at_s is not None:
@@ -236,8 +236,8 @@ def _rms(values: Float[np.ndarray, "n"]) -> float:
 def draw_wrenches(
     robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
 ) -> Float[np.ndarray, "n 6"]:
-    """Draw wrenches within a part of the reach: of forces so much smaller, each in a direction of
-    its own."""
+    """Draw wrenches within a fraction of the reach: each has a random direction and forces scaled
+    by the fraction."""
     random = named_generator(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
     size = (
@@ -249,13 +249,13 @@ def draw_wrenches(
 
 
 WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
-"""Actions that each wrench is held for, from rest; the last window counts."""
+"""Number of actions for which each wrench is held, from rest; only the last window counts."""
 
 
 def wrench_errors(
     simulation: RobotSimulation, driver: MakeDriver, wrenches: Float[np.ndarray, "n 6"]
 ) -> JsonObject:
-    """Compare mean wrenches over a window with those asked for, on a body that is held; and tell
+    """Compare mean wrenches over a window with the requested ones, on a fixed body; also return
     their ripple."""
     held = _held(
         simulation, [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
@@ -274,7 +274,7 @@ def wrench_errors(
 
 
 def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
-    """Return what a driver orders for one wrench, from rest, ``(actions, fins)``."""
+    """Return the orders of a driver for one wrench, from rest, ``(actions, fins)``."""
     state = driver.init()
     orders = []
     before = Command(
@@ -290,7 +290,7 @@ def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
 
 
 def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
-    """Return the wrenches that the fins make on a body that does not move."""
+    """Return the wrenches that the fins make on a fixed body."""
     all_of_them = jax.tree.map(lambda *rows: jnp.asarray(np.stack(rows)), *orders)
     single = jax.tree.map(
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them

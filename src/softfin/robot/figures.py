@@ -1,4 +1,4 @@
-"""Figures of a robot's trials: where it was, how far off its path, how tilted."""
+"""Figures of a robot's trials: its track, its distance from the path, and its tilt."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -24,7 +24,7 @@ def draw_trials(folder: Path, records: Mapping[str, Record]) -> None:
             place.set(xlabel="x [cm]", ylabel="y [cm]", aspect="equal", title="seen from above")
             place.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
             off.plot(record.time, 100 * record.position_error(), color=BLUE)
-            off.set(ylabel="off the path [cm]", ylim=(0, None))
+            off.set(ylabel="distance from the path [cm]", ylim=(0, None))
             tilt.plot(record.time, np.degrees(record.attitude_error()), color=BLUE)
             tilt.set(ylabel="angle to it [degrees]", xlabel="time [s]", ylim=(0, None))
             for axis in (off, tilt):

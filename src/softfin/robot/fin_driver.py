@@ -1,10 +1,10 @@
-"""One fin's mean force as a gait: strokes to both sides of the direction that it pushes in. NumPy
-alone.
+"""Turns one fin's mean force into a gait: strokes to both sides of the direction in which it
+pushes. NumPy only.
 
-Still water looks alike in all directions, so that one family of gaits about a centre serves a fin
-that turns all the way round: strokes of one action each, 1.5 Hz, whose amplitude decides over the
-force and whose centre over its direction. Their mean force lies along the centre; across it they
-make a ripple, which is the greatest force of all.
+Still water looks the same in all directions, so one family of gaits about a centre is enough for a
+fin that turns without limit: strokes of one action each, 1.5 Hz, whose amplitude determines the
+force and whose centre its direction. Their mean force points along the centre; across it they make
+a ripple, which is the largest force of all.
 """
 
 import math
@@ -18,24 +18,24 @@ from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray, Command, Limits
 
 MOVING = 0.85
-"""Part of an action in which the shaft moves: what is left is time to speed up and to brake."""
+"""Fraction of an action in which the shaft moves; the rest is time to accelerate and to brake."""
 
 
 class FinGaits(NamedTuple):
-    """Gaits of a fin by their mean force, the first of them rest."""
+    """Gaits of a fin by their mean force; the first is rest."""
 
     force: Float[np.ndarray, "gaits"]
     """Mean force along the direction of pushing [N], ascending from 0."""
     amplitude: Float[np.ndarray, "gaits"]
     """Angle of a stroke to either side [rad]."""
     ripple: Complex[np.ndarray, "gaits 2"]
-    """Ripple of the strokes' own frequency, where strokes begin to the positive side: force across
-    the direction of pushing [N], and moment about the shaft [N m]."""
+    """Ripple at the stroke frequency, for strokes that begin to the positive side: force across the
+    direction of pushing [N], and moment about the shaft [N m]."""
     stream_loss: Float[np.ndarray, "gaits 2"]
     """Force lost per velocity of the fin through the water, along and across the direction of
     pushing [N s/m]."""
     limits: Limits
-    """Velocities of the drive; angles are not limited."""
+    """Limits of the drive's velocity; angles are not limited."""
 
     @property
     def reach(self) -> float:
@@ -53,7 +53,7 @@ class FinGaits(NamedTuple):
     def lost(
         self, force: Float[AnyArray, "2"], velocity: Float[AnyArray, "2"]
     ) -> Float[AnyArray, "2"]:
-        """Return what a mean force loses where the fin moves through the water [N]; both in the
+        """Return the loss of a mean force while the fin moves through the water [N]; both in the
         fin's axes [N, m/s]."""
         xp = select_operations(force, velocity).xp
         squared = force @ force + SMALL_N**2
@@ -65,8 +65,8 @@ class FinGaits(NamedTuple):
         return lost
 
     def stroke_velocity(self, way_rad: float) -> float:
-        """Return the velocity at which a fin arrives within its action, or the nearest that the
-        drive has."""
+        """Return the velocity at which a fin arrives within its action, or the nearest one within
+        the drive's limits."""
         wanted = way_rad * ACTION_RATE_HZ / MOVING
         return min(max(wanted, self.limits.velocity_min), self.limits.velocity_max)
 
@@ -82,17 +82,17 @@ class DriverState(NamedTuple):
     """State of a fin's driver."""
 
     direction: float
-    """Angle of the shaft about which it strokes [rad]; any number of turns."""
+    """Centre angle of its strokes [rad]; may be any number of turns."""
     target: float
-    """Angle that was commanded last [rad]."""
+    """Last commanded angle [rad]."""
 
 
 REST = DriverState(0.0, 0.0)
-"""A fin at rest at angle 0."""
+"""Return the state of a fin at rest at angle 0."""
 
 
 def fin_command(angle_rad: float, velocity_rad_s: float) -> Command:
-    """Return a command of plain numbers, as drives and messages take them."""
+    """Return a command of plain numbers, as drives and messages need them."""
     command: Any = Command
     numbers: Command = command(angle_rad, velocity_rad_s)
     return numbers
@@ -107,7 +107,7 @@ def stroke(
     size = math.hypot(x, y)
     direction = state.direction
     if size > WEAK_N:
-        # At angle a the fin's thrust points along (cos a, -sin a); the shorter way round leads
+        # At angle a the fin's thrust points along (cos a, -sin a); the fin takes the shorter way
         # there.
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
     target = direction + side * gaits.find_amplitude(size)

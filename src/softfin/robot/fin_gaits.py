@@ -1,5 +1,5 @@
-"""The search for a fin's gaits, in its tank: strokes of many amplitudes are simulated, their mean
-forces inverted."""
+"""The search for a fin's gaits in its tank: strokes of many amplitudes are simulated, and their
+mean forces inverted."""
 
 import equinox as eqx
 import jax
@@ -17,14 +17,15 @@ from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
 STROKES_RAD = np.linspace(0, 1.2, 41)
-"""Strokes that are tried [rad]; beyond 1.2 a fin of any stiffness pushes itself to and fro."""
+"""Amplitudes that are tried [rad]; above 1.2 a fin of any stiffness pushes itself back and
+forth."""
 
 HELD_WINDOWS = 4
-"""Windows of 2 s that a gait is repeated for from rest; the last one counts."""
+"""Number of windows of 2 s for which a gait is repeated from rest; only the last one counts."""
 
 MAX_SIDE_FORCE_FRACTION = 0.05
-"""Part of its force that a gait may make across the direction of pushing in the mean: beyond,
-strokes do not end within their action and each begins another way."""
+"""Largest mean force of a gait across the direction of pushing, as a fraction of its force: above
+this, strokes do not end within their action, so they all start differently."""
 
 STREAM_M_S = 0.05
 """Velocity through the water at which the loss of force is measured: along the direction of
@@ -42,8 +43,8 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     loss = np.stack(
         [(mean - moving[0].mean(axis=1))[:, axis] for axis, moving in enumerate(streams)], axis=1
     )
-    # Of a sine at the strokes' frequency, which is half of the actions'; a stroke to the positive
-    # side begins at 0.
+    # The amplitude of a sine at the stroke frequency, half that of the actions; a stroke to the
+    # positive side begins at 0.
     turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))
     ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
     count = 1
@@ -67,7 +68,8 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
 def _strokes(
     tank: Tank, amplitudes: Float[Array, "n"], velocity_m_s: Float[Array, "2"]
 ) -> tuple[Float[Array, "n ticks 2"], Float[Array, "n ticks"]]:
-    """Forces [N] and moments about the shaft [N m] over the last window, of a fin that is towed."""
+    """Return forces [N] and moments about the shaft [N m] over the last window, for a fin that is
+    towed."""
     mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
     sides = np.repeat(

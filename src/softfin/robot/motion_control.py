@@ -1,15 +1,15 @@
-"""Control of motion in 6 degrees of freedom: computed torque about a path, with an observer of each
-axis. NumPy alone.
+"""Motion control in 6 degrees of freedom: computed torque along a path, with an observer for each
+axis. NumPy only.
 
 The wrench that the path needs is computed from the body's model; errors are corrected by
-proportional and derivative action; and a Kalman filter of each axis estimates error, its rate and a
-constant disturbance, which is taken off. The filter is told the wrench that the allocator made, not
-the one that was asked for, so nothing winds up (Fossen 2021, ch. 13 and 15; Sariyildiz, Oboe and
-Ohnishi 2020). Axes of the body stand for those of the path: it has to be turned by less than about
-a radian.
+proportional and derivative action; and a Kalman filter for each axis estimates the error, its rate
+and a constant disturbance, which is compensated. The filter gets the wrench that the allocator
+made, not the requested one, so nothing winds up (Fossen 2021, ch. 13 and 15; Sariyildiz, Oboe and
+Ohnishi 2020). Body axes are used in place of path axes, so the body must be rotated from the path
+by less than about a radian.
 
-Fins stroke at half the actions' rate. So an error is the mean over two actions, in which strokes
-cancel: seen once an action, each of them alone would look like an error that does not move.
+Fins stroke at half the actions' rate. An error is therefore a mean over two actions, in which
+strokes cancel: sampled once per action, a stroke would look like a constant error.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from softfin.robot.rotation import cross, from_euler, matrix, multiply, normaliz
 ACTION_S = 1 / ACTION_RATE_HZ
 
 SEEN_ACTIONS = 2
-"""Actions whose mean is an error: a whole period of the strokes."""
+"""Number of actions over which an error is averaged: one whole period of the strokes."""
 
 
 class AxisFilter(NamedTuple):
@@ -58,8 +58,8 @@ class AxisFilter(NamedTuple):
         damping: SixVector,
         noise: Float[np.ndarray, "6 2"],
     ) -> "AxisFilter":
-        """Build them; stiffness [1/s2] and damping [1/s] are those of the body itself, noise that
-        of error and rate."""
+        """Build the filters; stiffness [1/s2] and damping [1/s] are those of the body itself, and
+        the noise is that of error and rate."""
         rows = []
         for axis in range(6):
             slope = np.array(
@@ -97,18 +97,18 @@ class AxisFilter(NamedTuple):
 
 
 STILL_M_S = 0.01
-"""A path slower than this is a place to hold."""
+"""Speed below which a path counts as a place to hold [m/s]."""
 
 SURGE_MEMORY_S = 20.0
-"""Time over which the force along the nose is averaged [s]. A long body has little drag along its
-nose: 0.2 to 0.5 N in a current of 5 cm/s, as much as a single estimate is off; the mean is off by a
-third of that."""
+"""Time over which the longitudinal force is averaged [s]. A long body has little longitudinal drag:
+0.2 to 0.5 N in a current of 5 cm/s, which is the error of a single estimate; the mean has a third
+of that error."""
 
 MAX_DAMPING = 8 / ACTION_S
-"""Damping beyond which a filter would see no motion in an action [1/s]."""
+"""Damping above which a filter would see no motion within an action [1/s]."""
 
 STEADY = 600
-"""Actions after which a filter's gain has settled."""
+"""Number of actions after which a filter's gain has settled."""
 
 
 class ControlState(NamedTuple):
@@ -118,12 +118,12 @@ class ControlState(NamedTuple):
     """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per
     s, per s2]."""
     accelerations: Float[np.ndarray, "2 6"]
-    """Accelerations that the fins were made to add to the path's in the last two actions, the
-    newest first."""
+    """Accelerations of the fins in addition to the path's in the last two actions, the newest
+    first."""
     heading: float
     """Angle by which the robot has turned from the path's heading into a current [rad]."""
     surge_n: float
-    """Force along the nose that holding the place has needed of late [N]."""
+    """Longitudinal force that was recently needed to hold the place [N]."""
     side: float
     """Side to which the robot turns into a current: 1 left, -1 right; 0 before the first turn."""
 
@@ -135,8 +135,8 @@ class MotionController:
         config = robot.control
         self._config = config
         self.sway_reach_n = np.inf
-        """Greatest force to the side that the fins make once one is dead [N]; with all fins the
-        heading is kept."""
+        """Largest side force of the fins once one is dead [N]; with all fins the heading is
+        kept."""
         self.dynamics = Dynamics.of(robot.body)
         self._rate = np.asarray(config.bandwidth_rad_s, float)
         self._damping = config.damping
@@ -153,7 +153,7 @@ class MotionController:
         self._surge_noise_n = float(inertia[0] * self._filter.deviation[0])
 
     def init(self) -> ControlState:
-        """Return the state before the first action: nothing is known."""
+        """Return the state before the first action, with nothing known."""
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), heading=0.0, surge_n=0.0, side=0.0)
 
     def act(
@@ -166,9 +166,9 @@ class MotionController:
     ) -> tuple[ControlState, np.ndarray]:
         """Return the wrench in body axes for the next action [N, N m].
 
-        `seen` are positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)`` of
-        the last two actions; the targets are those in the middle of these, now, and in the middle
-        of the action that begins.
+        `seen` contains positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)``
+        of the last two actions; the targets are those in the middle of these, now, and in the
+        middle of the action that begins.
 
         Raises:
             RunError: a number of the robot's state is not finite.
@@ -191,10 +191,10 @@ class MotionController:
         seen: Sequence[np.ndarray],
         middle: PathPoint,
     ) -> Float[np.ndarray, "6 3"]:
-        """Return the estimate after two actions were seen."""
+        """Return the estimate after observing two actions."""
         position = seen[0].mean(axis=0)
         twist = seen[2].mean(axis=0)
-        # Near one another, so that their mean is theirs but for its length.
+        # The quaternions are close to each other, so their mean only needs to be normalised.
         attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
         measured = np.stack(
             [path_error(middle, position, attitude), twist - path_twist(middle)], axis=1
@@ -224,8 +224,8 @@ class MotionController:
     def _weathervane(
         self, state: ControlState, estimate: Float[np.ndarray, "6 3"], now: PathPoint
     ) -> tuple[float, float, float]:
-        """Return surge force, side and heading of the next state: further into a current that is
-        too much abeam."""
+        """Return surge force, side and heading of the next state; the heading turns into a current
+        that comes too much from the side."""
         if np.linalg.norm(now.velocity) > STILL_M_S:
             return state.surge_n, state.side, state.heading
         surge, sway = -self._outside_wrench(estimate)[:2]
@@ -234,9 +234,9 @@ class MotionController:
         if excess <= 0:
             return surge_n, state.side, state.heading
         side = state.side
-        # The sign of what is below noise is a guess, but to wait would be to drift off: the wrong
-        # way round passes abeam and ends as well, later. Only evidence beyond noise turns back; one
-        # that wavers stays abeam.
+        # Below the noise the sign is a guess, but waiting would mean drifting off: the wrong
+        # direction passes through abeam and ends just as well, only later. Only evidence above the
+        # noise reverses the turn; otherwise a wavering robot would stay abeam.
         if not side or abs(surge_n) > self._surge_noise_n:
             side = float(np.sign(sway) * (np.sign(surge_n) or 1.0))
         turn_rad = self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0)
@@ -245,9 +245,9 @@ class MotionController:
     def _outside_wrench(self, estimate: Float[np.ndarray, "6 3"]) -> SixVector:
         """Return the wrench from outside in the axes of the path [N, N m].
 
-        Each axis has a filter of its own, in which the restoring moment and the drag of this axis
-        alone act. Through the inertia they act on other axes, too: a roll that is held against by
-        the weight would look like sway.
+        Each axis has its own filter, which models only the restoring moment and the drag of this
+        axis. Through the inertia they also act on other axes: a roll moment balanced by the weight
+        would look like sway.
         """
         error, rate, disturbance = estimate.T
         own = self._stiffness * error + self._damping_rate * rate
@@ -256,7 +256,7 @@ class MotionController:
         return wrench
 
     def acknowledge(self, state: ControlState, wrench: SixVector, ahead: PathPoint) -> ControlState:
-        """Tell the observer what wrench the fins make of the one asked for."""
+        """Tell the observer which wrench the fins make in place of the requested one."""
         acceleration = self.dynamics.inverse @ (wrench - self.needed(_turned(ahead, state.heading)))
         return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))
 
@@ -288,7 +288,7 @@ def _turned(target: PathPoint, heading: float) -> PathPoint:
 
 
 def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the matrix exponential by scaling and Taylor's series, as NumPy has none."""
+    """Return the matrix exponential by scaling and Taylor series, because NumPy lacks it."""
     small = matrix / 64
     result = np.eye(len(matrix))
     term = np.eye(len(matrix))

@@ -1,4 +1,4 @@
-"""Noise of the estimate of a robot's state. NumPy in trials, JAX where a policy is trained."""
+"""Noise of the estimate of a robot's state. For NumPy in trials and JAX in programs."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ from softfin.robot.rotation import multiply
 
 
 class NoiseConfig(Configuration):
-    """Noise of the estimate of the robot's state, normal, each number by itself."""
+    """Noise of the estimated state of the robot, normal and independent for each number."""
 
     position_m: NonNegativeFloat = 0.01
     """Standard deviation of each coordinate [m]."""
@@ -26,8 +26,7 @@ class NoiseConfig(Configuration):
     rate_rad_s: NonNegativeFloat = 0.01
     """Standard deviation of each angular velocity [rad/s]."""
     memory_s: PositiveFloat = 0.1
-    """Time constant with which the noise forgets itself [s]: an estimate's errors are no white
-    noise."""
+    """Correlation time of the noise [s]: the errors of an estimate are not white."""
 
     def deviations(self) -> Float[np.ndarray, "12"]:
         """Return the standard deviations of position, attitude, velocity and angular velocity."""
@@ -36,13 +35,13 @@ class NoiseConfig(Configuration):
         )
 
     def decay(self, seconds: float) -> tuple[float, float]:
-        """Return the weights of the noise that was, and of new noise, after a step of time."""
+        """Return the weights of the previous noise and of new noise after a time step."""
         kept = math.exp(-seconds / self.memory_s)
         return kept, math.sqrt(1 - kept**2)
 
 
 def estimated(body: BodyState, noise: Float[AnyArray, "*rows 12"]) -> tuple[Any, Any, Any]:
-    """Return position, attitude and twist with noise, for one state or for rows of them."""
+    """Return position, attitude and twist with noise, for one state or for rows of states."""
     half = noise[..., 3:6] / 2
     xp = select_operations(*body, noise).xp
     turn = xp.concatenate([xp.ones_like(half[..., :1]), half], axis=-1)

@@ -1,4 +1,4 @@
-"""Paths to follow, and the state that a robot should have on them: functions of time."""
+"""Paths to follow: the target state of a robot as a function of time."""
 
 from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
@@ -16,7 +16,7 @@ CurvePoint: TypeAlias = tuple[float | int, float | int, float | int]
 
 
 class PathPoint(NamedTuple):
-    """State that the robot should have; velocities and accelerations in world axes."""
+    """Target state of the robot; velocities and accelerations in world axes."""
 
     position: Vector
     """[m]"""
@@ -42,8 +42,8 @@ def path_twist(target: PathPoint) -> SixVector:
 
 
 def path_error(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]) -> SixVector:
-    """Return the place relative to the path's, in the path's axes [m], and the vector of the turn
-    from it [rad]."""
+    """Return the position relative to the path, in the path's axes [m], and the rotation vector
+    from its attitude [rad]."""
     moved = (position - target.position) @ matrix(target.attitude)
     error: SixVector = select_operations(position, attitude, *target).xp.concatenate(
         [moved, to_vector(multiply(inverse_rotation(target.attitude), attitude))]
@@ -54,21 +54,21 @@ def path_error(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4
 Path: TypeAlias = Callable[[float], PathPoint]
 
 DIFFERENCE_STEP_S = 0.01
-"""Step of the differences by which a path's velocity and acceleration are found [s]."""
+"""Step of the finite differences for a path's velocity and acceleration [s]."""
 
 STARTING_S = 10.0
 """Time in which a path's speed grows from 0 [s]."""
 
 
 def hold_place(position: CurvePoint = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
-    """Stay at a place, upright."""
+    """Hold a place, upright."""
     still = PathPoint(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
     return lambda time: still
 
 
 def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: float | int) -> Path:
-    """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, beginning slowly, the nose along
-    the way."""
+    """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, with a slow start and the nose
+    along the path."""
 
     def part(time: float) -> float:
         rate = speed_m_s / length_m
@@ -113,7 +113,8 @@ def _length(curve: Callable[[float], Vector]) -> float:
 def lemniscate(
     speed_m_s: float | int, length_m: float | int = 2.0, width_m: float | int = 1.0
 ) -> Path:
-    """Follow a figure of eight in the horizontal plane (Gerono's), of that length and width."""
+    """Follow a figure of eight in the horizontal plane (Gerono's lemniscate) with the given length
+    and width."""
 
     def curve(u: float) -> Vector:
         s = 2 * np.pi * u
@@ -123,7 +124,7 @@ def lemniscate(
 
 
 def lissajous(speed_m_s: float | int, size_m: CurvePoint = (2.0, 1.0, 0.5)) -> Path:
-    """Follow a three-dimensional Lissajous curve of that size with frequencies 1, 2 and 1."""
+    """Follow a three-dimensional Lissajous curve of the given size with frequencies 1, 2 and 1."""
 
     def curve(u: float) -> Vector:
         s = 2 * np.pi * u

@@ -1,8 +1,8 @@
-"""Phases of the fins' strokes, chosen so that the ripple of the wrench cancels. NumPy alone.
+"""Phases of the fins' strokes, chosen so that the ripple of the wrench cancels. NumPy only.
 
-A period of two strokes has six phases: a fin begins its strokes with the action, a third or two
-thirds of it later, to one side or to the other. Of four fins there are 216 patterns relative to the
-first, and the best is found by trying all.
+A period of two strokes has six phases: a fin begins its strokes with the action, or a third or two
+thirds of it later, to one side or the other. Four fins have 216 patterns relative to the first, and
+the best is found by trying all.
 """
 
 from functools import cache
@@ -18,13 +18,13 @@ DELAY_TICKS = ACTION_TICKS[0] // 3
 """Ticks between a phase and the next."""
 
 MUCH = 0.4
-"""While the fins stroke, another pattern is taken only where its ripple is below this part of the
-present one's: a fin that changes its phase misses a stroke, and a robot that holds its place asks
-for another wrench in every action."""
+"""While the fins stroke, another pattern is chosen only if its ripple is below this fraction of the
+present one's: a fin that changes its phase misses a stroke, and a robot that holds its place needs
+a new wrench in every action."""
 
 METRES_PER_RADIAN = 2.0
-"""Ripple in attitude counts against ripple in position as a degree against 3.5 cm: fins tilt a
-body, but hardly move it."""
+"""Weight of ripple in attitude relative to ripple in position: a degree counts like 3.5 cm, because
+fins tilt a body but hardly move it."""
 
 Phases = Int[np.ndarray, "fins"]
 
@@ -43,7 +43,7 @@ def stroke_side(phase: int, action: int) -> int:
 def _patterns(
     count: int,
 ) -> tuple[Int[np.ndarray, "patterns fins"], Complex[np.ndarray, "patterns fins"]]:
-    """All phases of fins relative to the first, and by what they turn the ripple."""
+    """Return all phases of fins relative to the first, and the rotation of the ripple for each."""
     phases = np.array([(0, *rest) for rest in product(range(NUM_PHASES), repeat=count - 1)])
     return phases, np.exp(-2j * np.pi / NUM_PHASES * phases)
 
@@ -54,8 +54,8 @@ def choose_phases(
     ripple: Complex[np.ndarray, "6 fins"],
     inverse_inertia: Float[np.ndarray, "6 6"],
 ) -> Phases:
-    """Return the phases whose ripple moves the body least; unless `starting`, only where the
-    present ones' is more."""
+    """Return the phases whose ripple moves the body least; unless `starting`, only if that of the
+    present ones is clearly larger."""
     moved = inverse_inertia @ ripple
     moved[3:] *= METRES_PER_RADIAN
     phases, turns = _patterns(len(present))
@@ -72,9 +72,8 @@ def wrench_ripple(
     directions: Float[np.ndarray, "fins"],
     ripple: Complex[np.ndarray, "fins 2"],
 ) -> Complex[np.ndarray, "6 fins"]:
-    """Return each fin's ripple as a wrench on the body, where it strokes about a direction
-    [rad]."""
-    # Across the thrust (cos a, -sin a) of a fin is (sin a, cos a).
+    """Return each fin's ripple as a wrench on the body, for strokes about a direction [rad]."""
+    # The direction across a fin's thrust (cos a, -sin a) is (sin a, cos a).
     across = np.stack([np.sin(directions), np.cos(directions)], axis=1)
     wrench: np.ndarray = np.einsum("afi,fi->af", matrix.reshape(6, -1, 2), across) * ripple[:, 0]
     wrench[3:] += shafts.T * ripple[:, 1]

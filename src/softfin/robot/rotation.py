@@ -1,5 +1,5 @@
-"""Rotations as unit quaternions (w, x, y, z) that take body axes to world axes; NumPy on the robot,
-JAX in programs."""
+"""Rotations as unit quaternions (w, x, y, z) from body axes to world axes; NumPy on the robot, JAX
+in programs."""
 
 from typing import Any
 
@@ -16,8 +16,8 @@ def _namespace(*arrays: Array) -> Any:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Return the vector product of two vectors ``(3,)``; much quicker than NumPy's own on such
-    short ones."""
+    """Return the vector product of two vectors ``(3,)``; much faster than NumPy's own for such
+    short vectors."""
     xp = _namespace(a, b)
     (a0, a1, a2) = a
     (b0, b1, b2) = b
@@ -25,7 +25,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def matrix(quaternion: Array) -> Array:
-    """Return the rotation matrix ``(3, 3)`` that takes vectors in body axes to world axes."""
+    """Return the rotation matrix ``(3, 3)`` from body axes to world axes."""
     xp = _namespace(quaternion)
     w, x, y, z = quaternion
     return xp.asarray(
@@ -38,7 +38,7 @@ def matrix(quaternion: Array) -> Array:
 
 
 def multiply(a: Array, b: Array) -> Array:
-    """Return the rotation that does `b` first, then `a`."""
+    """Return the rotation by `b` first, then by `a`."""
     xp = _namespace(a, b)
     (aw, ax, ay, az) = a
     (bw, bx, by, bz) = b
@@ -58,12 +58,12 @@ def inverse_rotation(quaternion: Array) -> Array:
 
 
 def normalized(quaternion: Array) -> Array:
-    """Return the quaternion with a length of 1."""
+    """Return the quaternion normalised to length 1."""
     return quaternion / (quaternion @ quaternion) ** 0.5
 
 
 def from_vector(vector: Array) -> Array:
-    """Return the rotation about a vector by its length [rad]."""
+    """Return the rotation about a vector by an angle equal to its length [rad]."""
     xp = _namespace(vector)
     # sinc has a derivative at 0, where a quotient has none.
     half = xp.sqrt(vector @ vector + 1e-30) / 2

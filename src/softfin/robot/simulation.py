@@ -1,4 +1,5 @@
-"""A robot in the water: its body, and each fin in a virtual tank on a mount that moves along."""
+"""A robot in the water: its body, and each fin in a virtual tank on a mount that moves with the
+body."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -31,7 +32,7 @@ class Orders(NamedTuple):
     """Commands of all fins during an action, fields ``(fins,)``."""
 
     before: Command
-    """Commands of the action before."""
+    """Commands of the previous action."""
     now: Command
     delays: Int[Array, "fins"]
     """Ticks into the action at which each fin gets its command."""
@@ -54,7 +55,7 @@ class RobotState(NamedTuple):
 
 
 class RobotTicks(NamedTuple):
-    """Motion and wrench of each tick of an action."""
+    """Motion and wrench at each tick of an action."""
 
     body: BodyState
     wrench: Float[Array, "ticks 6"]
@@ -64,19 +65,19 @@ class RobotTicks(NamedTuple):
 
 
 class RobotSimulation:
-    """A robot and its fins as programs."""
+    """A robot and its fins, simulated by compiled programs."""
 
     def __init__(self, robot: RobotConfig, tanks: Sequence[Tank]) -> None:
         self.robot = robot
         self.dynamics = Dynamics.of(robot.body)
         self._fin_mounts = robot.mounts()
         self._matrix = robot.matrix()
-        # One program over all of them.
+        # One program for all of them.
         self.tanks: Tank = jax.tree.map(lambda *x: jnp.stack(x), *tanks)
         self._advance = eqx.filter_jit(self._held)
 
     def init(self, key: PRNGKeyArray, body: BodyState | None = None) -> RobotState:
-        """Return fins at rest on a body that is at rest, unless it is given."""
+        """Return fins at rest on a body, which is at rest unless its state is given."""
         keys = jax.random.split(key, len(self.robot.fins))
         fins = eqx.filter_vmap(lambda tank, key: tank.init(key))(self.tanks, keys)
         start = jax.tree.map(jnp.float32, body or BodyState.rest())
@@ -85,7 +86,8 @@ class RobotSimulation:
     def advance(
         self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
     ) -> tuple[RobotState, RobotTicks]:
-        """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` count."""
+        """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` are
+        valid."""
         advanced: tuple[RobotState, RobotTicks] = self._advance(state, orders, around, ticks)
         return advanced
 
@@ -101,8 +103,8 @@ class RobotSimulation:
         return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
 
     def held(self, orders: Orders) -> Float[Array, "actions ticks 6"]:
-        """Return the wrench of the fins on a body that is held, from rest, under the orders
-        ``(actions, fins)`` of some actions; rows of 34 ticks an action."""
+        """Return the wrench of the fins on a fixed body, from rest, under orders ``(actions,
+        fins)``; rows of 34 ticks per action."""
         start = self.init(jax.random.key(0))
         still = jax.tree.map(
             lambda x: jnp.zeros((len(self.robot.fins), *x.shape)),
@@ -146,7 +148,7 @@ class RobotSimulation:
         """Return the motion of each fin's mount through the water, in its own axes."""
         velocity = twist[:3]
         turn = twist[3:]
-        # Of the origin, in axes that do not turn.
+        # The acceleration of the origin, in axes that do not rotate.
         linear = acceleration[:3] + cross(turn, velocity)
 
         def each(place: Array, axes: Array, shaft: Array) -> Mount:

@@ -35,13 +35,13 @@ class Disturbances(NamedTuple):
     """Impulse on the origin in body axes, within one action [N s]."""
     push_at_s: float = 10.0
     dead_fin: int | None = None
-    """Fin that dies: its drive brakes, its shaft stays where it stops, and the controller is
-    notified."""
+    """Number of the fin that dies: its drive brakes, its shaft stays where it stops, and the
+    controller is notified."""
     dead_at_s: float = 20.0
 
 
 class Record(NamedTuple):
-    """Record of a trial; rows are ticks, or actions where it is said."""
+    """Record of a trial; rows are ticks unless stated otherwise."""
 
     time: Float[np.ndarray, "ticks"]
     body: BodyState
@@ -52,11 +52,11 @@ class Record(NamedTuple):
     shapes: np.ndarray
     """``(ticks, fins, points, 2)`` [m]."""
     asked: Float[np.ndarray, "actions 6"]
-    """Wrench that the controller asked for [N, N m]."""
+    """Wrench requested by the controller [N, N m]."""
     expected: Float[np.ndarray, "actions 6"]
-    """Wrench that the fins were expected to make of it in still water."""
+    """Wrench that the fins were expected to make instead in still water."""
     forces: Float[np.ndarray, "actions fins 2"]
-    """Mean force that each fin was asked for [N]."""
+    """Mean force requested from each fin [N]."""
     given_up: np.ndarray
     """``(actions, 6)``"""
 
@@ -79,7 +79,7 @@ def run_trial(
     noise: NoiseConfig | None = None,
     seed: int = 0,
 ) -> Record:
-    """Run a trial from rest at the path's beginning."""
+    """Run a trial from rest at the start of the path."""
     trouble = disturbances or Disturbances()
     noise = noise or NoiseConfig()
     controller = MotionController(simulation.robot)
@@ -157,8 +157,7 @@ def run_trial(
 
 
 def _stopped(orders: Orders, fin: int) -> Orders:
-    """Return orders under which a fin's drive brakes and turns no more: those of any angle at no
-    velocity."""
+    """Return orders under which a fin's drive brakes and stays: any angle with velocity 0."""
     before, now = (
         command._replace(velocity=jnp.asarray(command.velocity).at[fin].set(0.0))
         for command in (orders.before, orders.now)

@@ -1,5 +1,5 @@
-"""A wrench asked for becomes commands for all fins, action by action: allocation, bracing, phases,
-gaits. NumPy alone.
+"""Turns a requested wrench into commands for all fins, action by action: allocation, bracing,
+phases, gaits. NumPy only.
 
 driver = WrenchDriver(robot, gaits)
 state = driver.init()
@@ -25,27 +25,26 @@ STILL = np.zeros(6)
 """Twist of a body that does not move."""
 
 STARTING = 2
-"""First actions, in which the fins' phases are free."""
+"""Number of first actions in which the fins' phases are free."""
 
 
 class FinOrders(NamedTuple):
-    """Orders to the fins for one action, and the wrench that they make."""
+    """Orders to the fins for one action, and the resulting wrench."""
 
     commands: tuple[Command, ...]
     """For each fin [rad, rad/s]."""
     delays: tuple[int, ...]
     """Ticks of 10 ms into the action at which each fin gets its command; until then it keeps the
-    one before."""
+    previous one."""
     forces: FinForces
     """Mean force of each fin in its own axes [N]."""
     wrench: SixVector
     """Wrench that they make in still water, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "6"]
-    """Axes in which the wrench asked for is beyond the fins."""
+    """Axes in which the requested wrench is out of reach."""
 
     def told(self, wrench: SixVector) -> str:
-        """Say in words what was given up of a wrench that was asked for; empty where nothing
-        was."""
+        """Say in words what part of a requested wrench was given up; empty if nothing was."""
         if not self.given_up.any():
             return ""
         units = ("N",) * 3 + ("N m",) * 3
@@ -62,7 +61,7 @@ class WrenchDriverState(NamedTuple):
     forces: FinForces
     """Forces of the last action [N]."""
     brace: FinForces
-    """Bracing of the last action: forces that cancel one another [N]."""
+    """Bracing of the last action: forces that cancel each other [N]."""
     action: int
     """Actions so far."""
     phases: Phases
@@ -71,7 +70,8 @@ class WrenchDriverState(NamedTuple):
 
 
 class WrenchDriver:
-    """Turns wrenches into commands for the fins of one robot; with `phases` the fins keep these."""
+    """Turns wrenches into commands for the fins of one robot; with `phases`, the fins keep the
+    given phases."""
 
     def __init__(
         self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None
@@ -85,12 +85,12 @@ class WrenchDriver:
 
     @property
     def allocator(self) -> Allocator:
-        """The allocation, with the reaches of the fins that are alive."""
+        """The allocation, with the reaches of the working fins."""
         return self._allocation.allocator
 
     @property
     def dead(self) -> tuple[int, ...]:
-        """Fins that were declared dead, by their numbers."""
+        """Numbers of the fins that were declared dead."""
         return self._allocation.dead
 
     def init(self) -> WrenchDriverState:
@@ -100,19 +100,19 @@ class WrenchDriver:
         return WrenchDriverState(none, none, 0, np.zeros(count, int), (REST,) * count)
 
     def declare_dead(self, fin: int) -> None:
-        """Ask nothing more of a fin; the others make what they can."""
+        """Command no more forces from a fin; the others make what they can."""
         self._allocation.declare_dead(fin)
 
     def act(
         self, state: WrenchDriverState, wrench: SixVector, twist: SixVector = STILL
     ) -> tuple[WrenchDriverState, FinOrders]:
-        """Take one action of 1/3 s for a mean wrench in body axes [N, N m].
+        """Do one action of 1/3 s for a mean wrench in body axes [N, N m].
 
-        `twist` is that with which the body is going to move through the water, as far as it is
-        known [m/s, rad/s]: its fins then make up for the force that they lose by it.
+        `twist` is the expected motion of the body through the water [m/s, rad/s]: the fins then
+        compensate the force that they lose by it.
 
         Raises:
-            RunError: the wrench is not of finite numbers; the state is as it was.
+            RunError: the wrench is not finite; the state is unchanged.
         """
         wrench = np.asarray(wrench, float)
         if not np.isfinite(wrench).all():

@@ -34,8 +34,8 @@ def map_forces(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Find the mean forces that a fin can make, their Sobolev cost and the gaits for them; writes
-    the folder `out`."""
+    """Find the mean forces that a fin can make, their Sobolev terms and gaits for them; writes the
+    folder `out`."""
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
@@ -76,7 +76,7 @@ def find_gaits(
     """Find the gaits of a lattice of reference forces and write them as a controller, the folder
     `out`.
 
-    The folder of a map, `force_map`, has them already, over its own lattice.
+    The folder of a map, `force_map`, already contains them, over its own lattice.
     """
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
@@ -89,7 +89,7 @@ def find_gaits(
         config = loaded.config
     else:
         raise ConfigurationError(
-            f"map {force_map}: its lattice is made; give no configuration or range beside it"
+            f"map {force_map}: its lattice is fixed; leave the configuration and the range out"
         )
     origin = _origin(plant, moving, force_map)
     save_gaits(
@@ -125,15 +125,15 @@ def train(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> None:
-    """Train controllers inside a plant, as a rule a surrogate: by LSTM-PPO (paper Sec. III-C) or by
+    """Train controllers inside a plant, usually a surrogate, by LSTM-PPO (paper Sec. III-C) or by
     gradients.
 
-    Without a configuration it is a grid over the paper's cells, by gradients wherever the plant has
-    them. The folder of a map of the plant, `force_map`, says what the fin can do and saves the
-    search for gaits; without, only training by gradients that begins as gaits looks for it, and
-    references beyond reach are trained for as they are. One seed writes the controller's folder
-    `out`; several are written as ``out/seed-N``. The `engine` trains all of it in this process, as
-    one program, or in parts on a Ray `cluster`. The `reason` for the algorithm is kept with the
+    The default configuration is a grid over the paper's cells, trained by gradients if the plant
+    has them. The folder of a map of the plant, `force_map`, contains the reach of the fin and saves
+    the search for gaits. Without it, the fin is mapped only if policies start from gaits; otherwise
+    references out of reach are used unchanged. One seed writes the controller's folder `out`;
+    several are written as ``out/seed-N``. The `engine` trains everything in this process, as one
+    program, or in parts on a Ray `cluster`. The `reason` for the algorithm is kept with the
     controller.
     """
     _check_engine(engine, cluster)

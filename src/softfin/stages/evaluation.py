@@ -1,4 +1,4 @@
-"""Stages that show what a fin does: under a controller (paper Sec. IV-B), under baselines, as a
+"""Stages that show the motion of a fin: under a controller (paper Sec. IV-B), under baselines, as a
 film or a page."""
 
 from functools import partial
@@ -44,8 +44,8 @@ def evaluate(
     """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and
     figures to `out`.
 
-    With `randomize` the plant must be a tank; every repetition is run in another one, drawn about
-    it; 0 is the tank.
+    With `randomize` the plant must be a tank; every repetition runs in another tank, drawn around
+    it; 0 is the tank itself.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
@@ -60,7 +60,7 @@ def evaluate(
             raise ConfigurationError(
                 f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}"
             )
-        # At 0 the sensor's noise is the tank's own, too.
+        # At 0 the sensor's noise is also the tank's own.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)
     evaluation = evaluate_controller(controller, moving, config or EvaluateConfig(), str(plant))
     if out is None:
@@ -85,7 +85,7 @@ def evaluate_controller(
 
 
 def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
-    """Raise PlantError where a controller commands more than a plant takes."""
+    """Raise PlantError if a controller's commands exceed the plant's limits."""
     for i, quantity in ((0, "angle"), (2, "velocity")):
         ours = asked[i : i + 2]
         theirs = taken[i : i + 2]
@@ -109,7 +109,7 @@ def baselines(
     """Evaluate a still fin, the best sine, an inverse model, random gaits; writes
     ``baselines.json`` to `out`.
 
-    Sines and gaits are searched for in the `surrogate`, or in the plant itself.
+    Sines and gaits are searched in the `surrogate`, or in the plant itself.
     """
     config = config or BaselinesConfig()
     artifacts.check_vacant(out, overwrite)
@@ -137,7 +137,7 @@ def view(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Show a plant in motion as .gif, .html or .png, in a simple gait or under a controller."""
+    """Show a plant in motion as .gif, .html or .png, with a simple gait or under a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)
     moving = find_plant(plant)

@@ -18,11 +18,11 @@ EXAMPLE_KIND = "example"
 
 
 def write_example(out: Path, *, overwrite: bool = False) -> JsonObject:
-    """Copy the example to a folder, whole or not at all; returns its description,
+    """Copy the example to a folder, completely or not at all; returns its description,
     ``example.json``."""
 
     def copy(folder: Path) -> None:
-        # Contents alone: the package's files may be ones that the user cannot change.
+        # Only the contents are copied, because the package's files may be read-only.
         for file in sorted(file for file in EXAMPLE.rglob("*") if file.is_file()):
             place = folder / file.relative_to(EXAMPLE)
             place.parent.mkdir(parents=True, exist_ok=True)

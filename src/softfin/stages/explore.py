@@ -1,4 +1,4 @@
-"""The stage that makes a page to try controllers in: plants and controllers in, one HTML file
+"""The stage that makes a page to try controllers: plants and controllers go in, one HTML file comes
 out."""
 
 from collections import Counter
@@ -31,7 +31,7 @@ def explore(
     """Write a page to drag the target force and watch these controllers follow it in these plants;
     returns its size and parts.
 
-    Raises PlantError for a plant that the page cannot move, or that does not take a controller's
+    Raises PlantError for a plant that the page cannot move, or that cannot follow a controller's
     commands.
     """
     artifacts.check_file(out, overwrite)
@@ -74,12 +74,12 @@ def explore(
 
 
 def is_shown(plant: Plant) -> bool:
-    """Whether the page can move such a plant."""
+    """Whether the page can simulate such a plant."""
     return isinstance(plant, Tank | StreamingSurrogate)
 
 
 def _labels(short: dict[str, str]) -> dict[str, str]:
-    """Return a short name for each, or where two would be the same, with what the user wrote."""
+    """Return a short name for each; if two would be equal, with the name that the user gave."""
     counts = Counter(short.values())
     return {
         given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()

@@ -1,9 +1,8 @@
 """The stages on a real fin: logs recorded and controllers evaluated in real time, one after the
 other.
 
-Beside the output folder NAME stands ``NAME-bags`` with a ROS 2 bag of everything, written while it
-happens and never removed, and with the logs that are finished, from which an interrupted collection
-goes on.
+Next to the output folder NAME is ``NAME-bags``, with a ROS 2 bag of everything, written while it
+happens and never removed, and the finished logs, from which an interrupted collection continues.
 """
 
 import json
@@ -46,19 +45,20 @@ from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
 Confirm = Callable[[RobotSetup], None]
-"""Asks a person whether the fin may move; raises where the answer is not yes."""
+"""Function that asks a person whether the fin may move; raises an error unless the answer is
+yes."""
 
 EXTRA_TICKS = 20
-"""Ticks that are read after the last row of a log: its force comes out of the filter a little
+"""Ticks that are read after the last row of a log, because its force leaves the filter a little
 later."""
 
 HALF_TICK_S = TICK_S / 2
-"""Commands are stamped this early, so that the jitter of a tick does not move them to the next
-row."""
+"""Commands are stamped this much earlier [s], so that the jitter of a tick does not move them to
+the next row."""
 
 GAP_S = 0.05
 """Longest gap between two readings of a device that is bridged [s]; a fin at 3 Hz moves smoothly
-for as long."""
+over this time."""
 
 STATE = "collect.json"
 
@@ -68,7 +68,7 @@ DRIFT_N = 0.2
 drifts while it is recorded."""
 
 Warn = Callable[[str], None]
-"""Function that shows a person a warning of one line."""
+"""Function that shows a one-line warning to a person."""
 
 
 def collect_live(
@@ -85,8 +85,8 @@ def collect_live(
 ) -> Dataset:
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
-    With `resume` finished logs are taken over. Raises SafetyStop where the fin had to be stopped;
-    what was recorded until then is kept. `warn` gets a line for each log whose force at rest has
+    With `resume`, finished logs are kept. Raises SafetyStop if the fin had to be stopped;
+    everything recorded until then is kept. `warn` gets a line for each log whose force at rest has
     changed.
     """
     artifacts.check_vacant(out, overwrite or resume)
@@ -106,7 +106,7 @@ def collect_live(
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     _check_claim(bags, claim, resume, is_complete=not missing)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
-        # The recordings beside it are those of this collection, and it is written when they are
+        # The recordings next to it belong to this collection; the dataset is written when they are
         # complete.
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
@@ -133,8 +133,8 @@ def collect_live(
                 sensor_state = _sensor_state(robot.machine) | {
                     "force_at_rest_n": [round(x, 4) for x in rest_force]
                 }
-                # Before the log itself: a log that is there is finished, so it must not lack its
-                # state.
+                # Written before the log itself: an existing log counts as finished, so its state
+                # must exist.
                 artifacts.write_file(_sensor_file(bags, name), artifacts.dump_json(sensor_state))
                 write_log(bags / f"{name}.parquet", log)
                 if line := _drift_warning(_sensor_states(bags, names), name):
@@ -213,7 +213,7 @@ class LiveFin:
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run every reference so many times, one after the other, each from rest."""
+        """Run every reference `repeats` times, one after the other, each from rest."""
         runs: list[tuple[Command, Reading]] = []
         shape = (len(references), repetitions)
         for index, repetition in np.ndindex(shape):
@@ -243,11 +243,11 @@ class LiveFin:
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
-        # Without power: putting ten minutes of samples on a grid takes longer than a tick may be
+        # Without power, because resampling ten minutes of samples takes longer than a tick may be
         # late.
         session.deactivate()
-        # A tick's reading is the one at its end: the rest before the first action is row 0, and
-        # left out.
+        # A tick's reading is the one at its end: row 0, the rest before the first action, is left
+        # out.
         issued = [(first.time - HALF_TICK_S, results[0].target)]
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
         ticks = [result.target for result in results for _ in result.samples]
@@ -258,8 +258,8 @@ class LiveFin:
 
 
 def longest_gap(robot: RobotSetup) -> float:
-    """Return the longest gap that a log may have [s]: what the safety limits allow is bridged,
-    too."""
+    """Return the longest gap that a log may have [s]; gaps allowed by the safety limits are also
+    bridged."""
     return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
 
 
@@ -274,12 +274,12 @@ def log_from_samples(
     rows: int,
     gap_s: float = GAP_S,
 ) -> Log:
-    """Put both devices on one 100 Hz grid, from the first sample on, whatever the jitter of the
-    loop was.
+    """Resample both devices to one 100 Hz grid, from the first sample on, without the jitter of the
+    loop.
 
     `issued` holds each command and when it was issued [s]. The force of a moment is known only
-    after its filter, so a few samples more than rows are needed. Raises DeviceError where the
-    samples end early or have a longer gap.
+    after its filter, so a few more samples than rows are needed. Raises DeviceError if the samples
+    end early or have a longer gap.
     """
     grid = samples[0].time + TICK_S * np.arange(rows)
     joint = _resample(
@@ -314,7 +314,7 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
 
 
 def _drop_addresses(configuration: JsonObject) -> JsonObject:
-    """Return the configuration without the settings of how its devices are reached."""
+    """Return the configuration without the settings that say how its devices are reached."""
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
         kept["sensor"] = {
@@ -324,8 +324,8 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
 
 
 def _sensor_state(machine: Machine) -> JsonObject:
-    """Return the serial number of the sensor's calibration and its last zero; None for what a
-    machine does not have."""
+    """Return the serial number of the sensor's calibration and its last zero; None for anything
+    that a machine does not have."""
     # Only a rig has a sensor of its own; one behind ROS 2 belongs to another program.
     if not isinstance(machine, Rig):
         return {"sensor_serial": None, "force_zero": None}
@@ -342,7 +342,7 @@ def _sensor_file(bags: Path, name: str) -> Path:
 
 
 def _sensor_states(bags: Path, names: Sequence[str]) -> JsonObject:
-    """Return the sensor's state at each log that is recorded; older collections have none."""
+    """Return the sensor's state at each recorded log; older collections have none."""
     files = {name: _sensor_file(bags, name) for name in names}
     return {name: artifacts.read_json(file) for name, file in files.items() if file.exists()}
 
@@ -364,7 +364,7 @@ def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
 
 
 def _check_claim(bags: Path, claim: JsonObject, resume: bool, is_complete: bool) -> None:
-    """Raise ArtifactError where the folder holds other recordings, or finished ones without
+    """Raise ArtifactError if the folder contains other recordings, or finished ones without
     `resume`."""
     state = bags / STATE
     if not state.exists():
@@ -381,7 +381,7 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool, is_complete: bool)
         before = artifacts.read_json(state)
         now = json.loads(artifacts.dump_json(claim))
         if "sensor" in now["rig"] and "sensor" not in before.get("rig", {}):
-            # Older versions left the sensor out, so nobody can see whether its axes are still the
+            # Older versions left the sensor out, so nobody can tell whether its axes are still the
             # same.
             if not is_complete:
                 raise ArtifactError(
@@ -399,14 +399,14 @@ def _record(
     name: str,
     report: Callable[[int, Sample], None],
 ) -> tuple[Log, MeasuredForce]:
-    """Record a log whose row k is what was read at tick k + 1 and the command that was issued right
-    then.
+    """Record a log whose row k holds the reading of tick k + 1 and the command issued at that
+    moment.
 
-    Return it with the force at rest before it [N], which its force does not contain.
+    Return it with the force at rest before it [N], which was subtracted from its force.
     """
     part, number = name.split("-")
     _, key = jax.random.split(named_key(config.seed, f"collect/{part}/{int(number)}"))
-    # What a plant would get: one command a tick, and one more to begin with.
+    # As for a plant: one command per tick, and one more to begin with.
     sampled = config.excitation(key, config.rows + 1, robot.machine.limits)
     commands = [Target(*command) for command in np.stack(sampled, axis=1).astype(float).tolist()]
     session.activate()

@@ -44,8 +44,8 @@ def import_logs(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> tuple[Dataset, Inspection]:
-    """Turn recordings of any kind into a dataset; raises LogError where they have errors, unless
-    these are ignored."""
+    """Turn recordings of any kind into a dataset; raises LogError if they have errors, unless these
+    are ignored."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
     opened.check_train(str(path))

@@ -1,5 +1,5 @@
-"""The main job in one run: collect, fit, train, evaluate, report; each stage a folder, so a stopped
-run can go on."""
+"""The main job in one run: collect, fit, train, evaluate, report; each stage has its own folder, so
+that a stopped run can continue."""
 
 import json
 import resource
@@ -62,15 +62,14 @@ def reproduce(
     """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and
     ``report.html``.
 
-    Where the plant or the surrogate can move in a page, write ``explore.html``, too, to try the
-    controllers in.
+    If a page can simulate the plant or the surrogate, also write ``explore.html``, to try the
+    controllers.
     """
     config = config or ReproduceConfig()
     run = _Reproduction(plant, out, config, seed, progress)
     run.claim(resume, overwrite)
     if resume and (out / RESULTS).is_file():
-        # It was complete; a second evaluation would only replace the times of its stages by
-        # nothing.
+        # The run was complete; a second evaluation would only erase the times of its stages.
         complete: RunResults = json.loads((out / RESULTS).read_text())
         return complete
     scores = None if is_surrogate(plant) else run.learn_surrogate()
@@ -126,7 +125,7 @@ def reproduce(
         },
     }
     write_report(out / "report.html", results, figures)
-    # Last: it says that the run is complete.
+    # Written last, because it marks the run as complete.
     artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
     shutil.rmtree(run.replaced, ignore_errors=True)
     return results
@@ -138,7 +137,7 @@ def summaries(evaluated: Evaluated) -> dict[str, EvaluationSummary]:
 
 
 class _Reproduction:
-    """One run and where its parts lie."""
+    """One run and the folders of its parts."""
 
     def __init__(
         self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress
@@ -155,9 +154,9 @@ class _Reproduction:
         self.replaced = out.absolute().with_name(f".{out.absolute().name}.replaced")
 
     def claim(self, resume: bool, overwrite: bool) -> None:
-        """Take the folder for this run, or take it over from a stopped run with the same options.
+        """Claim the folder for this run, or continue a stopped run with the same options.
 
-        A complete run that is to be replaced is kept beside it until this one is complete.
+        A complete run to be replaced is kept until this one is complete.
         """
         configuration = self.config.model_dump(mode="json")
         plant = identity(find_plant(self.plant), computed=True)
@@ -196,7 +195,7 @@ class _Reproduction:
         *given: object,
         **options: object,
     ) -> None:
-        """Do the work unless its result stands there from before; `what` describes the result."""
+        """Do the work unless its result already exists; `what` describes the result."""
         if not result.exists():
             start = time.perf_counter(), time.process_time()
             work(*given, **options, progress=self.begin(name))
@@ -205,8 +204,7 @@ class _Reproduction:
             self.stages.append({"stage": name, "what": what, "wall_s": None, "processor_s": None})
 
     def end(self, name: str, what: str, start: tuple[float, float]) -> None:
-        """Take down what a stage made, and the seconds on the wall and of the processor since its
-        `start`."""
+        """Record what a stage made, and its wall time and processor time since `start`."""
         wall_s = time.perf_counter() - start[0]
         processor_s = time.process_time() - start[1]
         self.stages.append(
@@ -214,7 +212,7 @@ class _Reproduction:
         )
 
     def begin(self, name: str) -> Progress:
-        """Begin a stage; returns its progress, which tells how many there are."""
+        """Begin a stage; returns its progress report, which includes the number of stages."""
         number = len(self.stages) + 1
         count = self.count
         self.progress(f"{number}/{count} {name}", 0.0, "")
@@ -263,8 +261,8 @@ class _Reproduction:
         return scores
 
     def make_controllers(self) -> None:
-        """One map, its gaits as a controller, and policies of all seeds, those of one kind in one
-        program."""
+        """Make one map, its gaits as a controller, and the policies of all seeds; those of one kind
+        are trained in one program."""
         surrogate = str(self.surrogate)
         mapped = None
         if (settings := self.config.map) is not None:
@@ -293,8 +291,7 @@ class _Reproduction:
             self.stage(f"train {kind}", what, self.out / kind, train, *given, **options)
 
     def controller(self, kind: str, seed: int) -> Path:
-        """Return the folder of the controller that was trained from a seed; of gaits there is one
-        for all."""
+        """Return the folder of the controller trained from a seed; there is only one for gaits."""
         return (
             self.out / kind / f"seed-{seed}"
             if kind != "gaits" and len(self.seeds) > 1
@@ -302,9 +299,9 @@ class _Reproduction:
         )
 
     def make_page(self) -> None:
-        """Write the page to try the controllers of the first seed in, where a plant of this run can
-        move in it."""
-        # By its folder, the surrogate may be this run's plant, too.
+        """Write the page to try the controllers of the first seed, if it can simulate a plant of
+        this run."""
+        # The surrogate, given by its folder, may also be the plant of this run.
         places = {Path(name).resolve(): name for name in (str(self.surrogate), self.plant)}
         plants = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
         if not plants:
@@ -322,7 +319,8 @@ class _Reproduction:
     def evaluate(
         self, plant: str, folder: str, *, trim: bool = False, moving: bool = True
     ) -> Evaluated:
-        """Every seed's controller of each kind on a plant, as one evaluation over the seeds."""
+        """Evaluate the controllers of each kind and all seeds on a plant, as one evaluation over
+        the seeds."""
         start = time.perf_counter(), time.process_time()
         evaluated = Evaluated()
         target = find_plant(plant)
@@ -335,7 +333,7 @@ class _Reproduction:
                 path = self.controller(kind, seed)
                 config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
                 each.append(evaluate_controller(path, target, config, plant))
-            # Not after every seed: the first one is waited for, the others share its program.
+            # Not after every seed: the first one takes long, and the others share its program.
             progress(folder, place / len(self.config.kinds), kind)
             whole = together(each)
             repetitions = (
@@ -354,7 +352,7 @@ class _Reproduction:
         return evaluated
 
     def learning_figures(self) -> dict[str, Figure]:
-        """Reward over the steps, and the error of the policies without their noise."""
+        """Draw the reward over the steps, and the error of the policies without noise."""
         logs = {
             kind: read_training_log(self.out / kind / TRAINING_LOG / LOG)
             for kind in self.config.policies
@@ -382,7 +380,7 @@ class _Reproduction:
         }
 
     def surrogate_figures(self) -> dict[str, Figure]:
-        """A stretch of an unseen log beside what the surrogate says."""
+        """Draw a stretch of an unseen log and its prediction by the surrogate."""
         data = Dataset.open(self.dataset)
         surrogate = load_surrogate(self.surrogate)
         if not data.test:
@@ -408,6 +406,6 @@ class _Reproduction:
 
 
 def _peak_memory_gib() -> float:
-    """Largest resident memory of this process so far."""
+    """Return the largest resident memory of this process so far."""
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return largest / (2**30 if sys.platform == "darwin" else 2**20)

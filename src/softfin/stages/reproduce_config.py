@@ -20,33 +20,34 @@ CONTROLLER_KINDS: tuple[ControllerKind, ...] = ("gaits", "single", "grid")
 """Kinds of controllers, in the order in which they are made."""
 
 ONE_STEP = Recorded(time_s=(0, 10), force_n=((2, -1), (2, 1)))
-"""A reference that moves: from one side to the other in one step."""
+"""A moving reference: one step from one side to the other."""
 
 
 class ReproduceConfig(Configuration):
-    """All stages; the defaults are the paper's data and budgets. Of the controllers, null makes
-    none of that kind."""
+    """Configuration of all stages; the defaults are the paper's data and budgets. A controller set
+    to null is not made."""
 
     collect: CollectConfig = CollectConfig()
     """Logs of the plant; not used when the plant is a surrogate."""
     fit: FitConfig | StreamingConfig = FitConfig()
     """The surrogate, the paper's networks or streaming ones; not used when the plant is one."""
     gaits: MapConfig | None = None
-    """The force map, whose gaits are a controller, and which policies that begin as gaits begin
-    from. Without a box it is of all references that a controller is made for."""
+    """The force map, whose gaits are a controller and the start of policies that begin as gaits.
+    Without a box it covers all references for which a controller is made."""
     single: TrainConfig | None = SINGLE
     """One policy for all references."""
     grid: TrainConfig | None = GRID
     """One policy a cell."""
     evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
     """The experiments; each trained controller does all of them, `seeds` times. With `trim` set,
-    all are done in the plant without the outer loop and with it."""
+    all are done in the plant without and with force feedback."""
     seeds: PositiveInt = 5
-    """Policies trained of each kind, from seeds 0, 1, ...: the intervals are over these."""
+    """Number of policies trained of each kind, from seeds 0, 1, ...; the intervals are over
+    these."""
 
     @property
     def policies(self) -> dict[ControllerKind, TrainConfig]:
-        """The training runs by the kind of their controllers."""
+        """The training runs by the kind of controller."""
         trained: dict[ControllerKind, TrainConfig | None] = {
             "single": self.single,
             "grid": self.grid,
@@ -78,7 +79,7 @@ class ReproduceConfig(Configuration):
                 )
         if not self.kinds:
             raise ValueError(
-                "gaits, single and grid are null: nothing is made; leave one of them as it was"
+                "gaits, single and grid are null, so nothing is made; keep one of them"
             )
         cells = {kind: config.cells for kind, config in self.policies.items()}
         if self.map is not None and self.map.box is not None:

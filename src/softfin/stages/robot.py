@@ -1,5 +1,4 @@
-"""Stages of robots with several fins: what one can do, how well it holds and follows, and a page
-that shows it."""
+"""Stages of robots with several fins: check, evaluation, and a page that shows a trial."""
 
 from pathlib import Path
 from typing import Any
@@ -68,7 +67,7 @@ def evaluate(
 
 
 VIEWED = RobotEvaluateConfig(tasks=("hold",), hold_s=60, settled_s=15, path_s=100)
-"""Trial that is shown where nothing else is asked for."""
+"""Trial that is shown by default."""
 
 
 def view(
@@ -105,8 +104,8 @@ def _title(robot: RobotConfig, task: str, dead: bool) -> str:
 
 
 def build_tanks(robot: RobotConfig) -> list[Tank]:
-    """Build the tank of each fin; fins of one name share one. Raises ConfigurationError for other
-    plants."""
+    """Build the tank of each fin; fins with the same plant share one. Raises ConfigurationError for
+    other plants."""
     built: dict[str, Tank] = {}
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:
@@ -125,13 +124,13 @@ def build_tanks(robot: RobotConfig) -> list[Tank]:
         first = next(iter(built.values()))
         if _shapes(built[fin.plant]) != _shapes(first):
             raise ConfigurationError(
-                f"robot {robot.name}: {name} is {fin.plant}, computed in another way than fins "
-                "before it; give their tanks the same number of plates"
+                f"robot {robot.name}: {name} is {fin.plant}, which is another program than that of "
+                "the fins before it; give their tanks the same number of plates"
             )
     return [built[fin.plant] for fin in robot.fins.values()]
 
 
 def _shapes(tank: Tank) -> tuple[Any, ...]:
-    """Everything that tanks must share to be one program."""
+    """Return everything that tanks must share to use one program."""
     arrays, rest = eqx.partition(tank, eqx.is_array)
     return jax.tree.structure(rest), [leaf.shape for leaf in jax.tree.leaves(arrays)]

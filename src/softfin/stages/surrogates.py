@@ -1,5 +1,5 @@
-"""Stages that end in a model of a fin: surrogates (paper Sec. III-B), compared too, and the
-calibrated tank."""
+"""Stages about models of a fin: fit and compare surrogates (paper Sec. III-B), and calibrate the
+tank."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -48,12 +48,12 @@ def fit(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Fit a surrogate to logs, score it on their test logs, write it; returns Table I, counts of
-    issues, a caveat.
+    """Fit a surrogate to logs, score it on their test logs, and write it; returns Table I, counts
+    of issues, and a caveat.
 
     The kind of configuration selects the model: the paper's networks or streaming networks.
-    `dataset` is a dataset's folder, or recordings of any other kind, read as `logs` says; raises
-    LogError where these have errors, unless these are ignored, now or when the dataset was
+    `dataset` is a dataset's folder, or recordings of any other kind, read with the options `logs`;
+    raises LogError if these have errors, unless they are ignored, now or when the dataset was
     imported.
     """
     config = config or StreamingConfig()
@@ -78,7 +78,7 @@ def fit(
         limits = command_limits(opened.train)
         if problem := limits.problem(one_velocity=True):
             hint = "; are they in degrees? see --angles deg" if limits.contains_rest else ""
-            raise LogError(f"{dataset}: the commands to learn from: {problem}{hint}")
+            raise LogError(f"{dataset}: the training commands: {problem}{hint}")
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
@@ -120,7 +120,7 @@ def fit(
 def import_keras(
     posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False
 ) -> Surrogate:
-    """Two published ``.keras`` files and the JSON of their scalers become a surrogate."""
+    """Convert two published ``.keras`` files and the JSON of their scalers to a surrogate."""
     artifacts.check_vacant(out, overwrite)
     surrogate = read_keras_surrogate(posnet, forcenet, scalers)
     sources = {"posnet": posnet.name, "forcenet": forcenet.name, "scalers": scalers.name}
@@ -143,8 +143,8 @@ def compare(
     """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON
     and a figure.
 
-    `noise_floor` is a plant that records the same commands once more, such as the tank: the error
-    that noise and drift, twice over, and the perturbation of the tanks leave.
+    `noise_floor` is a plant that records the same commands again, such as the tank: its error
+    consists of noise and drift, twice, and the perturbation of the tanks.
     """
     config = config or CompareConfig()
     if out is not None:

@@ -1,10 +1,10 @@
-"""Folders on disk that describe themselves: a JSON beside ``weights.safetensors``, written whole or
-not at all.
+"""Folders that describe themselves: a JSON file beside ``weights.safetensors``, written completely
+or not at all.
 
-A folder is written beside its place, reaches the disk and is renamed into its place; the one that
-it replaces is kept beside it until then, so a crash loses neither. Whoever reads writes nothing. No
-pickle. NumPy and safetensors are imported where weights are read or written: the command line looks
-at folders without them.
+A folder is written next to its destination, flushed to the disk and renamed. The folder that it
+replaces is kept until then, so a crash loses neither. Reading never writes. No pickle. NumPy and
+safetensors are imported only where weights are read or written; the command line inspects folders
+without them.
 """
 
 import contextlib
@@ -58,8 +58,8 @@ def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
 
 
 def check_writable(path: Path, option: str = "--out") -> None:
-    """Raise ArtifactError unless a file or folder can be made at `path`; tried, since rights do not
-    tell all."""
+    """Raise ArtifactError unless a file or folder can be made at `path`; this is tried, because
+    permissions do not tell everything."""
     parent = path.absolute().parent
     while not parent.exists():
         parent = parent.parent
@@ -77,7 +77,7 @@ def is_kind(path: Path, kind: str) -> bool:
 
 
 def _is_own(path: Path, kind: str) -> bool:
-    """Whether softfin wrote a folder of this kind: others, too, have a ``robot.json``."""
+    """Whether softfin wrote a folder of this kind; other programs also write a ``robot.json``."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
         content = json.loads((path / f"{kind}.json").read_text())
         # The first ones had no kind.
@@ -88,11 +88,11 @@ def _is_own(path: Path, kind: str) -> bool:
 
 
 def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
-    """Let `write` fill a folder beside `path`, then rename it into its place; `overwrite` replaces
-    a folder.
+    """Let `write` fill a folder beside `path`, then rename it to `path`; `overwrite` replaces an
+    existing folder.
 
-    Raises ArtifactError where it may not be written, RunError where that fails: what was filled is
-    kept, and named.
+    Raises ArtifactError if `path` may not be written, and RunError if renaming fails: the filled
+    folder is then kept, and the message names it.
     """
     check_vacant(path, overwrite)
     path = path.resolve()
@@ -110,7 +110,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         if not isinstance(error, OSError):
             raise
         raise RunError(
-            f"{path}: cannot be written ({error.strerror or error}); what was there is left"
+            f"{path}: cannot be written ({error.strerror or error}); the existing one is unchanged"
         ) from None
     try:
         check_vacant(path, overwrite)
@@ -135,11 +135,11 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
 
 
 def sync(place: Path) -> None:
-    """Have a file or folder on the disk, so that a cut of power does not leave a name without its
+    """Flush a file or folder to the disk, so that a power cut does not leave a name without
     content."""
     descriptor = os.open(place, os.O_RDONLY)
     try:
-        # Some file systems cannot do so with folders, and do it by themselves.
+        # Some file systems cannot flush folders, and do not need it.
         with contextlib.suppress(OSError) if place.is_dir() else contextlib.nullcontext():
             os.fsync(descriptor)
     finally:
@@ -147,13 +147,13 @@ def sync(place: Path) -> None:
 
 
 def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> None:
-    """Write a file beside its place and, once it is on the disk, rename it; a function writes in
-    pieces."""
+    """Write a file next to its destination and rename it once it is on the disk; `content` may be a
+    function that writes in pieces."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.unlink(missing_ok=True)
-        # Never through a link that somebody put there.
+        # Never write through a link that somebody put there.
         with beside.open("xb") as file:
             if callable(data):
                 data(file)
@@ -179,12 +179,12 @@ def save(
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and what `extra_files` adds as one folder, by
+    """Write ``KIND.json``, the weights and the files of `extra_files` as one folder, by
     `write_folder`."""
 
     def write(folder: Path) -> None:
-        # Bytes through Path: safetensors' own writer hides a full disk, and makes files that others
-        # cannot read.
+        # The bytes are written by Path: safetensors' own writer hides a full disk, and makes files
+        # that other users cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         write_description(folder, kind, description)
         if extra_files is not None:
@@ -194,14 +194,14 @@ def save(
 
 
 class Head(TypedDict):
-    """The entries that begin a description."""
+    """The entries with which a description begins."""
 
     kind: str
     format: int
 
 
 def head(kind: str) -> Head:
-    """Return the entries that begin a description."""
+    """Return the entries with which a description begins."""
     return {"kind": kind, "format": FOLDERS[kind].number}
 
 
@@ -211,7 +211,7 @@ def write_description(folder: Path, kind: str, description: Mapping[str, object]
 
 
 def encode_description(kind: str, description: Mapping[str, object]) -> str:
-    """JSON of a description, which its kind and format number begin."""
+    """Return the JSON of a description; it begins with kind and format number."""
     return dump_json({**head(kind), **description})
 
 
@@ -240,15 +240,15 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
     except Exception as error:
-        # Damaged files, and types that NumPy has not, such as bfloat16, fail in safetensors in ways
-        # of their own.
+        # Damaged files, and types that NumPy lacks, such as bfloat16, make safetensors raise
+        # various errors.
         raise ArtifactError(f"{file}: truncated or damaged ({error}); copy it again") from None
     return description, weights
 
 
 def load_description(path: Path, kind: str) -> JsonObject:
-    """The JSON of a folder of one kind; raises ArtifactError for another thing, and for a format
-    that is not read."""
+    """The JSON of a folder of one kind; raises ArtifactError for anything else, and for a format
+    that this softfin does not read."""
     file = find_description(path, kind)
     description = read_json(file)
     check_format(kind, description.get("format", 1), str(file))
@@ -256,8 +256,8 @@ def load_description(path: Path, kind: str) -> JsonObject:
 
 
 def find_description(path: Path, kind: str) -> Path:
-    """Return the file that describes a folder of one kind; raises ArtifactError where `path` is
-    another thing."""
+    """Return the file that describes a folder of one kind; raises ArtifactError if `path` is
+    anything else."""
     file = path / f"{kind}.json"
     if not path.is_dir():
         raise ArtifactError(
@@ -269,7 +269,7 @@ def find_description(path: Path, kind: str) -> Path:
 
 
 def read_json(file: Path) -> JsonObject:
-    """The object in a JSON file of softfin's."""
+    """Return the object in one of softfin's JSON files."""
     try:
         description = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
@@ -280,13 +280,13 @@ def read_json(file: Path) -> JsonObject:
 
 
 def dump_json(value: object) -> str:
-    """Indented JSON with a final newline, of what `plain` makes of a value."""
+    """Return a value, converted by `plain`, as indented JSON with a final newline."""
     return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
 
 
 def plain(value: object) -> Any:
-    """Convert a value for JSON: arrays become lists, numbers that are not finite null, anything
-    unknown a text."""
+    """Convert a value for JSON: arrays become lists, non-finite numbers null, anything unknown a
+    string."""
     if isinstance(value, Mapping):
         return {name: plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
@@ -315,10 +315,10 @@ def provenance(**metadata: object) -> JsonObject:
 
 
 def _git_commit() -> str | None:
-    """Return the commit of softfin's checkout, with ``+`` when it has uncommitted changes; None
+    """Return the commit of softfin's checkout, with ``+`` if it has uncommitted changes; None
     outside a checkout."""
     checkout = Path(__file__).parents[3]
-    # An environment inside somebody's repository is not a checkout of softfin.
+    # An environment inside another repository is not a checkout of softfin.
     if not (checkout / ".git").exists():
         return None
     command = ("git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*")

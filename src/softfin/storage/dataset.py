@@ -20,22 +20,22 @@ from softfin.storage.paths import DATASET_PARTS
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """Logs of a folder; opening it reads and compares every file's hash, but no rows."""
+    """The logs of a folder; opening it compares the hash of every file, but reads no rows."""
 
     path: Path
     train: tuple[Path, ...]
     """Training logs, at least one."""
     test: tuple[Path, ...]
-    """Test logs, recorded apart; a dataset may have none."""
+    """Test logs, recorded separately; a dataset may have none."""
     description: JsonObject
     """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant,
     provenance)."""
     data_hash: str
-    """SHA-256 over the names and contents of all logs, by which a surrogate names its data."""
+    """SHA-256 over the names and contents of all logs, which identifies the data of a surrogate."""
 
     @classmethod
     def open(cls, path: Path) -> "Dataset":
-        """Open a folder; raises ArtifactError where it lacks logs or changed since it was
+        """Open a folder; raises ArtifactError if it lacks logs or has changed since it was
         written."""
         description = artifacts.load_description(path, "dataset")
         found = _hash_files(path)
@@ -69,7 +69,7 @@ class Dataset:
         return cls(path, train, test, description, _hash_file(found))
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
-        """Read logs one by one; raises LogError for one that cannot be used for training."""
+        """Read logs one by one; raises LogError for a log that cannot be used for training."""
         return (read_log(path) for path in paths)
 
 

@@ -1,9 +1,9 @@
-"""Every kind of artifact that softfin writes, with its format number: the one list of both.
+"""Every kind of artifact that softfin writes, with its format number: the only list of both.
 
-The number of a kind goes up where a softfin before could not read what is written now; then
-`oldest` stays where it is, a reader of the older format is kept, and ``tests/golden`` gets a file
-of the new one. Keys that are added change no number. A file without a number is of format 1.
-Configurations (YAML) have none: their keys are checked by name.
+The number of a kind is raised when older versions of softfin cannot read what is written now;
+`oldest` then stays, the reader of the older format is kept, and ``tests/golden`` gets a file in the
+new one. Added keys do not change the number. A file without a number is of format 1. Configurations
+(YAML) have none: their keys are checked by name.
 """
 
 from collections.abc import Mapping
@@ -14,14 +14,14 @@ from softfin.core.errors import ArtifactError, InputError, LogError
 
 
 class Format(NamedTuple):
-    """Format number of one kind of artifact, and the formats of it that this softfin reads."""
+    """Format number of one kind of artifact, and the formats that this softfin reads."""
 
     number: int = 1
-    """Format that this softfin writes, the newest that it reads."""
+    """Format that this softfin writes, and the newest that it reads."""
     oldest: int = 1
     """Oldest format that it reads."""
     remedy: str = ""
-    """Way to get a new one where an artifact is older than that."""
+    """How to get a new artifact if this one is older."""
 
 
 FOLDERS: Mapping[str, Format] = MappingProxyType(
@@ -44,14 +44,14 @@ FOLDERS: Mapping[str, Format] = MappingProxyType(
 """Folders by their kind, which is described by its ``KIND.json``."""
 
 FILES: Mapping[str, Format] = MappingProxyType({"log": Format(), "recording": Format()})
-"""Single files: logs (Parquet) hold the number in their schema's metadata, recordings (MCAP) in
-their channels'."""
+"""Single files: logs (Parquet) have the number in the metadata of their schema, recordings (MCAP)
+in that of their channels."""
 
 FORMATS: Mapping[str, Format] = MappingProxyType({**FOLDERS, **FILES})
 """All of them."""
 
 IN_FILE = "softfin_format"
-"""Key of the number in the metadata of single files, where it is a text."""
+"""Key of the number in the metadata of single files, where it is a string."""
 
 
 def check_format(
@@ -70,15 +70,17 @@ def check_format(
         else f"this softfin reads {oldest} to {newest}"
     )
     if number > newest:
-        raise error(f"{source}: format is {number}, of a newer softfin; {reads}; update softfin")
+        raise error(
+            f"{source}: format is {number}, written by a newer softfin; {reads}; update softfin"
+        )
     if number < oldest:
-        raise error(f"{source}: format is {number}, of an older softfin; {reads}; {remedy}")
+        raise error(f"{source}: format is {number}, written by an older softfin; {reads}; {remedy}")
 
 
 def check_file_format(
     kind: str, metadata: Mapping[Any, Any] | None, source: str, error: type[InputError] = LogError
 ) -> None:
-    """Check the number in the metadata of a single file: texts, or their bytes, by name."""
+    """Check the number in the metadata of a single file; keys and values are strings or bytes."""
     found = next(
         (value for name, value in (metadata or {}).items() if name in (IN_FILE, IN_FILE.encode())),
         "1",

@@ -1,7 +1,7 @@
-"""One log as one Parquet file: seven named columns, checked whole when written and when read.
+"""One log as one Parquet file: seven named columns, fully checked when written and when read.
 
 A Log goes in and the same Log comes out; a log that cannot be used for training raises a LogError
-with place and cause.
+with the place and the cause.
 """
 
 from pathlib import Path
@@ -25,8 +25,7 @@ NUMBER_COLUMNS = (
     "force_y_n",
 )
 
-# float64: a float32 resolves 10 ms no more after 36 hours, and the clock of a computer (1.7e9 s)
-# not at all.
+# float64: a float32 cannot resolve 10 ms after 36 hours, nor Unix time (1.7e9 s) at all.
 SCHEMA = pa.schema(
     [pa.field("time_s", pa.float64()), *(pa.field(name, pa.float32()) for name in NUMBER_COLUMNS)],
     metadata={IN_FILE: str(FILES["log"].number)},
@@ -39,13 +38,13 @@ Columns = dict[str, NDArray[np.floating]]
 
 
 def write_log(path: Path, log: Log) -> None:
-    """Write a log; raises LogError, and writes nothing, where `read_log` would refuse it."""
+    """Write a log; raises LogError, and writes nothing, if `read_log` would refuse it."""
     artifacts.write_file(path, encode_log(log, str(path)))
 
 
 def encode_log(log: Log, source: str) -> bytes:
-    """The bytes of a log's file; raises LogError, under the name `source`, where `read_log` would
-    refuse it."""
+    """Return the bytes of a log's file; raises LogError, with the name `source`, if `read_log`
+    would refuse it."""
     command, reading = log
     series = (
         reading.time,
@@ -115,8 +114,8 @@ def check_columns(columns: Columns, source: str) -> None:
     if not steps.size:
         return
     uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
-    # The mean of a second or more without a gap; else the median: at a wrong rate every step would
-    # be called a gap.
+    # The mean over a second or more without a gap, otherwise the median: at a wrong rate every step
+    # would look like a gap.
     is_steady = not uneven.size and steps.size >= RATE_HZ
     rate = steps.size / float(time[-1] - time[0]) if is_steady else 1 / float(np.median(steps))
     low, high = (1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE) if is_steady else (2 / 3, 2)
@@ -139,14 +138,14 @@ def _count(number: int) -> str:
 
 
 def read_parquet(path: Path) -> pa.Table:
-    """Read a Parquet file of any origin; raises LogError where it is damaged."""
+    """Read a Parquet file from any source; raises LogError if it is damaged."""
     try:
         with path.open("rb") as file:
             table = pq.ParquetFile(file, page_checksum_verification=True).read()
-        # Arrow decodes the names of columns only when they are asked for.
+        # Arrow decodes column names only on access.
         _ = table.schema.names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        # Arrow's own errors are OSError too, without a reason of the system's.
+        # Arrow's own errors are also OSErrors, without the system's reason.
         if isinstance(error, OSError) and error.strerror:
             raise LogError(
                 f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file"

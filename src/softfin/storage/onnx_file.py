@@ -1,9 +1,9 @@
-"""Files of ONNX: versions, metadata, the check before one is kept; a step with its state as inputs
-and outputs.
+"""ONNX files: versions, metadata, and the check before one is kept; each file is one step with its
+state as inputs and outputs.
 
-Who runs such a file feeds the outputs ``next_NAME`` back as the inputs NAME. What the names, units
-and rates are stands in its metadata, as texts, and as JSON where it is more than a word. Needs the
-extra ``softfin[onnx]``.
+To run such a file, feed the outputs ``next_NAME`` back as the inputs NAME. Its metadata states
+names, units and rates as strings, with JSON for anything longer than a word. Needs the extra
+``softfin[onnx]``.
 """
 
 import importlib
@@ -21,10 +21,10 @@ from softfin.storage.artifact import write_file
 
 OPSET = 17
 IR_VERSION = 8
-"""Versions of ONNX and of its files: what onnxruntime 1.12 (2022) and everything after it runs."""
+"""Versions of ONNX and of its file format that onnxruntime runs from 1.12 (2022) on."""
 
 NEXT = "next_"
-"""Prefix of the outputs that are the state tensors of the next step."""
+"""Prefix of the outputs that hold the state for the next step."""
 
 FORCE_FRAME = (
     "force of the fin on its mount: +x is the thrust that pushes the robot forward; at angle "
@@ -37,7 +37,7 @@ class Exported(NamedTuple):
 
     bytes: int
     worst: float
-    """Greatest difference from softfin's own outputs over the check."""
+    """Largest difference from softfin's own outputs during the check."""
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
 
@@ -55,8 +55,8 @@ def import_extra(*names: str) -> tuple[Any, ...]:
 def encode_model(
     model: Any, name: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
 ) -> bytes:
-    """Bytes of a model, checked by onnx, with its metadata and those of its state, which begins as
-    `initial`."""
+    """Return the bytes of a model, checked by onnx, with its metadata and those of its state, whose
+    first value is `initial`."""
     (onnx,) = import_extra("onnx")
     version = importlib.metadata.version("softfin")
     model.ir_version = IR_VERSION
@@ -76,7 +76,7 @@ def encode_model(
 
 
 def open_session(data: bytes) -> Any:
-    """Open the model of a file in onnxruntime, on one thread."""
+    """Open a model file in onnxruntime, on one thread."""
     (runtime,) = import_extra("onnxruntime")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -84,8 +84,8 @@ def open_session(data: bytes) -> Any:
 
 
 def keep_model(file: Path, data: bytes, what: str, worst: float, tolerance: float) -> Exported:
-    """Write a file whose outputs, called `what`, are softfin's own; raises RunError where they
-    differ by more."""
+    """Write a file whose outputs, called `what` in messages, equal softfin's own within
+    `tolerance`; raises RunError if they differ by more."""
     if not worst <= tolerance:
         raise RunError(
             f"{file}: onnxruntime's {what} differ by {worst:.2g} from softfin's (bar "

@@ -21,7 +21,7 @@ from softfin.core.errors import RunError
 from softfin.storage.onnx_file import NEXT, OPSET
 
 Value: TypeAlias = np.ndarray | np.generic | jax.Array | spox.Var
-"""An array if the value is known while the graph is built, else a variable of the graph."""
+"""An array if the value is known while the graph is built, otherwise a variable of the graph."""
 
 Results: TypeAlias = Value | list[Value]
 
@@ -51,7 +51,8 @@ def build_graph(
     arguments = {
         name: spox.argument(spox.Tensor(value.dtype, value.shape)) for name, value in inputs.items()
     }
-    # JAX flattens dictionaries in the order of their keys, and its integers have 32 bits.
+    # JAX flattens dictionaries in the order of their keys, and its integers have 32 bits by
+    # default.
     given = [_cast(arguments[name], examples[name].dtype) for name in sorted(arguments)]
     found = dict(zip(sorted(names), _translate(closed.jaxpr, closed.consts, given), strict=True))
     outputs = {}
@@ -216,7 +217,7 @@ def _slice(equation: JaxprEqn, values: list[Value]) -> Value:
 
 
 def _dynamic_slice(equation: JaxprEqn, values: list[Value]) -> Value:
-    """Cut out a part; as in JAX, the place is moved so that the part lies inside."""
+    """Cut out a part; as in JAX, the position is moved so that the part lies inside."""
     value, *starts = values
     sizes = np.asarray(equation.params["slice_sizes"], np.int64)
     last_starts = np.asarray(_shape(equation.invars[0]), np.int64) - sizes
@@ -238,7 +239,7 @@ def _tile(equation: JaxprEqn, values: list[Value]) -> Value:
 
 
 def _gather(equation: JaxprEqn, values: list[Value]) -> Value:
-    """Take whole rows along one axis, at places that are known while the graph is built."""
+    """Take whole rows along one axis, at indices that are known while the graph is built."""
     value, indices = values
     shape = _shape(equation.invars[0])
     numbers = equation.params["dimension_numbers"]
@@ -337,7 +338,7 @@ SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
     "sub": op.sub,
     "tanh": op.tanh,
 }
-"""Operators for primitives that have no parameters."""
+"""Operators for primitives without parameters."""
 
 TRANSLATORS: Mapping[str, Callable[[JaxprEqn, list[Value]], Results]] = {
     "argmin": _argmin,
@@ -358,4 +359,4 @@ TRANSLATORS: Mapping[str, Callable[[JaxprEqn, list[Value]], Results]] = {
     "tile": _tile,
     "transpose": _transpose,
 }
-"""Translators of the other primitives."""
+"""Translators for the other primitives."""

@@ -1,5 +1,5 @@
-"""Files and folders that a user names, looked at before any work; without NumPy and JAX, so a slip
-is told at once."""
+"""Checks of files and folders that a user names, before any work; without NumPy and JAX, so a
+mistake is reported at once."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +10,7 @@ from softfin.storage import artifact as artifacts
 CSV = (".csv", ".tsv", ".txt")
 PARQUET = (".parquet",)
 DATASET_PARTS = {"train": 4, "test": 3}
-"""The sub-folders of a dataset, and the digits in the names of their logs."""
+"""The subfolders of a dataset, and the number of digits in the names of their logs."""
 
 VIEWS = (".gif", ".html", ".png")
 """Formats of a view."""
@@ -21,7 +21,7 @@ RIG_FILE = Path("rig.yaml")
 def check_readable(
     path: Path, kind: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = ""
 ) -> None:
-    """Raise an error of a kind unless there is a file that may be read."""
+    """Raise an error of the given class unless there is a readable file."""
     try:
         with path.open("rb"):
             pass
@@ -30,7 +30,7 @@ def check_readable(
 
 
 def find_recordings(path: Path) -> list[Path]:
-    """Tables and bags, in order of their names; raises LogError where there are none."""
+    """Return tables and bags, sorted by name; raises LogError if there are none."""
     if not path.exists():
         raise LogError(
             f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one "
@@ -51,7 +51,7 @@ def find_recordings(path: Path) -> list[Path]:
 
 
 def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
-    """Recordings below, not those of a folder that lies within itself by a link."""
+    """Return the recordings below a folder, without following links that lead back into it."""
     if path.is_file() or is_bag(path):
         if is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
             yield path
@@ -76,7 +76,7 @@ def check_monitored(path: Path) -> None:
 
 
 def check_reference_file(path: Path) -> None:
-    """Raise ConfigurationError unless there is a .csv or .parquet file that may be read."""
+    """Raise ConfigurationError unless there is a readable .csv or .parquet file."""
     if path.suffix not in (".csv", ".parquet"):
         raise ConfigurationError(
             f"--reference-file {path}: neither .csv nor .parquet; write it as one of them"
@@ -85,7 +85,7 @@ def check_reference_file(path: Path) -> None:
 
 
 def check_view(path: Path, overwrite: bool) -> None:
-    """Raise unless a film or a page may be written at `path`."""
+    """Raise an error unless a film or a page can be written at `path`."""
     if path.suffix not in VIEWS:
         raise ConfigurationError(
             f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so"

@@ -1,8 +1,9 @@
-"""Plants by name: ``tank``, a tank's YAML file, a surrogate's folder, ``package.module:plant``.
+"""Finds plants by name: ``tank``, a tank's YAML file, a surrogate's folder,
+``package.module:plant``.
 
-Fins that move by themselves are ``rig``, ``ros2``, or one of these with ``:FILE``;
-`softfin.rig.find` opens them. A folder that is called as a plant is written ``./tank``. JAX is
-imported only where a plant is built.
+Fins that move in real time are ``rig``, ``ros2``, or one of these with ``:FILE``;
+`softfin.rig.find` opens them. For a folder with the name of a plant, write ``./tank``. JAX is
+imported only when a plant is built.
 """
 
 import importlib
@@ -26,8 +27,8 @@ LIVE = ("rig", "ros2")
 """Names of fins that move in real time."""
 
 HELP = (
-    "tank, the YAML file of a tank, the folder of a surrogate (./NAME where it is called as a "
-    "plant is), or package.module:plant (one's own simulator)"
+    "tank, the YAML file of a tank, the folder of a surrogate (./NAME if it has the name of a "
+    "plant), or package.module:plant (your own simulator)"
 )
 
 
@@ -42,10 +43,10 @@ def is_surrogate(name: str) -> bool:
 
 
 def resolve_plant(name: str) -> "Callable[[], Plant]":
-    """Return what builds the plant that `name` stands for; raises PlantError that lists what there
-    is."""
+    """Return a function that builds the plant that `name` stands for; raises a PlantError that
+    lists the possible names."""
     path = Path(name)
-    # Surrogates and tanks are rooms above this one, found by their names.
+    # Surrogates and tanks are packages above this one, imported by name.
     if is_live(name):
         folder = f"; the folder of this name is ./{name}" if path.exists() else ""
         raise PlantError(
@@ -70,8 +71,8 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
 
 
 def find_plant(name: "str | Plant") -> "Plant":
-    """Build or load the plant that `name` stands for, or return it; raises PlantError that lists
-    what there is."""
+    """Build or load the plant that `name` stands for, or return it; raises a PlantError that lists
+    the possible names."""
     if not isinstance(name, str):
         return name
     from softfin.core.quantities import Limits
@@ -101,10 +102,10 @@ def _build_tank(name: str) -> Any:
 
 
 def _import_object(name: str, build: bool = False) -> Any:
-    """Import what ``package.module:attribute`` names; with `build` return the plant: itself, or
-    what a call makes."""
+    """Import ``package.module:attribute``; with `build` return the plant: the attribute itself, or
+    the result of calling it."""
     module, _, attribute = name.partition(":")
-    # As `python -m` does: one's own simulator mostly lies in the folder where one works.
+    # As `python -m` does: users usually have their simulator in the working directory.
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:
@@ -116,7 +117,7 @@ def _import_object(name: str, build: bool = False) -> Any:
         if isinstance(plant, type) or (callable(plant) and not isinstance(plant, Plant)):
             plant = plant()
     except Exception as error:
-        # The user's code may raise anything.
+        # The user's code may raise any error.
         reason = one_line(error)
         raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
     finally:

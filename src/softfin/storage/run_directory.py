@@ -1,9 +1,9 @@
 """Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and
 the training log.
 
-A checkpoint is one safetensors file: a pytree of arrays, each by its path, and metadata as JSON,
-with the versions that wrote it. It is replaced in one rename, so a kill at any moment leaves the
-one before or the new one.
+A checkpoint is one safetensors file: a pytree of arrays, named by their paths, and metadata as
+JSON, with the versions that wrote it. It is replaced by one rename, so a kill at any moment leaves
+either the old or the new one.
 """
 
 import copy
@@ -28,8 +28,8 @@ Tree = TypeVar("Tree")
 
 CHECKPOINT = "checkpoint.safetensors"
 TRAINING_LOG = "training"
-"""Sub-folder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and of which
-run they are."""
+"""Subfolder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and the run that
+wrote them."""
 RUN = "run.json"
 LOG = "log.jsonl"
 
@@ -40,25 +40,25 @@ class RunDirectory:
     def __init__(
         self, out: Path, fingerprint: JsonObject, resume: bool = False, overwrite: bool = False
     ) -> None:
-        """Claim ``.NAME.unfinished`` beside `out`: taken over with `resume`, emptied with
+        """Claim ``.NAME.unfinished`` beside `out`: continue it with `resume`, empty it with
         `overwrite`.
 
-        With both it is taken over if it is whole and of this very run, else emptied. The
-        fingerprint, of configuration, data and seed, tells one run from another. Raises
-        ArtifactError where neither was asked for, or where unfinished work, or a part of it, is
-        that of another run and must not be overwritten.
+        With both, it is continued if it is complete and of the same run, and emptied otherwise. The
+        fingerprint of configuration, data and seed identifies a run. Raises ArtifactError if there
+        is unfinished work and neither was asked for, or if it belongs to another run and must not
+        be overwritten.
         """
         self.overwrite = overwrite
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
         finished = out / TRAINING_LOG / RUN
         self.complete = resume and not overwrite and finished.is_file()
-        """Whether the finished artifact of this very run stands at `out`."""
+        """Whether `out` already holds the finished artifact of this run."""
         if self.complete:
             check_same(out, artifacts.read_json(finished), self.fingerprint)
             return
         artifacts.check_vacant(out, overwrite)
-        # Also those of parts.
+        # Including those of parts.
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
             try:
@@ -77,7 +77,7 @@ class RunDirectory:
             shutil.rmtree(self.folder)
 
     def part(self, name: str) -> "RunDirectory":
-        """A folder within this one, for a part of the run that has checkpoints of its own."""
+        """Return a folder within this one, for a part of the run with its own checkpoints."""
         inner = copy.copy(self)
         inner.folder = self.folder / name
         return inner
@@ -90,11 +90,9 @@ class RunDirectory:
         )
 
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
-        """The last checkpoint, in the structure of `like`, else an ArtifactError; None where there
-        is none yet.
+        """Return the last checkpoint, in the structure of `like`; None if there is none yet.
 
-        One that does not fit counts as none if it may be overwritten.
-        """
+        One that does not fit raises ArtifactError, or counts as none if it may be overwritten."""
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
@@ -110,8 +108,8 @@ class RunDirectory:
                     return None
                 both = f"{there.get(name, 'missing')} there and {here.get(name, 'missing')} here"
                 raise ArtifactError(
-                    f"{path}: does not fit this training state ({name} is {both}); start anew with "
-                    "--overwrite"
+                    f"{path}: does not fit this training state ({name} is {both}); start "
+                    "again with --overwrite"
                 )
         return jax.tree.unflatten(
             structure, [jnp.asarray(arrays[name]) for name in expected]
@@ -131,7 +129,9 @@ class RunDirectory:
             AttributeError,
             safetensors.SafetensorError,
         ) as error:
-            raise ArtifactError(f"{path}: damaged ({error}); start anew with --overwrite") from None
+            raise ArtifactError(
+                f"{path}: damaged ({error}); start again with --overwrite"
+            ) from None
         before = metadata.pop("fingerprint", {})
         software = metadata.pop("software", "an older softfin")
         if software != _software():
@@ -143,13 +143,13 @@ class RunDirectory:
         return arrays, metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
-        """The training log; on resuming, entries beyond step `rewind_to` are dropped, because they
-        will come again."""
+        """The training log; on resuming, entries after step `rewind_to` are dropped, because they
+        will be written again."""
         return RunLog(self.folder, rewind_to)
 
     def keep_log(self, artifact: Path) -> None:
-        """Copy the training log, and those of parts, into a finished artifact, and say there of
-        which run it is."""
+        """Copy the training log, and those of parts, into a finished artifact, and note which run
+        wrote it."""
         folder = artifact / TRAINING_LOG
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
@@ -160,15 +160,15 @@ class RunDirectory:
                 shutil.copy(file, kept)
 
     def finish(self) -> None:
-        """Remove the folder: the artifact stands."""
+        """Remove the folder once the artifact is complete."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
 class RunLog:
-    """Scalars over a run: a line of JSON a step, always, and an event file for TensorBoard."""
+    """Scalars of a run: one line of JSON per step, and an event file for TensorBoard."""
 
     def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
-        # Imported here: protobuf costs every other command a third of a second.
+        # Imported here, because protobuf would cost every other command a third of a second.
         from tensorboardX import SummaryWriter
 
         self.path = folder / LOG
@@ -178,7 +178,7 @@ class RunLog:
         self._writer = SummaryWriter(str(folder), purge_step=last + 1, filename_suffix=".softfin")
 
     def write(self, step: int, **scalars: float) -> None:
-        """Append the scalars of one step; those that are not finite as null."""
+        """Append the scalars of one step; non-finite ones as null."""
         entry = {
             "step": step,
             **{name: artifacts.plain(float(value)) for name, value in scalars.items()},
@@ -199,8 +199,8 @@ class RunLog:
 
 
 def read_training_log(path: Path) -> list[JsonObject]:
-    """The entries of a ``log.jsonl``, up to the first line that a kill or a cut of power has left
-    in pieces."""
+    """Return the entries of a ``log.jsonl``, up to the first line that a kill or a power cut has
+    damaged."""
     entries = []
     for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:
         try:
@@ -211,13 +211,13 @@ def read_training_log(path: Path) -> list[JsonObject]:
 
 
 def _software() -> str:
-    """Configuration that decides which leaves a state has, and which numbers come next."""
+    """The configuration on which the leaves of the state and the next random numbers depend."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
 def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
-    """The leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order of the
-    structure."""
+    """Return the leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order
+    of the structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
 
@@ -228,8 +228,8 @@ def check_same(
     now: object,
     remedy: str = "give the same options, another --out, or --overwrite",
 ) -> None:
-    """Raise ArtifactError unless the run found at a path is the run of now; both are described by
-    nested mappings."""
+    """Raise ArtifactError unless the run at a path is the current one; both are described by nested
+    mappings."""
     if before != now:
         was, is_ = (
             {
@@ -242,4 +242,4 @@ def check_same(
         differing = ", ".join(
             f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3]
         )
-        raise ArtifactError(f"{path}: is of another run ({differing}); {remedy}")
+        raise ArtifactError(f"{path}: belongs to another run ({differing}); {remedy}")

@@ -1,8 +1,8 @@
-"""The channels that surrogates take and give, by name: scaling (``scaled = x * scale + offset``),
+"""The input and output channels of surrogates, by name: scaling (``scaled = x * scale + offset``),
 and training range.
 
-That range and the name of the fin go into every controller trained in a surrogate: a rig refuses a
-controller for another fin, and one far from its training data.
+The range and the name of the fin are stored in every controller trained in a surrogate: a rig
+refuses a controller for another fin, and stops one far outside its training data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,15 +25,15 @@ ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
 COLUMNS = (ANGLE, *COMMAND_COLUMNS, *FORCES)
-"""Channels of the paper's networks: ForceNet's first, PosNet's within them, then what ForceNet
-predicts."""
+"""Channels of the paper's networks: first ForceNet's inputs, which include PosNet's, then
+ForceNet's outputs."""
 
 SKIPPED = 100
-"""Rows at the beginning of a log that Table I does not score: the first window of PosNet and
+"""Rows at the start of a log that are not scored in Table I: the first window of PosNet and
 ForceNet."""
 
 UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
-"""Entries of a plant that is not a surrogate, or one without them."""
+"""Entries for a plant that is not a surrogate, or a surrogate without them."""
 
 
 class NetPrediction(NamedTuple):
@@ -43,7 +43,7 @@ class NetPrediction(NamedTuple):
     series: Sequence[Float[np.ndarray, "predicted channels"]]
     """Predicted values of the last rows of each log [rad or N]."""
     window: int | None
-    """Samples of the past that the network sees; None of one with a state."""
+    """Number of past samples that the network sees; None for a network with a state."""
     parameters: int
 
 
@@ -53,9 +53,9 @@ class ChannelScaling(Configuration):
     scale: float = Field(gt=0)
     offset: float
     data_min: float
-    """Least value in the training data, in the channel's unit."""
+    """Smallest value in the training data, in the channel's unit."""
     data_max: float
-    """Greatest value in the training data."""
+    """Largest value in the training data."""
 
 
 class Scaling(Configuration):
@@ -68,12 +68,13 @@ class Scaling(Configuration):
 
     @classmethod
     def fit(cls, logs: Sequence[Log]) -> "Scaling":
-        """Map each channel's range in the training logs onto 0 .. 1."""
+        """Build the scaling that maps each channel's range in the training logs onto 0 .. 1."""
         channels = {}
         for name, (low, high) in ranges(logs, COLUMNS).items():
             if not high > low:
                 raise LogError(
-                    f"column {name} is {low:g} in every training row: nothing can be learnt from it"
+                    f"column {name} is {low:g} in every training row: no network can be fitted to "
+                    "it"
                 )
             scale = 1 / (high - low)
             channels[name] = ChannelScaling(
@@ -82,7 +83,7 @@ class Scaling(Configuration):
         return cls(channels=channels)
 
     def require(self, source: str) -> None:
-        """Raise ArtifactError where a channel of the paper's networks has no scaling."""
+        """Raise ArtifactError if a channel of the paper's networks has no scaling."""
         for name in COLUMNS:
             if name not in self.channels:
                 raise ArtifactError(
@@ -90,17 +91,17 @@ class Scaling(Configuration):
                 )
 
     def scaled(self, name: str, values: AnyArray) -> Any:
-        """Scale values in the channel's unit."""
+        """Scale values given in the channel's unit."""
         return values * self.channels[name].scale + self.channels[name].offset
 
     def physical(self, names: Sequence[str], scaled: Float[Array, "*shape {len(names)}"]) -> Array:
-        """Take scaled values back to the channels' units; the last axis runs over `names`."""
+        """Convert scaled values back to the channels' units; the last axis runs over `names`."""
         scale = jnp.asarray([self.channels[name].scale for name in names], jnp.float32)
         offset = jnp.asarray([self.channels[name].offset for name in names], jnp.float32)
         return (scaled - offset) / scale
 
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
-        """Some columns of a log, scaled, float32."""
+        """Return some columns of a log, scaled, as float32."""
         columns = to_columns([log])
         return np.stack([self.scaled(name, columns[name]) for name in names], axis=1).astype(
             np.float32
@@ -108,7 +109,7 @@ class Scaling(Configuration):
 
 
 def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
-    """The columns of logs, one log after the other, by the names of the channels."""
+    """Return the columns of logs, one log after the other, by channel name."""
     each = [
         (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
         for log in logs
@@ -118,20 +119,20 @@ def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
 
 
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
-    """Least and greatest value of some channels in logs; of the readings it is the training range
-    of a surrogate."""
+    """Return the smallest and largest value of some channels in logs; for the readings this is the
+    training range of a surrogate."""
     columns = to_columns(logs)
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
 
 
 def learnt_from(plant: object) -> JsonObject:
-    """``training_range`` and ``fin`` of a surrogate's folder, where `plant` names one that has
-    them; else unknown."""
+    """``training_range`` and ``fin`` of a surrogate's folder, if `plant` names one that has them;
+    otherwise unknown."""
     if not isinstance(plant, str | Path) or not artifacts.is_kind(Path(plant), "surrogate"):
         return dict(UNKNOWN)
     description = artifacts.load_description(Path(plant), "surrogate")
     entries = {name: description.get(name) for name in UNKNOWN}
-    # Imported ones have kept the range of their channels in their scaling.
+    # Imported surrogates contain the range of their channels in their scaling.
     if entries["training_range"] is None and (scaling := description.get("scaling")):
         entries["training_range"] = {
             name: [scaling[name]["data_min"], scaling[name]["data_max"]]

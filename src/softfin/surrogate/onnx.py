@@ -35,7 +35,7 @@ CHECK_S = 30
 """Duration of the free run in which onnxruntime is compared with JAX [s]."""
 
 MAX_READING_DIFFERENCE = 1e-3
-"""A file whose angle [rad], velocity [rad/s] or force [N] differs by more from JAX's is not
+"""Largest difference from JAX's angle [rad], velocity [rad/s] and force [N] with which a file is
 written."""
 
 COMPARED_OUTPUTS = ("angle", "velocity", "force")
@@ -60,7 +60,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
     flat, unpack = ravel_pytree(start[1:])
 
     def step(command_angle: Array, command_velocity: Array, state: PyTree) -> dict[str, Any]:
-        # The first field counts ticks, for the time alone.
+        # The first field counts ticks, and only the time needs it.
         now = start._replace(**dict(zip(start._fields[1:], unpack(state), strict=True)))
         command = Command(command_angle, command_velocity)
         after: PyTree
@@ -86,7 +86,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
 
 
 def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
-    """Facts that a user of the file must know."""
+    """Return the facts that a user of the file must know."""
     description = artifacts.load_description(folder, SURROGATE_KIND)
     outputs = {
         "angle": "angle of the shaft [rad]",
@@ -97,8 +97,8 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
         outputs |= {
             "force_members": "(members, 2), the force that each member predicts [N]; force is "
             "their mean",
-            "distance": "distance of the motion from the training data: 1 at their edge, more "
-            "beyond it",
+            "distance": "distance of the motion from the training data: 1 at their edge, larger "
+            "outside",
         }
     return {
         "surrogate": folder.resolve().name,
@@ -119,7 +119,7 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
 
 
 def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarray]) -> float:
-    """Run free under random commands, both with a state of their own; returns the greatest
+    """Run both free under random commands, each with its own state; returns the largest
     difference."""
     commands = Command(*ExcitationConfig()(jax.random.key(0), CHECK_S * RATE_HZ, surrogate.limits))
     start = surrogate.init(jax.random.key(0))
@@ -137,6 +137,6 @@ def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarra
             difference = float(
                 np.abs(found[name] - np.asarray(getattr(reading, name)[index])).max()
             )
-            # Not a number is a difference, too.
+            # NaN also counts as a difference.
             worst = max(worst, difference) if difference == difference else np.inf
     return worst

@@ -30,8 +30,8 @@ def save_surrogate(
     overwrite: bool = False,
     **metadata: Any,
 ) -> None:
-    """Write the folder, whole or not at all; `extra_files` adds some, `metadata` are further
-    entries of the JSON."""
+    """Write the folder, completely or not at all; `extra_files` are added to it, `metadata` to its
+    JSON."""
     entries, weights = surrogate.to_files()
     description = {
         "model": surrogate.model,
@@ -46,8 +46,8 @@ def save_surrogate(
 
 
 def load_surrogate(path: Path) -> AnySurrogate:
-    """Load the surrogate in a folder; raises ArtifactError where it is damaged or of another rate
-    or channels."""
+    """Load the surrogate in a folder; raises ArtifactError if it is damaged or has another rate or
+    other channels."""
     description, weights = artifacts.load(path, SURROGATE_KIND)
     source = str(path / f"{SURROGATE_KIND}.json")
     if description.get("rate_hz") != RATE_HZ:
@@ -61,7 +61,7 @@ def load_surrogate(path: Path) -> AnySurrogate:
         )
     try:
         surrogate = MODELS[model].from_files(description, weights, source)
-        # Those of the paper's networks follow from the scaling.
+        # The channels of the paper's networks follow from the scaling.
         Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate
     except ConfigurationError as error:

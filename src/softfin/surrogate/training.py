@@ -13,29 +13,31 @@ from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.core.quantities import Log
 
 UPDATES_A_CALL = 50
-"""Updates that a compiled program does at most before progress is shown."""
+"""Largest number of updates per call of a compiled program, after which progress is shown."""
 
 
 class TrainingState(NamedTuple):
-    """Everything that a resumed run needs of several networks, or of one with a leading axis
+    """Everything needed to resume the training of several networks, or of one with a leading axis
     ``members``."""
 
     nets: PyTree
     optimiser: PyTree
     best: PyTree
-    """Weights with the lowest held-out loss until now, for each network or member."""
+    """Weights with the lowest held-out loss so far, for each network or member."""
     best_loss: PyTree
-    """Loss: one number for each of several networks, or an array ``(members,)``."""
+    """Loss of the best weights: one number for each of several networks, or an array
+    ``(members,)``."""
 
 
 def keep_best_nets(
     state: TrainingState, losses: PyTree, held_out: object, name: str
 ) -> tuple[TrainingState, bool]:
-    """Keep each network's weights if its held-out loss is the lowest; return if any is. RunError if
-    not finite."""
+    """Keep each network's weights if its held-out loss is the lowest so far; return whether any is.
+    RunError if one is not finite."""
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
         raise RunError(
-            f"fit: the loss of the {name} is not finite; lower learning_rate (--set), start anew"
+            f"fit: the loss of the {name} is not finite; lower learning_rate (--set) and start "
+            "again"
         )
 
     def pick(better: Array, new: PyTree, old: PyTree) -> Any:
@@ -53,11 +55,11 @@ def keep_best_nets(
 
 
 def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
-    """Logs to learn from and, the last ones, to hold out; raises LogError where there are fewer
-    than two."""
+    """Return the logs for training and, the last ones, to hold out; raises LogError if there are
+    fewer than two."""
     if (count := len(logs)) < 2:
         raise LogError(
-            f"{count} training log: at least 2 are needed, one to learn from and one held out; "
+            f"{count} training log: at least 2 are needed, one for training and one held out; "
             "record more, or cut a long file into logs by --rows-per-log"
         )
     held_out = min(count - 1, max(1, round(count * share)))
@@ -65,7 +67,7 @@ def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence
 
 
 def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
-    """Raise LogError where a log is too short to predict a single row of."""
+    """Raise LogError if a log is too short to predict even one row."""
     for index, log in enumerate(logs):
         if (rows := len(log.reading.time)) <= window:
             raise LogError(
@@ -75,15 +77,15 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
 
 
 def name_net_arrays(nets: PyTree) -> dict[str, np.ndarray]:
-    """Arrays by their places, such as ``posnet.3.kernel``."""
+    """Return the arrays by their paths, such as ``posnet.3.kernel``."""
     return {
         _name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)
     }
 
 
 def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> Any:
-    """Networks of these shapes with the arrays of `named`; ArtifactError if one is missing or does
-    not fit."""
+    """Return networks of these shapes with the arrays of `named`; ArtifactError if one is missing
+    or does not fit."""
 
     def leaf(path: Any, like: Any) -> Any:
         array = arrays.get(_name(path))

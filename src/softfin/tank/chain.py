@@ -1,5 +1,5 @@
-"""A planar chain of rigid plates hinged end to end: where it is, how it moves, what a load on a
-plate does to it.
+"""A planar chain of rigid plates hinged end to end: its pose, its motion, and the effect of loads
+on its plates.
 
 Plate i lies from its inner end, nearer the shaft, along d(phi) = (-cos phi, sin phi); its normal is
 n = d' = (sin phi, cos phi). The absolute angles phi are the only coordinates, so length is kept
@@ -18,7 +18,7 @@ Scalar = Float[Array, ""]
 
 
 class Pose(NamedTuple):
-    """How the turning of plate j moves the inner end of plate i > j; rows i, columns j, zero
+    """Effect of the rotation of plate j on the inner end of plate i > j; rows i, columns j, zero
     elsewhere [m]."""
 
     normal: Float[Array, "plates plates"]
@@ -26,7 +26,7 @@ class Pose(NamedTuple):
 
 
 class PlateMotion(NamedTuple):
-    """Motion of each plate: velocity of its inner end along n and d [m/s], rate of turning
+    """Motion of each plate: velocity of its inner end along n and d [m/s], angular velocity
     [rad/s]."""
 
     normal: PerPlate
@@ -35,8 +35,8 @@ class PlateMotion(NamedTuple):
 
 
 class PlateWrench(NamedTuple):
-    """Force on each plate along n and d [N], moment about the inner end [N m]. Likewise momenta [N
-    s, N m s]."""
+    """Force on each plate along n and d [N], moment about the inner end [N m]. Also used for
+    momenta [N s, N m s]."""
 
     normal: PerPlate
     along: PerPlate
@@ -44,8 +44,8 @@ class PlateWrench(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Moments of what resists each plate, mass [kg] or drag [kg/s]: order 0 to 2 along n, and the
-    whole along d.
+    """Moments of each plate's mass [kg] or drag [kg/s]: orders 0 to 2 along n, and the total along
+    d.
 
     With m(s) the mass per length along n, they are the integrals of m, m s and m s^2 over the
     plate.
@@ -57,7 +57,7 @@ class Moments(NamedTuple):
     along: PerPlate
 
     def times(self, motion: PlateMotion) -> PlateWrench:
-        """Return the momentum of that motion, or the force that resists it."""
+        """Return the momentum of a motion, or the force that resists it."""
         return PlateWrench(
             self.zeroth * motion.normal + self.first * motion.turning,
             self.along * motion.along,
@@ -66,7 +66,7 @@ class Moments(NamedTuple):
 
 
 def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
-    """Return the pose of a chain whose plates lie at absolute `angles` [rad]."""
+    """Return the pose of a chain whose plates are at absolute `angles` [rad]."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
     lever = jnp.tril(jnp.ones((angles.size, angles.size), angles.dtype), -1) * plate_length
@@ -77,7 +77,7 @@ def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
 
 
 def motion(pose: Pose, rates: PerPlate) -> PlateMotion:
-    """Return the motion of plates that turn at absolute `rates` [rad/s]."""
+    """Return the motion of plates that rotate at absolute `rates` [rad/s]."""
     return PlateMotion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
 
 
@@ -90,14 +90,14 @@ def components(angles: PerPlate, velocity: Float[Array, "2"]) -> PlateMotion:
 
 
 def project(pose: Pose, wrench: PlateWrench) -> PerPlate:
-    """The moment that the wrenches exert on each absolute angle [N m]."""
+    """Return the moment of the wrenches about each absolute angle [N m]."""
     levers = pose.normal * wrench.normal[:, None] + pose.along * wrench.along[:, None]
     return levers.sum(0) + wrench.moment
 
 
 def momentum_matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
-    """The symmetric matrix that takes rates of turning to generalised momenta, or to the moments
-    that resist them."""
+    """Return the symmetric matrix that maps angular velocities to generalised momenta, or to the
+    moments that resist them."""
     normal = pose.normal
     along = pose.along
     outer = normal[:, :, None] * (moments.zeroth[:, None] * normal)[:, None, :]
@@ -107,8 +107,8 @@ def momentum_matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates
 
 
 def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrench:
-    """Minus the rate of change of each plate's momentum at constant rates of turning (Kirchhoff's
-    equations)."""
+    """Return minus the rate of change of each plate's momentum at constant angular velocities
+    (Kirchhoff's equations)."""
     squares = motion.turning**2
     rise = (pose.along * squares).sum(1) - motion.along * motion.turning
     slide = motion.normal * motion.turning - (pose.normal * squares).sum(1)
@@ -121,7 +121,7 @@ def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrenc
 
 
 def resultant(angles: PerPlate, wrench: PlateWrench) -> Float[Array, "2"]:
-    """The sum of the forces in the axes of the tank, (x, y)."""
+    """Return the sum of the forces in the axes of the tank, (x, y)."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
     return jnp.stack(
@@ -138,14 +138,14 @@ def condense(
     """Eliminate all plates but the first from ``matrix @ rates = right``, the matrix symmetric
     positive definite.
 
-    What is left at the root is ``inertia * rate = impulse``, to be solved with whatever holds the
-    fin. Returns inertia, impulse, and the function from the first plate's rate to those of all.
+    At the root ``inertia * rate = impulse`` remains, to be solved together with whatever holds the
+    fin. Returns inertia, impulse, and the function from the first plate's rate to all rates.
     """
     if len(right) == 1:
         return matrix[0, 0], right[0], lambda first: first[None]
     column = matrix[1:, 0]
     inner = matrix[1:, 1:]
-    # Its derivative is one more solution, not that of each step of the elimination.
+    # Its derivative is one more linear solve, not the derivative of each elimination step.
     free, dragged = jax.lax.custom_linear_solve(
         lambda x: x @ inner,
         jnp.stack([right[1:], column]),
@@ -162,8 +162,8 @@ def condense(
 def _eliminated(
     matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]
 ) -> Float[Array, "rights n"]:
-    """Elimination without pivoting, unrolled: a batch of such small systems is a handful of long
-    vector operations, where a call of LAPACK is one call a fin."""
+    """Elimination without pivoting, unrolled: a batch of such small systems becomes a few long
+    vector operations, while LAPACK would need one call per fin."""
     size = matrix.shape[0]
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
     sides = [rights[:, i] for i in range(size)]

@@ -2,10 +2,10 @@
 shaft's motion out.
 
 A trapezoidal velocity profile runs to the target angle at the commanded velocity, within an
-acceleration limit. It is planned anew at each step from the present motion, so a command may come
-at any time, mid-stroke too. A servo with a torque limit makes the motor follow it, against the
-fin's load; a gearbox with play stands between motor and fin. The encoder sits on the motor. Angles,
-torques and inertias are those at the fin's side of the gearbox.
+acceleration limit. It is replanned at each step from the present motion, so a command may come at
+any time, even mid-stroke. A servo with a torque limit makes the motor follow it, against the fin's
+load; a gearbox with play stands between motor and fin. The encoder sits on the motor. Angles,
+torques and inertias refer to the fin's side of the gearbox.
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ DEAD_TICKS = 20
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.
 
-    Velocity, acceleration, dead time and lag are a calibration's against the published fin
+    Velocity, acceleration, dead time and lag come from a calibration against the published fin
     (docs/tank.md); motor and gearbox are catalogue values for a reduction of 111:1, which is
     assumed.
     """
@@ -39,24 +39,24 @@ class DriveConfig(Configuration):
     acceleration_rad_s2: float = Field(81.0, gt=0)
     """Acceleration of the profile, speeding up and braking [rad/s2]."""
     dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
-    """Delay from a command to the profile that follows it [s]: the way through computer and bus."""
+    """Delay from a command to the profile that follows it [s]: caused by computer and bus."""
     lag_s: float = Field(0.001, ge=0)
-    """Following error over velocity [s]: what the servo's velocity damping costs."""
+    """Following error divided by velocity [s], caused by the servo's velocity damping."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
-    """Torque over following error of the servo [N m/rad]."""
+    """Torque of the servo per following error [N m/rad]."""
     inertia_kg_m2: float = Field(0.028, gt=0)
     """Inertia of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 111:1."""
     torque_limit_nm: float = Field(6.0, gt=0)
-    """Most that motor and gearbox exert [N m]: what a 32 mm planetary gearbox bears."""
+    """Largest torque of motor and gearbox [N m]: the limit of a 32 mm planetary gearbox."""
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
     """Play of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
-    """Readings of the shaft are multiples of this [rad]: 2000 counts a turn at 111:1; 0: not
+    """Readings of the shaft are multiples of this [rad]: 2000 counts per turn at 111:1; 0: not
     quantised."""
 
 
 class DriveState(NamedTuple):
-    """State of the profile and of the motor, and the commands on their way."""
+    """State of the profile and of the motor, and the commands in the queue."""
 
     profile_angle: Float[Array, ""]
     """Angle of the profile [rad]."""
@@ -67,7 +67,7 @@ class DriveState(NamedTuple):
     rate: Float[Array, ""]
     """Angular velocity of the motor [rad/s]."""
     torque: Float[Array, ""]
-    """Torque of the motor, mean of the last step [N m]."""
+    """Mean torque of the motor in the last step [N m]."""
     waiting: Command
     """Commands of the last ticks, newest first."""
 
@@ -103,8 +103,8 @@ class Drive(eqx.Module):
         return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
-        """Take the command that is issued now; return the one that the profile obeys for the next
-        tick, too."""
+        """Add the command issued now; also return the one that the profile obeys during the next
+        tick."""
         queue = Command(
             *(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True))
         )
@@ -112,7 +112,7 @@ class Drive(eqx.Module):
         return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)
 
     def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
-        """Return the state with the profile a step of time further under a command."""
+        """Return the state with the profile advanced by one time step under a command."""
         velocity = next_velocity(
             state.profile_angle, state.profile_velocity, command, self.acceleration, seconds
         )
@@ -128,7 +128,7 @@ class Drive(eqx.Module):
         seconds: float,
         carried: Float[Array, ""] | float = 0.0,
     ) -> Shaft:
-        """Return the shaft on which the fin hangs while the profile goes from one state to the
+        """Return the shaft that drives the fin while the profile goes from one state to the
         next."""
         half = seconds / 2
         pull, grip, rotor = self._servo(before, planned, half)
@@ -146,7 +146,7 @@ class Drive(eqx.Module):
     def follow(
         self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float
     ) -> DriveState:
-        """Return the state after a step in which the motor turned at that mean rate [rad/s]."""
+        """Return the state after a step in which the motor turned at a mean rate [rad/s]."""
         pull, grip, _ = self._servo(before, planned, seconds / 2)
         torque = jnp.clip(pull - grip * mean, -self.torque_limit, self.torque_limit)
         return planned._replace(
@@ -160,11 +160,11 @@ class Drive(eqx.Module):
     def _servo(
         self, before: DriveState, planned: DriveState, half: float
     ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
-        """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; last, its inertia
-        over half a step.
+        """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; the third number is
+        its inertia over half a step.
 
-        Proportional to the following error less the lag's share, and critically damped about the
-        profile.
+        It is proportional to the following error minus that of the lag, and critically damped about
+        the profile.
         """
         damping = 2 * jnp.sqrt(self.stiffness * self.inertia)
         profile_angle = (before.profile_angle + planned.profile_angle) / 2
@@ -180,8 +180,8 @@ def next_velocity(
     acceleration: Float[Array, ""],
     seconds: float,
 ) -> Float[Array, ""]:
-    """Return the fastest velocity from which the profile, in steps of time, stops at the target
-    without overshoot."""
+    """Return the fastest velocity from which the profile, in discrete time steps, stops at the
+    target without overshoot."""
     ahead = command.angle - angle - seconds * velocity / 2
     gain = acceleration * seconds
     braking = jnp.sqrt((gain / 2) ** 2 + 2 * acceleration * jnp.abs(ahead)) - gain / 2
@@ -191,9 +191,9 @@ def next_velocity(
 
 
 def delayed(commands: Command, delay: Float[Array, ""]) -> Command:
-    """Return the command of `delay` ticks ago among the last ones, newest first.
+    """Return the command from `delay` ticks ago, out of the last ones, newest first.
 
-    A delay between whole ticks is a mean of the two commands beside it, so that it has a
+    A fractional delay interpolates between the two neighbouring commands, so that it has a
     derivative.
     """
     age = jnp.arange(commands.angle.shape[0], dtype=delay.dtype)

@@ -1,11 +1,11 @@
-"""The soft fin: a tapered silicone plate, bending in the plane of beating, as a chain of plates
-with sprung joints.
+"""The soft fin: a tapered silicone plate, bending in the plane of beating, modelled as a chain of
+plates with elastic joints.
 
-The first joint holds the fin on the shaft, and loads it back. One step of time takes bending,
-structural damping, the water's resistance and the shaft by the implicit midpoint rule, and what is
-left of the nonlinearity at a midpoint that the last accelerations predict: second order in the
-step, one linear solve. No stiffness and no damping makes it unstable; turning far in one step does
-(docs/tank.md, "Step of time").
+The first joint holds the fin on the shaft and transmits its load. One time step treats bending,
+structural damping, the water's resistance and the shaft by the implicit midpoint rule, and the
+remaining nonlinearity at a midpoint predicted from the last accelerations: second order in the
+step, one linear solve. No stiffness and no damping makes it unstable, but a large rotation in one
+step does (docs/tank.md, "Step of time").
 """
 
 from collections.abc import Callable
@@ -29,12 +29,13 @@ PlateSeries: TypeAlias = NDArray[np.floating[Any]]
 class FinConfig(Configuration):
     """Geometry and material; thickness and span change linearly from root to tip.
 
-    Length, bracket, modulus and damping are a calibration's against the published fin
-    (docs/tank.md); span and thickness were held, as no recording tells them from modulus and drag.
+    Length, bracket, modulus and damping come from a calibration against the published fin
+    (docs/tank.md); span and thickness were fixed, because no recording can separate them from
+    modulus and drag.
     """
 
     plates: int = Field(8, ge=1, le=32)
-    """Rigid plates in the chain [-]; the error of the force falls at least as their number
+    """Rigid plates in the chain [-]; the error of the force falls at least with their number
     squared."""
     length_m: float = Field(0.187, gt=0)
     """Length from the shaft to the tip [m]."""
@@ -43,19 +44,19 @@ class FinConfig(Configuration):
     span_m: float = Field(0.081, gt=0)
     """Span across the plane of beating, at the shaft [m]."""
     tip_span_ratio: float = Field(1.0, gt=0)
-    """Span at the tip over that at the shaft [-]."""
+    """Span at the tip divided by that at the shaft [-]."""
     root_thickness_m: float = Field(0.019, gt=0)
     """Thickness at the shaft [m]."""
     tip_thickness_ratio: float = Field(1.0, gt=0)
-    """Thickness at the tip over that at the shaft [-]."""
+    """Thickness at the tip divided by that at the shaft [-]."""
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
-    """Young's modulus in bending [Pa]; by the hardness, Shore A 22, 0.8e6 (Gent 1958), 1.1e6 in a
-    plate."""
+    """Young's modulus in bending [Pa]; the hardness, Shore A 22, gives 0.8e6 (Gent 1958), and 1.1e6
+    in a plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
     """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
     damping_s: float = Field(0.0273, ge=0)
-    """Kelvin-Voigt time: damping over stiffness of each joint [s]; a loss factor of 0.27 at 1.6
-    Hz."""
+    """Kelvin-Voigt time: damping divided by stiffness of each joint [s]; a loss factor of 0.27 at
+    1.6 Hz."""
 
     def span(self, along: PlateSeries) -> PlateSeries:
         """Return the span of the fin at distances from the shaft [m]."""
@@ -73,8 +74,8 @@ BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
 def plate_moments(
     config: FinConfig, density: Callable[[PlateSeries], PlateSeries]
 ) -> tuple[PerPlate, PerPlate, PerPlate]:
-    """Integrals of a density per length, times distance from the inner end to the power 0, 1, 2,
-    over each plate."""
+    """Integrate a density per length, times the distance from the inner end to the power 0, 1 and
+    2, over each plate."""
     plate = config.length_m / config.plates
     # Exact for the cubic densities of a linear taper.
     nodes, weights = np.polynomial.legendre.leggauss(4)
@@ -88,9 +89,9 @@ def compliance(config: FinConfig) -> PlateSeries:
     """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to
     that of the next.
 
-    The joints bend where their plates meet, the beam all along between. So each part of beam counts
-    by the work that a load on the tip does in bending it, which makes the deflection under such a
-    load that of the beam, however few the plates.
+    Joints bend only where plates meet, a beam bends everywhere. Each part of the beam is therefore
+    weighted by the work that a load at the tip does in bending it, so that the deflection under
+    such a load equals that of the beam for any number of plates.
     """
     plate = config.length_m / config.plates
     joints = np.arange(config.plates) * plate
@@ -118,7 +119,7 @@ class FinState(NamedTuple):
     angles: PerPlate
     """Angle of each plate from the axes of the tank [rad]."""
     rates: PerPlate
-    """Angular velocity of each plate, that of a turning mount included [rad/s]."""
+    """Angular velocity of each plate, including that of a rotating mount [rad/s]."""
     accelerations: PerPlate
     """Accelerations in the last step [rad/s2]."""
     earlier: PerPlate
@@ -127,14 +128,14 @@ class FinState(NamedTuple):
 
 class Mount(NamedTuple):
     """Motion of the robot that carries the fin, at the shaft, during a tick; in the axes of the
-    tank, which turn along.
+    tank, which rotate with it.
 
-    Motion along the shaft, and turning about other axes than the shaft's, are left out: they move
-    the fin edgewise.
+    Motion along the shaft and rotation about other axes are left out, because they move the fin
+    edgewise.
     """
 
     velocity: Float[Array, "2"]
-    """Velocity (x, y) relative to water far away, which is at rest [m/s]."""
+    """Velocity (x, y) relative to the water far away, which is at rest [m/s]."""
     acceleration: Float[Array, "2"]
     """Acceleration (x, y) relative to that water [m/s2]."""
     turn: Scalar
@@ -150,8 +151,8 @@ class Shaft(NamedTuple):
     """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's
     backlash."""
     turn: Callable[[Scalar, Scalar], Scalar]
-    """Function from load and drag to the shaft's mean rate [rad/s], where the fin exerts load -
-    drag * rate on it."""
+    """Function from load and drag to the shaft's mean rate [rad/s]; the fin exerts load - drag *
+    rate on it."""
     carried: Scalar | float = 0.0
     """Angular velocity of the mount, to which the shaft's own rate adds [rad/s]."""
 
@@ -165,9 +166,9 @@ class Surroundings(NamedTuple):
     """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion
     relative to it."""
     loads: Callable[[PlateMotion], tuple[Moments, PlateWrench]]
-    """Effects of water on moving plates besides inertia: resistance [kg/s] and forces [N]."""
+    """Effects of water on moving plates other than inertia: resistance [kg/s] and forces [N]."""
     acceleration: Float[Array, "2"] | None = None
-    """Acceleration (x, y) of the mount through the water [m/s2]; None: it stands still."""
+    """Acceleration (x, y) of the mount through the water [m/s2]; None if it stands still."""
 
 
 class Fin(eqx.Module):
@@ -181,8 +182,8 @@ class Fin(eqx.Module):
     inertia: Moments
     """Inertia of the fin itself, without the water [kg, kg m, kg m2]."""
     thickness: Float[Array, " points"]
-    """Thickness at the shaft and the outer end of each plate [m]: not needed for motion, only to be
-    drawn."""
+    """Thickness at the shaft and the outer end of each plate [m]: used only for drawing, not for
+    the motion."""
 
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
@@ -197,7 +198,7 @@ class Fin(eqx.Module):
         self.thickness = jnp.asarray(config.thickness(np.arange(config.plates + 1) * plate))
 
     def rest(self) -> FinState:
-        """Return the state straight along angle 0, still."""
+        """Return the state of a straight fin at angle 0, at rest."""
         return FinState(*(jnp.zeros_like(self.stiffness) for _ in FinState._fields))
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
@@ -216,8 +217,8 @@ class Fin(eqx.Module):
     def momenta(
         self, state: FinState, around: Surroundings
     ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        """Return the momenta of the fin itself and of the water that it carries, in the axes of the
-        tank [N s]."""
+        """Return the momenta of the fin itself and of the water it carries, in the axes of the tank
+        [N s]."""
         return (
             chain.resultant(state.angles, self.inertia.times(self._motion(state))),
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
@@ -226,7 +227,7 @@ class Fin(eqx.Module):
     def inertial_force(
         self, state: FinState, around: Surroundings, mount: Mount
     ) -> Float[Array, "2"]:
-        """Return the part of the momenta's rate of change that comes of the mount's motion, in its
+        """Return the part of the momenta's rate of change that is due to the mount's motion, in its
         axes [N].
 
         The rest is the change of `momenta` in those axes, at the mount's velocity.
@@ -251,11 +252,11 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
-        """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads'
-        mean force [N]."""
+        """Take one time step; also return the shaft's mean rate [rad/s] and the mean force of the
+        loads [N] in it."""
         half = seconds / 2
-        # The midpoint rule leaves stiff modes ringing from step to step; over two steps their
-        # accelerations cancel.
+        # The midpoint rule leaves stiff modes ringing from step to step; averaged over two steps
+        # their accelerations cancel.
         predicted = state.rates + half * (state.accelerations + state.earlier) / 2
         angles = state.angles + half * (state.rates + predicted) / 2 - half * shaft.carried
         pose = chain.pose(angles, self.plate_length)
@@ -312,13 +313,13 @@ def _held(
     bend: Scalar,
     half: float,
 ) -> tuple[Scalar, Scalar]:
-    """Mean rates over a step, of the first plate and of the shaft on its mount.
+    """Return the mean rates over a step of the first plate and of the shaft on its mount.
 
-    The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, where it is
-    tight, a grip: angular impulse over relative rate [N m s2/rad]. Where the step's midpoint would
-    be within the joint's play if it were loose, it is loose; beyond, it is strained from that edge
-    of the play. So a contact is found in the step in which it happens, and takes the motion up
-    softly.
+    The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, when engaged, a
+    grip: angular impulse per relative rate [N m s2/rad]. If the midpoint of the step, computed with
+    a loose joint, is within the play, the joint is loose; otherwise it is strained from that edge
+    of the play. A contact is therefore found in the step in which it happens, and takes up the
+    motion softly.
     """
 
     def rates(strain: Scalar, grip: Scalar) -> tuple[Scalar, Scalar]:
@@ -340,14 +341,15 @@ def _held(
 
 
 def _between(torques: PerPlate) -> PerPlate:
-    """Moments that the joints between plates, all but the first, take from each plate."""
+    """Return the moments that the joints between plates, all except the first, exert on each
+    plate."""
     inner = torques.at[0].set(0.0)
     return inner - jnp.append(inner[1:], 0.0)
 
 
 def _joint_matrix(joints: PerPlate) -> Float[Array, "plates plates"]:
-    """The tridiagonal matrix that takes angles of plates to what the joints between them take from
-    each."""
+    """Return the tridiagonal matrix that maps plate angles to the moments of the joints between
+    plates."""
     inner = joints.at[0].set(0.0)
     below = jnp.diag(inner[1:], -1)
     return jnp.diag(inner + jnp.append(inner[1:], 0.0)) - below - below.T

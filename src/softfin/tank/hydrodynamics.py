@@ -1,16 +1,16 @@
-"""The water round the fin: the loads on each plate of the chain, and the flow that the fin itself
-has set going.
+"""The water around the fin: the loads on each plate of the chain, and the flow that the fin itself
+has caused.
 
 - Reactive: the added mass of a thin plate, along its normal alone, stands in the chain's inertia
-  (Lighthill 1960); its momentum leaves over the tip by the large-amplitude elongated-body theory
+  (Lighthill 1960); its momentum is shed at the tip by the large-amplitude elongated-body theory
   (Lighthill 1971; Candelier, Boyer and Leroyer 2011): force m w u n - m w^2/2 d there, with w and u
   the tip's velocities along its n and outwards along d.
 - Resistive: quadratic drag along the normal (Taylor 1952; Morison 1950), with a coefficient that is
   constant or falls with the Keulegan-Carpenter number of the plate's recent strokes; skin friction
   along the plate (Blasius).
-- Memory: the momentum that drag, friction and tip take from the fin stays in the water round it,
-  which streams on until that has died down. All loads are those of the motion relative to this
-  stream; the added mass's own momentum is not in it, as the fin takes that back.
+- Memory: the momentum that drag, friction and tip take from the fin stays in the water around it,
+  which streams on until it has decayed. All loads are those of the motion relative to this stream;
+  it does not contain the momentum of the added mass, which the fin takes back.
 
 Left out: free surface and walls, history (Basset) forces, and the pressure of an accelerating
 stream.
@@ -35,46 +35,45 @@ from softfin.tank.sensor import remaining
 class WaterConfig(Configuration):
     """The water, the coefficients of its loads, and its memory.
 
-    Drag and stream are a calibration's against the published fin (docs/tank.md); added mass, tip,
-    friction are theory.
+    Drag and stream come from a calibration against the published fin (docs/tank.md); added mass,
+    tip, friction are theory.
     """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
     """Temperature of fresh water [degrees Celsius]; gives its density and viscosity."""
     added_mass_coefficient: float = Field(1.0, ge=0)
-    """Added mass per length over that of a long flat plate, rho pi/4 span^2 [-]."""
+    """Added mass per length divided by that of a long flat plate, rho pi/4 span^2 [-]."""
     drag_coefficient: float = Field(5.46, ge=0)
-    """Against the stream that the fin meets, at a Keulegan-Carpenter number of 5 where it depends
-    on that [-]."""
+    """Drag coefficient for the motion relative to the stream, at a Keulegan-Carpenter number of 5
+    if it depends on that [-]."""
     drag_exponent: float = Field(0.0, ge=0, le=1)
-    """Power with which drag falls with the Keulegan-Carpenter number [-]: 0 constant, 1/3 thin
-    plates (Graham 1980)."""
+    """Exponent with which drag falls with the Keulegan-Carpenter number [-]: 0 is constant, 1/3 is
+    for thin plates (Graham 1980)."""
     friction_coefficient: float = Field(1.328, ge=0)
     """Blasius: skin friction is this / sqrt(Reynolds number of the length) on each of both faces
     [-]."""
     tip_coefficient: float = Field(1.0, ge=0)
-    """Share of the elongated-body tip term [-]; 0 leaves it out."""
+    """Fraction of the elongated-body tip term [-]; 0 leaves it out."""
     wake_memory_s: float = Field(1.0, gt=0)
-    """Time over which strokes are remembered [s]; matters where drag depends on them."""
+    """Time over which strokes are averaged [s]; used if drag depends on them."""
     stream_mass_kg: float = Field(2.17, ge=0.2)
-    """Mass of water that takes up the momentum of the fin [kg]: about a cube of 0.13 m. Lighter
-    than 0.2 the stream would outrun the tick in which it is held."""
+    """Mass of water that takes up the momentum of the fin [kg]: about a cube of 0.13 m. Below 0.2
+    the stream would change too fast for its step of one tick."""
     stream_decay_s: float = Field(0.241, ge=0)
-    """Time constant with which the stream dies down [s]; 0: the water stays still."""
+    """Time constant with which the stream decays [s]; 0: the water stays still."""
 
 
 REFERENCE_STROKE = 5.0
-"""Keulegan-Carpenter number at which the drag coefficient is stated."""
+"""Keulegan-Carpenter number for which the drag coefficient is stated."""
 
 MIN_STROKE = 0.5
-"""Keulegan-Carpenter number below which drag grows no more."""
+"""Keulegan-Carpenter number below which drag no longer grows."""
 
 SLOWEST_FRICTION_M_S = 0.01
-"""Below this speed skin friction grows linearly with it, as Stokes's does, so that its slope at
-rest is finite."""
+"""Speed below which skin friction is linear, like Stokes's, so that its slope at rest is finite."""
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-"""Two points along a plate integrate its drag well wherever its ends move to the same side."""
+"""Two points along a plate integrate its drag well if its ends move to the same side."""
 
 
 class Flow(NamedTuple):
@@ -83,7 +82,7 @@ class Flow(NamedTuple):
     stream: Float[Array, "2"]
     """Velocity of the water round the fin, (x, y) [m/s]."""
     excursion: PerPlate
-    """Way that each plate's middle went along its normal lately [m]."""
+    """Recent displacement of each plate's middle along its normal [m]."""
     square: PerPlate
     """Recent mean of the excursion's square [m2]."""
 
@@ -101,8 +100,8 @@ class Water(eqx.Module):
     friction: PerPlate
     """Tangential force per length over velocity to the power 3/2 [kg/m2 (m/s)^(1/2)]."""
     tip: PerPlate
-    """Added mass per length at the outer end of each plate where water leaves the fin: zero but for
-    the last [kg/m]."""
+    """Added mass per length at the outer end of each plate where water leaves the fin: zero except
+    for the last [kg/m]."""
     span: PerPlate
     """Span at the middle of each plate [m]."""
     drag_exponent: Float[Array, ""]
@@ -138,8 +137,8 @@ class Water(eqx.Module):
     def varied(
         self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0
     ) -> "Water":
-        """Return water of another temperature [degrees Celsius], its loads multiplied; the tip goes
-        with added mass."""
+        """Return water of another temperature [degrees Celsius] with its loads multiplied by
+        factors; the tip term uses that of the added mass."""
         density = _density(temperature) / _density(self.temperature)
         friction = density * jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
         inertia = jax.tree.map(lambda moment: moment * density * added_mass, self.inertia)
@@ -162,7 +161,7 @@ class Water(eqx.Module):
         return Flow(jnp.zeros(2, zero.dtype), zero, zero)
 
     def around(self, flow: Flow) -> Surroundings:
-        """Return what the fin moves in while the flow is such."""
+        """Return the surroundings of the fin for a given flow."""
         # 2 pi amplitude / span, for the amplitude of a sine with that mean square.
         number = (
             jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + MIN_STROKE**2) / REFERENCE_STROKE
@@ -171,8 +170,8 @@ class Water(eqx.Module):
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
 
     def stirred(self, flow: Flow, motion: PlateMotion, force: Float[Array, "2"]) -> Flow:
-        """Return the flow a tick after the plates moved so relative to it, under the mean force of
-        its loads [N]."""
+        """Return the flow one tick later, given the plates' motion relative to it and the mean
+        force of its loads [N]."""
         share = remaining(self.stream_decay)
         stream = share * flow.stream - (1 - share) * self.stream_decay / self.stream_mass * force
         share = remaining(self.wake_memory)
@@ -184,16 +183,16 @@ class Water(eqx.Module):
     def _loads(
         self, motion: PlateMotion, drag: Float[Array, "2 plates"]
     ) -> tuple[Moments, PlateWrench]:
-        """Resistance to the motion relative to the stream [kg/s], and the suction at the tip
-        [N]."""
+        """Return the resistance to the motion relative to the stream [kg/s], and the suction at the
+        tip [N]."""
         length = self.plate_length
         places = [length * place for place in GAUSS.tolist()]
         drags = [
             d * length / 2 * jnp.abs(motion.normal + s * motion.turning)
             for d, s in zip(drag, places, strict=True)
         ]
-        # Water that comes over the tip from outside is at rest and brings no momentum with it. So
-        # the tip never feeds energy into the fin: the power of its force is -m w^2 |u|/2.
+        # Water that flows inwards over the tip is at rest and carries no momentum, so the tip never
+        # adds energy to the fin: the power of its force is -m w^2 |u|/2.
         leaving = self.tip * jnp.maximum(-motion.along, 0.0)
         speed = jnp.sqrt(jnp.sqrt(motion.along**2 + SLOWEST_FRICTION_M_S**2))
         resistance = Moments(

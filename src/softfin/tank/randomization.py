@@ -1,8 +1,7 @@
-"""Domain randomization: tanks whose physical parameters are sampled about those of one tank.
+"""Domain randomization: tanks whose physical parameters are sampled around those of one tank.
 
-Every parameter depends on the key and its own name alone, so one that is added later leaves the
-others unchanged. Sampling is traceable: `jax.vmap` over keys gives one tank that holds a batch of
-parameters.
+Every parameter depends only on the key and its own name, so adding one leaves the others unchanged.
+Sampling is traceable: `jax.vmap` over keys gives one tank with a batch of parameters.
 """
 
 import zlib
@@ -22,7 +21,7 @@ from softfin.tank.drive import DEAD_TICKS
 from softfin.tank.tank import Tank, TankState
 
 USUAL_PART = 0.15
-"""Relative half-width from which on temperature, drift and mount have their usual ranges [-]."""
+"""Relative half-width from which temperature, drift and mount have their usual ranges [-]."""
 
 ADDED_PARAMETERS = ("temperature_c", "misalignment_rad")
 """Parameters that are added to the tank's own; the others multiply them."""
@@ -32,7 +31,7 @@ class DomainRandomization(Configuration):
     """Half-width of the uniform range of each physical parameter; 0 keeps the tank's own value."""
 
     temperature_c: float = Field(5.0, ge=0, le=20)
-    """Temperature of the water, either side of the tank's [degrees Celsius]."""
+    """Temperature of the water, around the tank's [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
     """Stiffness, relative: silicone of another batch, age and temperature [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
@@ -46,21 +45,20 @@ class DomainRandomization(Configuration):
     drift: float = Field(0.5, ge=0, lt=1)
     """Standard deviation of the force sensor's drift, relative [-]."""
     misalignment_rad: float = Field(0.02, ge=0, le=0.5)
-    """Misalignment of the force sensor, either side of the tank's [rad]; a mount screwed down by
-    hand."""
+    """Misalignment of the force sensor, around the tank's [rad]; for a mount fitted by hand."""
 
     @classmethod
     def of(cls, part: float) -> "DomainRandomization":
-        """Material, water and servo within the same part of their values either side, on one and
-        the same fin.
+        """Return widths with the same fraction for material, water and servo; the geometry of the
+        fin is not changed.
 
-        Temperature, drift and mount have their usual range from a part of 0.15 on; below, it is
-        smaller in proportion, so that 0 is the very same tank. Raises ConfigurationError outside 0
-        <= part < 1.
+        Temperature, drift and mount have their usual range from a fraction of 0.15; below, it is
+        proportionally smaller, so that 0 gives exactly the same tank. Raises ConfigurationError
+        outside 0 <= part < 1.
         """
         if not 0 <= part < 1:
             raise ConfigurationError(
-                f"--randomize {part:g}: give a part from 0, the very same tank, to less than 1"
+                f"--randomize {part:g}: give a fraction from 0 (the same tank) to less than 1"
             )
         usual = cls()
         share = min(1.0, part / USUAL_PART)
@@ -91,7 +89,7 @@ def with_parameters(
     drift: Scalar | float = 1.0,
     misalignment_rad: Scalar | float = 0.0,
 ) -> Tank:
-    """Return the tank with other parameters: offsets where the name has a unit, else factors."""
+    """Return the tank with other parameters: offsets if the name has a unit, otherwise factors."""
     water = tank.water
     fin = tank.fin
     changed: Tank = eqx.tree_at(
@@ -111,7 +109,7 @@ def with_parameters(
             fin.damping * stiffness,
             water.varied(water.temperature + temperature_c, added_mass, drag),
             tank.drive.lag * lag,
-            # Beyond the queue of waiting commands there is nothing to obey.
+            # The delay cannot exceed the queue of waiting commands.
             jnp.minimum(tank.drive.dead_time * dead_time, DEAD_TICKS * TICK_S),
             tank.sensor.drift * drift,
             tank.sensor.misalignment + misalignment_rad,
@@ -121,8 +119,8 @@ def with_parameters(
 
 
 def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | None = None) -> Tank:
-    """Return the tank with parameters sampled within `widths`; the same tank, to the last bit,
-    where all are 0."""
+    """Return the tank with parameters sampled within `widths`; bit for bit the same tank if all are
+    0."""
     widths = widths or DomainRandomization()
     if widths.is_none:
         return tank
@@ -141,15 +139,16 @@ RandomizedTankState: TypeAlias = tuple[Tank, TankState]
 
 
 class RandomizedTank(eqx.Module):
-    """A plant that is another tank after every `init`: its key samples the physical parameters."""
+    """A plant that becomes a new tank at every `init`, whose key samples the physical
+    parameters."""
 
     tank: Tank
-    """The tank about which the others are sampled."""
+    """The tank around which the others are sampled."""
     widths: DomainRandomization = eqx.field(static=True)
 
     @property
     def limits(self) -> Limits:
-        """Limits of the tank, whose drive takes the same commands whatever the water does."""
+        """Limits of the tank; they do not depend on the sampled parameters."""
         return self.tank.limits
 
     def init(self, key: PRNGKeyArray) -> RandomizedTankState:

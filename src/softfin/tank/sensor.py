@@ -1,11 +1,11 @@
-"""The force sensor under the fin, after an ATI Axia80-M20: the true force in, what it reports at
-100 Hz out.
+"""The force sensor under the fin, modelled on an ATI Axia80-M20: the true force goes in, its
+readings at 100 Hz come out.
 
 Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution,
 range, in this order. Before each experiment the sensor is zeroed while the fin rests, when the true
-force is known to be zero. The numbers are assumptions of the right order, not a datasheet's;
-`IDEAL` turns every one of them off. Drive and water use what is here of sampling: relaxation within
-a sample, rounding to a resolution.
+force is known to be zero. The numbers are assumptions of the right order of magnitude, not from a
+datasheet; `IDEAL` turns them all off. Drive and water share the sampling functions of this module:
+relaxation within a sample, and rounding to a resolution.
 """
 
 from collections.abc import Collection, Iterator
@@ -37,28 +37,28 @@ def config_arrays(
 
 
 def remaining(time_constant: Float[Array, ""]) -> Float[Array, ""]:
-    """Return the fraction of a deviation that is left after a sample of 10 ms; 0 where the time
+    """Return the fraction of a deviation that remains after a sample of 10 ms; 0 if the time
     constant [s] is 0."""
     return jnp.exp(-TICK_S / jnp.maximum(time_constant, MIN_TIME_CONSTANT_S))
 
 
 def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[Array, "*shape"]:
-    """Return the nearest multiple of `step`, or `value` itself where the step is 0; its derivative
-    is 1 either way."""
+    """Return the nearest multiple of `step`, or `value` itself if the step is 0; its derivative is
+    1 in both cases."""
     positive = jnp.where(step > 0, step, 1.0)
     rounded = jnp.where(step > 0, jnp.round(value / positive) * positive, value)
     return value + jax.lax.stop_gradient(rounded - value)
 
 
 def mean_of_past(duration: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants goes with
-    its value now.
+    """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants depends
+    on its present value.
 
-    The process has variance 1. Given the value x, the mean is normal: c x on average, with c = (1 -
-    exp(-a)) / a, and of variance V - c^2, where V = 2 (a - 1 + exp(-a)) / a^2 is the variance of
-    the mean for any x. Returns c and V - c^2.
+    The process has variance 1. Given the value x, the mean is normally distributed around c x, with
+    c = (1 - exp(-a)) / a, with variance V - c^2, where V = 2 (a - 1 + exp(-a)) / a^2 is the
+    variance of the mean for any x. Returns c and V - c^2.
     """
-    # Terms cancel where a is small: there the series in a is exact to 1e-4 of V - c^2 in single
+    # Terms cancel if a is small; there the series in a is exact to 1e-4 of V - c^2 in single
     # precision.
     is_short = duration < 0.1
     a = jnp.where(is_short, 1.0, duration)
@@ -74,24 +74,24 @@ class SensorConfig(Configuration):
     filter_s: float = Field(0.01, ge=0)
     """Time constant of the low-pass filter [s]: 16 Hz."""
     misalignment_rad: float = Field(0.0, ge=-np.pi, le=np.pi)
-    """Angle of the sensor's axes to the tank's [rad], from x to y."""
+    """Angle from the tank's axes to the sensor's [rad], from x to y."""
     noise_n: float = Field(0.05, ge=0)
     """Standard deviation of the white noise on each axis [N]: 1e-4 of the range of 500 N."""
     drift_n: float = Field(0.05, ge=0)
     """Standard deviation of the drift on each axis [N]."""
     drift_s: float = Field(300.0, gt=0)
-    """Time in which the drift forgets itself [s]."""
+    """Time constant of the drift [s]."""
     resolution_n: float = Field(0.02, ge=0)
     """Readings are multiples of this before the zero is subtracted [N]."""
     range_n: float = Field(500.0, ge=0)
-    """Readings end at this before the zero is subtracted, either way, on each axis [N]."""
+    """Readings saturate at this magnitude before the zero is subtracted, on each axis [N]."""
     zero_s: float = Field(2.0, ge=0)
-    """Time at rest over which the mean reading is taken as zero before each experiment [s]; 0: not
+    """Time at rest whose mean reading becomes the zero before each experiment [s]; 0: not
     zeroed."""
 
 
 IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, range_n=0.0)
-"""Reports the true force, averaged over each sample."""
+"""A sensor that reports the true force, averaged over each sample."""
 
 
 class SensorState(NamedTuple):
@@ -100,7 +100,7 @@ class SensorState(NamedTuple):
     filtered: Float[Array, "2"]
     """Output of the low-pass filter."""
     drift: Float[Array, "2"]
-    """Drift since the sensor was built in."""
+    """Drift since the sensor was installed."""
     zero: Float[Array, "2"]
     """Mean reading at rest before the experiment; it is subtracted from every reading."""
 
@@ -133,15 +133,14 @@ class Sensor(eqx.Module):
         """Return the state at rest after zeroing; the drift starts at a value from its stationary
         distribution.
 
-        The zero is the mean reading over the last T seconds: the mean drift, which goes with the
-        drift of this moment as `mean_of_past` says, and what white noise leaves in a mean of T /
-        TICK_S samples.
+        The zero is the mean reading over the last T seconds: the mean drift, whose relation to the
+        present drift `mean_of_past` gives, plus the mean of T / TICK_S samples of white noise.
         """
         drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
         slope, spread = mean_of_past(self.zero_time / self.drift_time)
         variance = self.noise**2 / samples + spread * self.drift**2
-        # Noise and drift may both be 0, where the square root has no derivative.
+        # Noise and drift may both be 0, and the square root has no derivative there.
         deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 0.0)
         zero = slope * drift + deviation * jax.random.normal(
             jax.random.fold_in(key, 1), (2,), self.drift.dtype

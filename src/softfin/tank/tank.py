@@ -22,7 +22,7 @@ from softfin.tank.sensor import Sensor, SensorConfig, SensorState
 
 
 class TankConfig(Configuration):
-    """Everything that makes a tank."""
+    """All parameters of a tank."""
 
     drive: DriveConfig = DriveConfig()
     """Drive of the shaft."""
@@ -33,12 +33,12 @@ class TankConfig(Configuration):
     sensor: SensorConfig = SensorConfig()
     """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Steps of time in each sample of 10 ms [-]; the error of the force falls as their square: 0.4%
-    at 2 (rms)."""
+    """Time steps in each sample of 10 ms [-]; the error of the force falls with their square: 0.4%
+    (rms) at 2."""
 
 
 class TankState(NamedTuple):
-    """State of everything that moves, the samples read so far, and the key of the sensor's
+    """State of all moving parts, the number of samples so far, and the key of the sensor's
     noise."""
 
     ticks: Int[Array, ""]
@@ -52,7 +52,7 @@ class TankState(NamedTuple):
 
 
 class Load(NamedTuple):
-    """Mean load of a fin on its mount over a tick, without the errors of a sensor."""
+    """Mean load of a fin on its mount over a tick, without sensor errors."""
 
     force: Float[Array, "2"]
     """Force (x, y) [N]."""
@@ -61,7 +61,7 @@ class Load(NamedTuple):
 
 
 class Tank(eqx.Module):
-    """A soft fin in still water (a Plant)."""
+    """A soft fin in still water; meets the Plant contract."""
 
     drive: Drive
     fin: Fin
@@ -69,7 +69,7 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """The commands that the drive takes: angles of the paper (Sec. III-A), velocities of its
+    """The commands that the drive accepts: angles of the paper (Sec. III-A), velocities of its
     configuration."""
 
     def __init__(self, config: TankConfig | None = None):
@@ -84,8 +84,8 @@ class Tank(eqx.Module):
         )
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """The fin at rest at angle 0, the sensor just zeroed; the key draws the sensor's drift and
-        its noise."""
+        """Return the fin at rest at angle 0, with the sensor just zeroed; the key determines the
+        sensor's drift and noise."""
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
         return TankState(
@@ -99,7 +99,7 @@ class Tank(eqx.Module):
         )
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields
+        """Hold the command for `ticks` samples of 10 ms and read after each; fields have the shape
         ``(ticks,)``."""
         check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
@@ -126,8 +126,8 @@ class Tank(eqx.Module):
     ) -> tuple[TankState, Reading, Load]:
         """Hold a command for one sample of 10 ms, on a mount that moves or stands still.
 
-        The mount's motion is held within the tick; all forces are in its axes. The wake stays with
-        the fin.
+        The mount's motion is constant within the tick; all forces are in its axes. The wake stays
+        with the fin.
         """
         seconds = TICK_S / self.steps_per_tick
         around = self.water.around(state.flow)
@@ -152,8 +152,8 @@ class Tank(eqx.Module):
         (drive, fin), (forces, torques) = jax.lax.scan(
             step, (drive, state.fin), length=self.steps_per_tick
         )
-        # The fin presses on its mount with what the water exerts on it less what goes into its own
-        # momentum.
+        # The force of the fin on its mount is that of the water on the fin, minus the change of the
+        # fin's own momentum.
         own, added = (
             (after - before) / TICK_S
             for before, after in zip(
@@ -170,8 +170,8 @@ class Tank(eqx.Module):
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        # The fin turns the gearbox's housing with what the motor does not need to speed up its own
-        # inertia.
+        # The torque of the motor that does not accelerate its own inertia reacts on the gearbox's
+        # housing.
         torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
         return (
             TankState(ticks, drive, fin, flow, sensor, force, state.key),

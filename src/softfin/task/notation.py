@@ -1,5 +1,5 @@
-"""The words of a command line for a range of reference forces and for cells, read by the standard
-library alone."""
+"""Parses the command line's notation for a range of reference forces and for cells, with the
+standard library alone."""
 
 import re
 from pathlib import Path
@@ -13,7 +13,7 @@ CellsSource: TypeAlias = tuple[int, int] | Path | None
 
 
 def read_range(text: str) -> tuple[float, float, float, float]:
-    """The four numbers X0,Y0,X1,Y1 [N]; raises ConfigurationError for any other text."""
+    """Parse the four numbers X0,Y0,X1,Y1 [N]; raises ConfigurationError for any other text."""
     try:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
@@ -24,8 +24,8 @@ def read_range(text: str) -> tuple[float, float, float, float]:
 
 
 def read_cells(text: str) -> CellsSource:
-    """Find the source of the cells; raises ConfigurationError for any other text, or a file that is
-    missing."""
+    """Find the source of the cells; raises ConfigurationError for any other text, or a missing
+    file."""
     if text == "paper":
         return None
     if match := re.fullmatch(r"(\d+)\s*x\s*(\d+)", text.strip()):

@@ -1,4 +1,4 @@
-"""Reference forces to train for: the paper's, cells of a grid, and boxes from which references are
+"""Reference forces for training: the paper's, cells of a grid, and boxes from which references are
 drawn at random.
 
 On a command line the cells are ``paper``, a lattice such as ``3x3`` over a range, or a YAML file of
@@ -26,28 +26,30 @@ from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_
 from softfin.task.notation import read_cells, read_range
 
 PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
-"""The grid: squares of 1 N round the six references; they touch and do not overlap."""
+"""The grid: squares of 1 N around the six references, which touch but do not overlap."""
 
 PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
-"""Range that one controller is trained for: the bounding box of the grid."""
+"""Range for which a single controller is trained: the bounding box of the grid."""
 
 SAME_EDGE_N = 1e-6
-"""Edges nearer than this are the same edge."""
+"""Edges closer than this are the same edge."""
 
 GAP_N2 = 1e-5
-"""Area in all that counts as a gap: edges come from decimals."""
+"""Total area from which on there is a gap; edges are rounded decimals."""
 
 MOST = 1024
-"""Cells of a lattice; each is a policy to train, so more are a typing error."""
+"""Largest number of cells in a lattice; each is a policy to train, so more must be a typing
+error."""
 
 
 class References(NamedTuple):
-    """A box from which references are drawn, as arrays: one program serves many boxes."""
+    """A box from which references are drawn, as arrays, so that one program works for many
+    boxes."""
 
     low: Float[Array, "*stack 2"]
     high: Float[Array, "*stack 2"]
     reachable: Reachable | None = None
-    """Mean forces that the fin can make, where these are known."""
+    """Mean forces that the fin can make, if they are known."""
 
     @classmethod
     def of(cls, cell: Cell, reachable: Reachable | None = None) -> "References":
@@ -57,44 +59,44 @@ class References(NamedTuple):
         )
 
     def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
-        """One reference, uniform over the box."""
+        """Draw one reference, uniform over the box."""
         return self.at(jax.random.uniform(key, (2,)))
 
     def at(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
-        """The reference at (0 to 1, 0 to 1) of the box; beyond the fin's reach, the one on the edge
-        of the reach."""
+        """Return the reference at a relative position (0 to 1, 0 to 1) of the box; outside the
+        fin's reach, the nearest one on its edge."""
         return self.nearest(self.low + place * (self.high - self.low))
 
     def nearest(self, force: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """The reference of the box that is nearest to a force; beyond the fin's reach, the one on
-        its edge."""
+        """Return the reference of the box that is nearest to a force; outside the fin's reach, the
+        nearest one on its edge."""
         inside = jnp.clip(force, self.low, self.high)
         return inside if self.reachable is None else jnp.asarray(self.reachable.project(inside))
 
 
 def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) -> References:
-    """The references of many cells, along a leading axis; all of one fin."""
+    """Return the references of many cells, along a leading axis; all for the same fin."""
     each = [References.of(cell, jax.tree.map(jnp.asarray, reachable)) for cell in cells]
     stacked: References = jax.tree.map(lambda *leaves: jnp.stack(leaves), *each)
     return stacked
 
 
 class CellsFile(Configuration):
-    """Content of a file of cells."""
+    """Content of a YAML file of cells."""
 
     cells: tuple[Cell, ...]
     """Boxes of references [N], in the order of the policies."""
     allow_gaps: bool = False
-    """Whether references between the cells may go without a policy of their own; the nearest cell
-    answers these."""
+    """Whether references between the cells may lack their own policy; the nearest cell is used for
+    them."""
 
 
 def parse_cells(text: str, within: Cell) -> tuple[Cell, ...]:
-    """The cells of a text; a lattice fills `within`, the others have places of their own.
+    """Parse the cells; a lattice fills `within`, the others have their own position.
 
     Raises:
         ConfigurationError: not a lattice or file, or cells that overlap, have no width, or leave
-            gaps without leave.
+            gaps that are not allowed.
     """
     source = read_cells(text)
     if source is None:
@@ -107,21 +109,20 @@ def parse_cells(text: str, within: Cell) -> tuple[Cell, ...]:
 
 
 def parse_range(text: str) -> Cell:
-    """The box of ``X0,Y0,X1,Y1`` [N]; raises ConfigurationError for any other text."""
+    """Parse the box ``X0,Y0,X1,Y1`` [N]; raises ConfigurationError for any other text."""
     x0, y0, x1, y1 = read_range(text)
     return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")
 
 
 def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
-    """Equal cells, `columns` along x and `rows` along y, that fill a range; those of the least x
-    first."""
+    """Equal cells, `columns` along x and `rows` along y, that fill a range, in the order of x."""
     asked = f"--cells {columns}x{rows}"
     if not 1 <= columns * rows <= MOST:
         raise ConfigurationError(
             f"{asked}: {columns * rows} cells; give 1 .. {MOST}, one or more along each axis"
         )
     check_width(within, f"{asked}: the range ({within})")
-    # Neighbours share an edge to the last bit.
+    # Neighbours share exactly the same edge.
     xs, ys = (
         np.linspace(low, high, count + 1).tolist()
         for low, high, count in zip(within.low, within.high, (columns, rows), strict=True)
@@ -132,16 +133,16 @@ def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
 
 
 def check_width(cell: Cell, named: str) -> None:
-    """Raise ConfigurationError where a box has no width."""
+    """Raise ConfigurationError if a box has no width."""
     for axis, low, high in zip("xy", cell.low, cell.high, strict=True):
         if high - low <= SAME_EDGE_N:
             raise ConfigurationError(
-                f"{named} has no width in {axis}; let it reach from a lesser to a greater force"
+                f"{named} has no width in {axis}; give a smaller and a larger force"
             )
 
 
 def check_apart(cells: Sequence[Cell], source: str) -> None:
-    """Raise ConfigurationError where two cells overlap."""
+    """Raise ConfigurationError if two cells overlap."""
     for (i, one), (j, other) in combinations(enumerate(cells, 1), 2):
         low = np.maximum(one.low, other.low)
         high = np.minimum(one.high, other.high)
@@ -154,8 +155,8 @@ def check_apart(cells: Sequence[Cell], source: str) -> None:
 
 
 def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
-    """Raise ConfigurationError where there are none, one has no width, two overlap, or gaps are not
-    allowed."""
+    """Raise ConfigurationError if there are no cells, one has no width, two overlap, or gaps are
+    not allowed."""
     if not cells:
         raise ConfigurationError(
             f"{source}: no cells; give at least one {{low: [x, y], high: [x, y]}}"
@@ -163,7 +164,7 @@ def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
     for number, cell in enumerate(cells, 1):
         check_width(cell, f"{source}: cell {number} ({cell})")
     check_apart(cells, source)
-    # They do not overlap.
+    # The cells do not overlap, so areas add up.
     gaps = area(bounding_box(cells)) - sum(map(area, cells))
     if not allow_gaps and gaps > GAP_N2:
         raise ConfigurationError(

@@ -1,11 +1,12 @@
-"""References that move, by formula or from a file: one reference force for every tick of 10 ms.
+"""Moving references, by formula or from a file: one reference force for every tick of 10 ms.
 
 Tick k holds from time k * 10 ms on, for 10 ms. A controller reads the reference when it acts, three
-times a second, so it meets a change between two actions at the second one.
+times a second, so it sees a change between two actions at the second one.
 
-A file is a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; others unread.
-Each row is asked from its time on until the next one. Logs of softfin have these columns too; their
-times begin one tick after the start, at 0.01 s: a first row up to one tick late is asked from 0 on.
+A file is a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; other columns are
+ignored. Each row holds from its time until the next one. Logs of softfin have these columns too;
+their times begin one tick after the start, at 0.01 s: a first row up to one tick late holds from 0
+on.
 """
 
 from abc import abstractmethod
@@ -30,13 +31,14 @@ ReferenceSamples = Float[np.ndarray, "ticks 2"]
 """(x, y) [N], float32."""
 
 CLOCK_S = 1e-6
-"""Times this near to a tick are that tick's: sums of decimal fractions seldom come out even."""
+"""Times this close to a tick belong to that tick, because sums of decimal fractions are rarely
+exact."""
 
 REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newton", "force_y_n": "newton"}
-"""Columns that are read, and their units."""
+"""The columns of a file of references, and their units."""
 
 MAX_SIGNAL_S = 3600.0
-"""Longest reference that is followed [s]; a longer one is in another unit."""
+"""Longest reference [s]; a longer one must be in another unit."""
 
 MAX_REFERENCE_ROWS = 360_000
 """An hour at 100 Hz, the rate of readings."""
@@ -57,7 +59,7 @@ class Signal(Configuration):
 
 
 class Step(Signal):
-    """One force, and from a moment on another."""
+    """A step from one force to another."""
 
     kind: Literal["step"] = "step"
     start_n: ReferenceForce
@@ -75,7 +77,7 @@ class Step(Signal):
 
 
 class Ramp(Signal):
-    """A straight line from one force to another."""
+    """A ramp from one force to another."""
 
     kind: Literal["ramp"] = "ramp"
     start_n: ReferenceForce
@@ -83,7 +85,7 @@ class Ramp(Signal):
     to_n: ReferenceForce
     """Force after the ramp (x, y) [N]."""
     begin_s: NonNegativeFloat = 5.0
-    """Begin of the ramp [s]."""
+    """Start of the ramp [s]."""
     end_s: PositiveFloat = 15.0
     """End of the ramp [s]."""
 
@@ -107,13 +109,13 @@ class Ramp(Signal):
 
 
 class Sinusoid(Signal):
-    """Oscillation about a force; both axes reach their greatest together."""
+    """Oscillation about a force, with both axes in phase."""
 
     kind: Literal["sine"] = "sine"
     centre_n: ReferenceForce
-    """Force at time 0 and half a period later (x, y) [N]."""
+    """Force at time 0 and after half a period (x, y) [N]."""
     amplitude_n: ReferenceForce
-    """Amplitude of each axis (x, y) [N]; a negative one begins downwards."""
+    """Amplitude of each axis (x, y) [N]; a negative one starts downwards."""
     period_s: PositiveFloat = 10.0
     """Period [s]; ten are five windows of the moving average."""
 
@@ -129,12 +131,12 @@ class Sinusoid(Signal):
 
 
 class Recorded(Signal):
-    """Forces from given moments on, each held until the next one, the last one for good; nothing is
+    """Forces from given times on, each held until the next one, the last one for ever; nothing is
     interpolated."""
 
     kind: Literal["recorded"] = "recorded"
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
-    """Times [s] from which on each force holds: from 0 on, growing."""
+    """Times [s] from which each force holds; the first is 0, and they increase."""
     force_n: tuple[ReferenceForce, ...] = Field(min_length=1)
     """Forces (x, y) at those times [N]."""
 
@@ -152,13 +154,13 @@ class Recorded(Signal):
             )
         if late := np.flatnonzero(np.diff(times) <= 0).tolist():
             raise ValueError(
-                f"time {times[late[0] + 1]:g} s after {times[late[0]]:g} s; times must grow"
+                f"time {times[late[0] + 1]:g} s after {times[late[0]]:g} s; times must increase"
             )
         return self
 
     @property
     def seconds(self) -> int:
-        """The whole seconds that it takes, its last force held for as long as the one before."""
+        """Duration in whole seconds, if the last force holds as long as the one before it."""
         last = self.time_s[-1]
         before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
         return int(np.ceil(2 * last - before - CLOCK_S))
@@ -179,8 +181,8 @@ def _pair(force: ReferenceForce) -> str:
 
 
 def read_reference_file(path: Path) -> Recorded:
-    """The reference over time; raises ConfigurationError naming the row, what is wrong with it and
-    the way out."""
+    """The reference over time; raises ConfigurationError that names the row, what is wrong with it
+    and how to fix it."""
     check_reference_file(path)
     source = f"--reference-file {path}"
     try:
@@ -202,7 +204,7 @@ def read_reference_file(path: Path) -> Recorded:
     except (OSError, LogError, UnicodeDecodeError, pa.ArrowException) as error:
         reason = one_line(error)
         raise ConfigurationError(
-            f"{source}: not a table of numbers ({reason}); mend it, or write it again"
+            f"{source}: not a table of numbers ({reason}); repair it, or write it again"
         ) from None
     if not 0 < len(values) <= MAX_REFERENCE_ROWS:
         raise ConfigurationError(
@@ -224,8 +226,9 @@ def read_reference_file(path: Path) -> Recorded:
     )
     if recorded.seconds > MAX_SIGNAL_S:
         raise ConfigurationError(
-            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s; at most "
-            f"{MAX_SIGNAL_S:g} s are followed: are these milliseconds? Then divide them by 1000; "
-            "else cut the file"
+            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s; at "
+            f"most {MAX_SIGNAL_S:g} s are allowed: are these milliseconds? Then divide them by "
+            "1000; "
+            "otherwise cut the file"
         )
     return recorded

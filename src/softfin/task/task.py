@@ -1,13 +1,13 @@
 """Force tracking as pure functions over any plant (paper Sec. III-C2): action in, plant moved,
 reward and state out.
 
-    action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces observation =
-    [angle, reference x, reference y, A_t, A_t-1, .. A_t-k, and on demand sin, cos of the clock's
-    phase]
+    action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
+    observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k,
+                   and optionally sin, cos of the clock's phase]
 
-Actions follow one another on the 33/33/34 clock. How long one is held is a value in the program, so
-that a program holds the task once: all actions have 34 rows, and the last one of a shorter action
-does not count.
+Actions follow one another on the 33/33/34 clock. The duration of an action is a traced value, so
+that a program contains the task only once: all actions have 34 rows, and a shorter action ignores
+the last one.
 """
 
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
 
 FORCE_BLOCKS = 8
-"""Parts of the window whose mean forces the critic observes, which shows what forces are about to
-leave the window."""
+"""Number of parts of the window whose mean forces the critic observes; they show which forces are
+about to leave the window."""
 
 
 class RewardTerms(NamedTuple):
@@ -47,21 +47,21 @@ class RewardTerms(NamedTuple):
 class RewardConfig(Configuration):
     """Weights of the reward (paper Sec. III-C2): mean force against its reference, and smoothness.
 
-    The paper names them and gives no values. Another term is another field of `RewardTerms`, with
-    its weight here.
+    The paper names them without values. A new term is a new field of `RewardTerms`, with its weight
+    here.
     """
 
     weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
-    """Weight w of x and y."""
+    """Weights w of x and y."""
     smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
-    """Weight lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in
+    """Weights lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in
     the form `mean`."""
     sobolev: Literal["sum", "mean"] = "sum"
     """Form of the Sobolev term: the root of the sum of squared steps, as in the paper, or of their
     mean."""
     target: Literal["now", "window"] = "now"
-    """Target of the window's mean force: the reference of this moment, as in the paper, or the mean
-    of the references over the window, which does not reward making up for earlier ones."""
+    """Target of the window's mean force: the current reference, as in the paper, or the mean of the
+    references over the window, which does not reward compensation for earlier ones."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
         """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
@@ -71,7 +71,7 @@ class RewardConfig(Configuration):
 
 
 class SensingConfig(Configuration):
-    """Noise and delay between the shaft's angle and the policy; a simulator has neither."""
+    """Noise and delay between the shaft's angle and the policy, which a simulator lacks."""
 
     noise_rad: NonNegativeFloat = 0.0
     """Standard deviation of the angle's noise [rad]."""
@@ -88,17 +88,17 @@ class TaskConfig(Configuration):
     window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
     episode_actions: int = Field(default=90, ge=3, multiple_of=3)
-    """Actions until the episode is truncated, whole cycles of three; 90 are the paper's 30 s."""
+    """Actions until the episode is truncated, a multiple of three; 90 are the paper's 30 s."""
     reference_actions: PositiveInt = 90
-    """Actions until another reference is drawn."""
+    """Actions until a new reference is drawn."""
     ramps: float = Field(default=0.0, ge=0, le=1)
-    """Share of the references that are ramps, which arrive when the next one is due; the others are
+    """Fraction of the references that are ramps, which end when the next one is due; the others are
     steps."""
     force_scale_n: PositiveFloat = 3.0
-    """Unit in which references are observed [N], so that they are of about unit size."""
+    """Unit in which references are observed [N], so that observations have about unit size."""
     phase: bool = False
     """Whether the phase of the six actions that fill the window is observed, as a sine and a
-    cosine; the paper's state has none, and a policy then has to invent a gait of its own."""
+    cosine; the paper's state lacks it, and a policy must then invent its own gait."""
     reward: RewardConfig = RewardConfig()
     sensing: SensingConfig = SensingConfig()
 
@@ -122,8 +122,8 @@ class TaskState(NamedTuple):
     actions: Float[Array, "remembered 2"]
     """Past actions, the last one first."""
     forces: Float[Array, "window 2"]
-    """Last readings, the newest last; only the last `samples` of them were recorded since the
-    reset."""
+    """The last readings, the newest at the end; only the last `samples` of them were recorded since
+    the reset."""
     past_references: Float[Array, "window 2"]
     """The reference at each of these [N]."""
     samples: Int[Array, ""]
@@ -139,10 +139,10 @@ class Outcome(NamedTuple):
     terms: RewardTerms
     """Terms that the reward was computed from."""
     force_error: Float[Array, "2"]
-    """F_e: the window's mean force less its target [N]."""
+    """F_e: the window's mean force minus its target [N]."""
     forces: Float[Array, "ticks 2"]
-    """Forces while the action was held [N]; the last of the 34 rows counts only for an action of 34
-    ticks."""
+    """Forces while the action was held [N]; the last of the 34 rows is valid only for an action of
+    34 ticks."""
 
 
 @dataclass(frozen=True)
@@ -174,8 +174,8 @@ class ForceTracking:
         return observation(self.config, state.angle, state.reference, state.actions, state.age)
 
     def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
-        """The observation, and what only a simulator has: the window's forces, how many count, the
-        clock."""
+        """The observation, and what only a simulator knows: the window's forces, how many are
+        valid, and the clock."""
         scale = self.config.force_scale_n
         window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
         mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
@@ -200,13 +200,13 @@ class ForceTracking:
         )
         force_error = window_error(forces, samples, target)
         terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, config.sobolev))
-        # A chain: each key is used once, so neither another action nor the next episode draws the
-        # same numbers.
+        # A chain of keys: each is used once, so neither another action nor the next episode draws
+        # the same numbers.
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
         age = state.age + 1
-        # The next reference, where one is due: a step or a ramp. One draw: each takes a quarter of
-        # a second to compile.
+        # The next reference, where one is due: a step or a ramp. One draw only: each takes a
+        # quarter of a second to compile.
         is_due = age % self.config.reference_actions == 0
         chance = jax.random.uniform(reference_key, (3,))
         sampled = state.references.at(chance[:2])
@@ -230,7 +230,8 @@ class ForceTracking:
     def shifted(
         self, observation: Float[Array, "*batch n"], shift: Float[Array, "*batch 2"]
     ) -> Float[Array, "*batch n"]:
-        """Observations, privileged or not, as they would be with references `shift` [N] away."""
+        """Return observations, privileged or not, as if the references were shifted by `shift`
+        [N]."""
         return observation.at[..., 1:3].add(shift / self.config.force_scale_n)
 
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
@@ -241,7 +242,7 @@ class ForceTracking:
 def _last(
     before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks
 ) -> Float[Array, "window 2"]:
-    """The window with `ticks` rows more."""
+    """Return the window with `ticks` more rows."""
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
 
@@ -266,7 +267,7 @@ def observation(
 
 
 def command_to_action(limits: Limits, command: Command) -> Action:
-    """The action of a command: the plant's limits onto [-1, 1]^2."""
+    """Return the action of a command: maps the plant's limits onto [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
     velocity = (command.velocity - limits.velocity_min) / (
         limits.velocity_max - limits.velocity_min
@@ -275,7 +276,7 @@ def command_to_action(limits: Limits, command: Command) -> Action:
 
 
 def rest_actions(config: TaskConfig, limits: Limits) -> Float[Array, "remembered 2"]:
-    """Past actions of a fin that has long been held at rest."""
+    """The past actions of a fin that has been at rest for long."""
     return jnp.tile(command_to_action(limits, rest_command(limits)), (config.past_actions + 1, 1))
 
 

@@ -125,7 +125,8 @@ def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
     with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
         RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(
-        ArtifactError, match=r"1/checkpoint\.safetensors: is of another run .seed was 0 and is 1"
+        ArtifactError,
+        match=r"1/checkpoint\.safetensors: belongs to another run .seed was 0 and is 1",
     ):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
     tree, metadata = (
@@ -159,7 +160,7 @@ def test_damaged_work_is_refused_by_name(tmp_path):
     run_directory.save({"x": np.zeros(2)}, {})
     (run_directory.folder / "checkpoint.safetensors").write_bytes(b"short")
     with pytest.raises(
-        ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start anew with --overwrite"
+        ArtifactError, match=r"checkpoint\.safetensors: damaged .*; start again with --overwrite"
     ):
         RunDirectory(tmp_path / "s", {}, resume=True)
 

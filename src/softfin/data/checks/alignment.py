@@ -1,12 +1,12 @@
-"""Time offsets between command, angle and force: what follows what, and by how many milliseconds.
+"""Time offsets between command, angle and force: which follows which, and by how many milliseconds.
 
 The angle is the reference. A command appears in the angle's rate after the drive's dead time; the
 force follows the angle's rate and acceleration, after the fin has bent and the sensor has filtered.
 
-Which way the force's axes lie is found by comparing what a fin must do with every way to swap and
-turn the measured axes: thrust points along (cos theta, -sin theta) and grows with the square of the
+The axes of the force are found by comparing what a fin must do with every way to swap or reverse
+the measured axes: thrust points along (cos theta, -sin theta) and grows with the square of the
 rate; added mass and drag act across it, along (sin theta, cos theta), against acceleration and
-rate. No term may change its sign, so a turned axis shows.
+rate. No term may change its sign, so a reversed axis is visible.
 """
 
 from typing import TypeAlias
@@ -22,47 +22,47 @@ LogSeries: TypeAlias = Float[np.ndarray, "ticks"]
 """Values of a channel at 100 Hz."""
 
 SEARCHED_TICKS = 20
-"""Largest lag that is searched, either way."""
+"""Largest lag that is searched, in either direction."""
 
 RESPONSE_TICKS = np.arange(-2 * SEARCHED_TICKS, 4 * SEARCHED_TICKS)
-"""Ticks about a step of the command, in which its response is looked for."""
+"""Ticks around a step of the command in which its response is searched."""
 
 FOLLOWING_TICKS = 15
-"""Number of ticks after which an angle goes the way of its command."""
+"""Number of ticks after which an angle moves in the direction of its command."""
 
 MIN_ALIGNED_S = 10
 """Length of a recording from which the force's lag and axes are computed [s]."""
 
 
 def measure_rate(values: LogSeries) -> LogSeries:
-    """Rate of change a second, smoothed over 50 ms."""
+    """Rate of change per second, smoothed over 50 ms."""
     return np.asarray(np.gradient(smoothed(values), TICK_S))
 
 
 def smoothed(values: LogSeries) -> LogSeries:
-    """Smooth by a Hann window of five samples, which delays nothing."""
+    """Smooth by a Hann window of five samples, which adds no delay."""
     kernel = np.hanning(7)[1:-1] / np.hanning(7).sum()
     return np.convolve(np.pad(values, 2, mode="edge"), kernel, "valid")
 
 
 def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
-    """Compute the lag from a command to the angle [ms]: where the response to its steps rises, in
-    the median.
+    """Compute the lag from a command to the angle [ms]: the time at which the median response to
+    its steps rises.
 
-    The median weighs all steps alike: an encoder that jumps now and then makes no response of its
-    own. None where there are fewer than 50 steps.
+    The median weighs all steps alike, so the occasional jump of an encoder does not matter. None if
+    there are fewer than 50 steps.
     """
     steps = np.flatnonzero(np.abs(np.diff(command, prepend=command[0])) > 1e-4)
     steps = steps[(steps >= -RESPONSE_TICKS[0]) & (steps < len(angle) - RESPONSE_TICKS[-1])]
     if not 50 <= len(steps) <= 0.5 * len(command):
         return None
     mirrored = np.cov(command[:-FOLLOWING_TICKS], angle[FOLLOWING_TICKS:])[0, 1] < 0
-    # Towards the new target: a slow drive may be on its way there already.
+    # Towards the new target; a slow drive may already be moving towards it.
     side = np.sign((-command if mirrored else command) - angle)[steps]
     response = np.median(
         side[:, None] * np.gradient(angle)[steps[:, None] + RESPONSE_TICKS], axis=0
     )
-    # The drive has begun to obey where a fifth of the peak is reached.
+    # The drive has begun to obey when a fifth of the peak is reached.
     onset = 0.2 * response.max()
     below = np.flatnonzero(response[: response.argmax()] < onset)
     if not below.size:
@@ -76,8 +76,8 @@ def force_lag(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> float | 
     """Compute the lag at which a linear model of the motion explains most of the force [ms],
     whatever its axes.
 
-    None where the recording is too short, the best lag lies at the end of those that were searched,
-    or the motion explains less than a tenth of the force.
+    None if the recording is too short, the best lag is at the end of the searched range, or the
+    motion explains less than a tenth of the force.
     """
     ticks = SEARCHED_TICKS
     if len(angle) < MIN_ALIGNED_S * RATE_HZ:
@@ -109,7 +109,7 @@ def force_lag(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> float | 
 def frame_correlations(
     angle: LogSeries, force: Float[np.ndarray, "ticks 2"], lag_ms: float | int = 0.0
 ) -> dict[str, float]:
-    """Compute the correlation of the force, taken in each of `FORCE_FRAMES`, with the best fit of a
+    """Compute the correlation of the force, read in each of `FORCE_FRAMES`, with the best fit of a
     model fin."""
     across, along, rate, acceleration = _motion(angle)
     terms = [
@@ -126,7 +126,7 @@ def frame_correlations(
     smooth = smooth - smooth.mean(axis=1, keepdims=True)
     model = model / (np.linalg.norm(model, axis=0) + 1e-12)
     smooth = smooth / (np.linalg.norm(smooth) + 1e-12)
-    # The fit in the four dimensions of the model alone.
+    # The fit in the model's four dimensions only.
     basis, model = np.linalg.qr(model)
     forces = {
         frame: basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame))

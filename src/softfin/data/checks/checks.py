@@ -1,5 +1,5 @@
-"""Checks of logs: each is a function that yields issues, and the list at the end of this file has
-those of one log."""
+"""Checks of logs: each check is a function that yields issues; the list at the end of this file
+contains the checks of a single log."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -25,7 +25,7 @@ STUCK_S = 1.0
 """Shortest constant run that is reported [s]."""
 
 PLAUSIBLE_LAG_MS = {"command": (0.0, 100.0), "force": (0.0, 60.0)}
-"""Lags from a command to the angle, the way through computer, bus and drive (32 ms in the virtual
+"""Plausible lags from a command to the angle, through computer, bus and drive (32 ms in the virtual
 tank, 5 ms in the published fin), and from the angle to the force (20 ms in the tank, 45 ms in the
 published fin)."""
 
@@ -33,18 +33,18 @@ LAG_SPREAD_MS = {"command": 40.0, "force": 25.0}
 """Largest plausible difference of a log's lag from the median."""
 
 USUAL_LAG_MS = 30.0
-"""Either lag in a fin whose clocks agree."""
+"""Usual value of both lags if the clocks agree."""
 
 FRAME_LEAST = 0.12
-"""Least correlation of a fin's force in any frame; the roughest log of the published networks has
-0.2."""
+"""Lowest plausible correlation of a fin's force in any frame; the roughest log of the published
+networks has 0.2."""
 
 COUNTS_FIX = (
     "convert them in the file: angles are (count - count at rest) * 2 * pi / counts per turn, "
-    "velocities too are in the drive's own unit; a Dynamixel X has 4096 counts per turn, 2048 at "
+    "velocities are also in the drive's own unit; a Dynamixel X has 4096 counts per turn, 2048 at "
     "its centre, and 0.229 rpm per unit"
 )
-"""Remedy for the raw values of a drive's registers; only the drive's manual says what they mean."""
+"""Fix for raw values of a drive's registers; only the drive's manual says what they mean."""
 
 CHANNEL_UNITS = {"angle": "rad", "force_x": "N", "force_y": "N"}
 
@@ -53,15 +53,15 @@ class CheckedLog(NamedTuple):
     """A log as the checks see it."""
 
     raw: LogColumns
-    """Channels as they were read."""
+    """The channels as read."""
     columns: LogColumns
     """Channels in radians."""
     calm: LogColumns
-    """Channels in radians without spikes."""
+    """The channels in radians, without spikes."""
     statistics: LogStatistics
     """Statistics of `calm`."""
     config: ImportConfig
-    """Options with which the log was read: fixes go on from them."""
+    """Options with which the log was read; suggested fixes build on them."""
 
     def issue(
         self,
@@ -125,10 +125,10 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_jumps(log: CheckedLog) -> Iterator[Issue]:
-    """Angles that no fin can have between two samples: the seam of two logs, or an encoder that
-    lost its count."""
+    """Jumps of the angle that no fin can make between two samples: two logs joined, or an encoder
+    that lost its count."""
     steps = np.abs(np.diff(log.calm.angle))
-    # 200 rad/s; the published networks' own jumps reach 1.5 rad.
+    # 200 rad/s; the jumps of the published networks reach 1.5 rad.
     rows = np.flatnonzero(steps > 2.0)
     if rows.size:
         message = (
@@ -143,10 +143,10 @@ def check_jumps(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_stuck(log: CheckedLog) -> Iterator[Issue]:
-    """Runs of one value in a channel that should have changed."""
+    """Channels that stay at one value although they should change."""
     columns = log.columns
     # The force on a fin that moves at 0.2 rad/s changes; a drive that is 0.1 rad from its target
-    # moves.
+    # also moves.
     moving = np.abs(measure_rate(columns.angle)) > 0.2
     behind = np.abs(columns.command_angle - columns.angle) > 0.1
     for channel, unit in CHANNEL_UNITS.items():
@@ -156,7 +156,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
             else (moving, "the fin moves")
         )
         values = getattr(columns, channel)
-        # A fifth of a second for the dead time, and for the force a drive may press in vain.
+        # A fifth of a second of dead time; for the force, a blocked drive may push without moving.
         runs = [
             (start, end + 1)
             for start, end in true_runs(np.diff(values) == 0)
@@ -168,14 +168,14 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
             message = (
                 f"stuck at {values[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s while "
                 f"{cause}; {counted(len(runs), 'such run')}, "
-                f"{sum(b - a for a, b in runs) * TICK_S:.2f} s in all"
+                f"{sum(b - a for a, b in runs) * TICK_S:.2f} s in total"
             )
             fix = "check sensor and drive; cut these rows off, or record again"
             yield log.issue("error", "stuck", channel, message, fix, start)
 
 
 def check_saturation(log: CheckedLog) -> Iterator[Issue]:
-    """Force that stays at its extreme again and again: the sensor's range ends there."""
+    """Force that repeatedly stays at its extreme: the sensor's range ends there."""
     for channel in ("force_x", "force_y"):
         values = getattr(log.columns, channel)
         for extreme in sorted({float(values.min()), float(values.max())}):
@@ -184,18 +184,18 @@ def check_saturation(log: CheckedLog) -> Iterator[Issue]:
             if len(runs) >= 2 and 10 <= rows < len(values):
                 message = (
                     f"clipped at {extreme:.4g} N: {rows:,} samples in {len(runs):,} runs of "
-                    "3 or more stay there"
+                    "3 or more stay at it"
                 )
                 fix = "choose a wider range of the sensor, and record again"
                 yield log.issue("warning", "saturated", channel, message, fix, runs[0][0])
 
 
 def check_velocity(log: CheckedLog) -> Iterator[Issue]:
-    """A velocity that is not the angle's rate."""
+    """A velocity that is not the rate of the angle."""
     correlation, slope = velocity_slope(log.columns)
     if slope == 0:
-        # Many publishers of joint states leave the velocity at 0.
-        # The rate of one sample in a hundred may be a spike's; an angle may change steadily, too.
+        # Many publishers of joint states leave the velocity at 0. One sample in a hundred may be a
+        # spike; an angle may also change steadily.
         velocity = log.columns.velocity[0]
         if np.percentile(np.abs(measure_rate(log.calm.angle) - velocity), 99) > REST_RATE_RAD_S:
             message = f"the velocity is {velocity:.3g} rad/s throughout while the angle changes"
@@ -227,7 +227,7 @@ def check_commanded_velocity(log: CheckedLog) -> Iterator[Issue]:
             f"0 or negative in {wrong.size:,} of {len(log.raw.angle):,} rows; a profile "
             "velocity is positive"
         )
-        fix = "map the column of the drive's profile velocity"
+        fix = "choose the column of the drive's profile velocity"
         yield log.issue(
             "warning", "command velocity", "command_velocity", message, fix, int(wrong[0])
         )
@@ -241,7 +241,10 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
     if len(command) < MIN_ALIGNED_S * RATE_HZ:
         return
     if np.ptp(command) == 0:
-        fix = "map the column of the commanded angle; nothing is learnt from a log without commands"
+        fix = (
+            "choose the column of the commanded angle; a log without commands is useless for "
+            "training"
+        )
         message = f"the commanded angle is {command[0]:.3g} rad throughout"
         yield log.issue("error", "constant command", column, message, fix)
     elif following < -0.3:
@@ -249,7 +252,7 @@ def check_following(log: CheckedLog) -> Iterator[Issue]:
         if _is_mirrored(log.statistics):
             column = "angle"
             message = f"{message}, and the force fits the mirrored angle"
-        # The option as it must be now: a channel that is negated already is so no more.
+        # The option as it must be now: a channel that is already negated is removed from it.
         names = [name for name in SIGNED if (name in log.config.negate) != (name == column)]
         fix = f"--negate {','.join(names)}" if names else "leave --negate out"
         yield log.issue("error", "command sign", column, message, fix)
@@ -275,13 +278,13 @@ def check_force_axes(log: CheckedLog) -> Iterator[Issue]:
         fix = f"--force={compose_frames(log.config.force, best)}"
         yield log.issue("error", "force axes", "force_x, force_y", message, fix)
     elif given < FRAME_LEAST:
-        message = f"the force has little to do with the motion: correlation {given:.2f} at best"
-        fix = "check that force and angle are of one experiment, and the clocks"
+        message = f"the force is almost unrelated to the motion: correlation {given:.2f} at best"
+        fix = "check the clocks, and that force and angle are from the same experiment"
         yield log.issue("warning", "unexplained force", "force_x, force_y", message, fix)
 
 
 def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
-    """A force on the fin at rest."""
+    """A non-zero force on the fin at rest."""
     found = log.statistics
     for axis, offset, deviation in zip(AXES, found.offset_n or (), found.force_std_n, strict=False):
         if abs(offset) > max(0.3, 0.2 * deviation):
@@ -294,7 +297,7 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
 
 
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
-    """Clocks that lie where no fin and drive put them, and clocks that differ between logs."""
+    """Implausible lags between clocks, and lags that differ between logs."""
     for name, (least, most) in PLAUSIBLE_LAG_MS.items():
         measured = [
             (lag, one.name)
@@ -308,8 +311,7 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
         for lag, log in measured:
             is_far = abs(lag - usual) > LAG_SPREAD_MS[name]
             is_plausible = low <= lag <= high
-            # A log is wrong where all are, or where it stands out; a rough one may show its lag
-            # badly.
+            # A log is wrong if all are, or if it stands out; the lag of a noisy log is uncertain.
             if not is_far and (is_plausible or low <= usual <= high):
                 continue
             first, second = (
@@ -329,8 +331,8 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
                 f"{first} {relation}{beside}; plausible are {least:.0f} to {most:.0f} ms: a "
                 "clock is off"
             )
-            # A command that is stamped late makes the angle early, a force that is stamped late is
-            # late itself.
+            # If commands are stamped late, the angle seems early; if the force is stamped late, the
+            # force seems late.
             late = lag - USUAL_LAG_MS if name == "force" else USUAL_LAG_MS - lag
             late += getattr(config, f"{name}_lag_ms")
             fix = (
@@ -344,15 +346,15 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
 
 
 def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Recordings without test logs, and commands of the training logs that leave much of their own
-    range empty."""
+    """Recordings without test logs, and training commands that leave much of their own range
+    empty."""
     if not any(one.part == "test" for one in logs):
         fix = "choose some: --test PATTERN; or put them into a folder test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
     training = [one.log for one in logs if one.part == "train"]
     if training:
         limits = command_limits(training)
-        # Larger ones are not in radians, which is another issue.
+        # Larger values are not in radians, which is another issue.
         is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
         if is_in_radians and limits.angle_min < limits.angle_max and not limits.contains_rest:
             message = (
@@ -366,17 +368,17 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
         for command in commands
     ]
     steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
-    # Under 300 random commands hardly any of 36 cells stays empty.
+    # With 300 random commands hardly any of the 36 cells stays empty.
     if sum(map(len, steps)) < 300:
         return
     angle, velocity = np.concatenate(steps).T
     filled = float((np.histogram2d(angle, velocity, bins=6)[0] > 0).mean())
     if filled < 0.5:
         message = (
-            f"{filled:.0%} of the commands' range of angle and velocity, in 36 cells, has "
-            "been commanded at all"
+            f"{filled:.0%} of the commanded range of angle and velocity, in 36 cells, was ever "
+            "commanded"
         )
-        fix = "excite with random angles and velocities: softfin collect shows how"
+        fix = "record random angles and velocities, as softfin collect does"
         yield Issue("warning", "coverage", "all logs", message, fix, "command_angle")
 
 

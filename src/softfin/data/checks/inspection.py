@@ -1,4 +1,4 @@
-"""Logs at 100 Hz in; statistics of each of them, and all that is wrong with them, out."""
+"""Logs at 100 Hz go in; out come the statistics of each log and everything wrong with it."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -31,12 +31,13 @@ from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 POOLED = 100
-"""Most logs that are checked together where each alone is too short for its sign, axes and lags."""
+"""Largest number of logs that are checked together if each alone is too short to find its signs,
+axes and lags."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Inspection:
-    """Issues, gravest first, and the statistics that they rest on."""
+    """Issues, most severe first, and the statistics behind them."""
 
     issues: list[Issue]
     logs: list[LogStatistics]
@@ -75,20 +76,20 @@ def inspect(
     config: ImportConfig | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
-    """Check logs; `issues` are those that were met when they were read with `config`."""
+    """Check logs; `issues` are those found while reading them with `config`."""
     config = config or ImportConfig()
     found = list(issues)
     statistics = []
     series = []
     comparable: list[LogStatistics] = []
     for index, named in enumerate(logs):
-        # Channels are repaired where one fault would hide the next.
+        # Channels are repaired so that one fault does not hide the next.
         raw = to_columns(named.log)
         in_degrees = channels_in_degrees(raw, config.velocity_rad_s is not None)
         columns = raw._replace(
             **{channel: np.radians(getattr(raw, channel)) for channel in in_degrees}
         )
-        # Not the velocity, which is mostly a difference of angles, and rough by nature.
+        # Not the velocity, which is usually a difference of angles and therefore noisy.
         rough = {
             channel: without_spikes(getattr(columns, channel))
             for channel in ("angle", "force_x", "force_y")
@@ -98,7 +99,7 @@ def inspect(
         log = CheckedLog(raw, columns, calm, statistics[-1], config)
         in_counts = list(check_counts(log))
         if in_counts:
-            # As long as an angle's scale and zero are unknown, no other check means anything.
+            # While an angle's scale and zero are unknown, no other check is meaningful.
             found += in_counts
         else:
             series.append(calm)
@@ -107,7 +108,7 @@ def inspect(
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
-        # Short logs end to end: the seams are few beside the steps within.
+        # Short logs are joined end to end; there are few joints compared with steps.
         joined = LogColumns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
         together = measure(
             joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together")

@@ -1,5 +1,4 @@
-"""An inspection of logs as a folder: ``inspection.json`` and a figure of what is wrong, beside the
-logs themselves."""
+"""An inspection of logs as a folder: ``inspection.json`` and figures that show what is wrong."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +26,7 @@ from softfin.storage.figures import (
 )
 
 SHOWN_LOG_S = 10
-"""Length of the part of one log that is drawn, about the first row that has an issue [s]."""
+"""Length of the part of one log that is drawn, around the first row with an issue [s]."""
 
 
 def write_inspection(
@@ -37,7 +36,7 @@ def write_inspection(
     metadata: JsonObject,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write the folder, whole or not at all; returns the content of its JSON."""
+    """Write the folder, completely or not at all; returns the content of its JSON."""
     summary = {**artifacts.head("inspection"), **inspection.to_dict(), **metadata}
     figure = inspection_figure(inspection, logs)
 
@@ -50,7 +49,8 @@ def write_inspection(
 
 
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
-    """Draw a part of one log with the first issue in it; commands, clocks and axes of all logs."""
+    """Draw the part of one log with its first issue, and the commands, clocks and axes of all
+    logs."""
     with styled():
         figure = new_figure(13, 8.4)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.35, 1)))

@@ -20,19 +20,19 @@ from softfin.data.checks.alignment import (
 from softfin.data.importing.clocks import NamedLog, Part
 
 MAX_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
-"""Sizes beyond which values are degrees: a fin does not turn round, and no drive of one makes 6
-turns a second. The size of a measured velocity proves nothing: the published networks' own jumps
-reach 145 rad/s."""
+"""Magnitudes above which values must be in degrees: a fin does not turn all the way round, and its
+drive does not make 6 turns per second. A large measured velocity proves nothing: the jumps of the
+published networks reach 145 rad/s."""
 
 MAX_DEGREES = 360.0
-"""Size beyond which an angle is not in degrees either, but in a drive's counts."""
+"""Magnitude above which an angle is not even in degrees, but in encoder counts."""
 
 REST_RATE_RAD_S = 0.05
-"""Rate of the angle below which the fin is at rest."""
+"""Rate of the angle below which the fin counts as at rest."""
 
 
 class LogColumns(NamedTuple):
-    """All channels of a log but time."""
+    """All channels of a log except time."""
 
     command_angle: LogSeries
     command_velocity: LogSeries
@@ -51,21 +51,21 @@ class LogStatistics:
     rows: int
     start_s: float
     following: float
-    """Correlation of the angle with the command of 150 ms before; 0 for a log under 10 s."""
+    """Correlation of the angle with the command 150 ms earlier; 0 for a log under 10 s."""
     command_lag_ms: float | None
     """Lag from command to angle."""
     force_lag_ms: float | None
     """Lag from angle to force."""
     frames: dict[str, float] | None
-    """Correlation with the force of a model fin, for each way to take the force's axes; None for a
-    log under 10 s."""
+    """Correlation with the force of a model fin, for each assignment of the force's axes; None for
+    a log under 10 s."""
     offset_n: tuple[float, ...] | None
-    """Mean force on the settled fin; None where it never settles."""
+    """Mean force on the settled fin; None if it never settles."""
     force_std_n: tuple[float, ...]
 
 
 def to_columns(log: Log) -> LogColumns:
-    """Take the channels of a log."""
+    """Return the channels of a log."""
     command, reading = log
     series = (
         command.angle,
@@ -78,7 +78,7 @@ def to_columns(log: Log) -> LogColumns:
 
 
 def channels_in_counts(columns: LogColumns) -> list[str]:
-    """Find angles in counts of an encoder."""
+    """Return the angles that are in encoder counts."""
     names = ("command_angle", "angle")
     return [
         name for name in names if np.percentile(np.abs(getattr(columns, name)), 99) > MAX_DEGREES
@@ -86,9 +86,9 @@ def channels_in_counts(columns: LogColumns) -> list[str]:
 
 
 def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[str]:
-    """Find channels in degrees; the commanded velocity is not in doubt where an option gave it in
+    """Return the channels in degrees; the commanded velocity is certain if an option gave it in
     rad/s."""
-    # The size of one sample in a hundred may be a spike's.
+    # One sample in a hundred may be a spike.
     found = [
         name
         for name, most in MAX_RADIANS.items()
@@ -106,8 +106,8 @@ def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[st
 
 
 def velocity_slope(columns: LogColumns) -> tuple[float, float]:
-    """Correlation of the velocity with the angle's rate, and their ratio; 0, 0 where either does
-    not move."""
+    """Correlation of the velocity with the angle's rate, and their ratio; both 0 if either does not
+    move."""
     rate = np.gradient(columns.angle, TICK_S)
     if rate.std() < REST_RATE_RAD_S or columns.velocity.std() == 0:
         return 0.0, 0.0
@@ -116,11 +116,11 @@ def velocity_slope(columns: LogColumns) -> tuple[float, float]:
 
 
 def without_spikes(values: LogSeries) -> LogSeries:
-    """Put the median of five in the place of outliers of one or two samples.
+    """Replace outliers of one or two samples by the median of five.
 
-    A spike is 1.2 times as high as half the span of 98% of the samples, where the published
-    networks' own jumps reach 0.8 times; its second difference has a robust z of 8, since there are
-    no spikes in a series that is rough anyway.
+    A spike exceeds 1.2 times half the span of 98% of the samples (the jumps of the published
+    networks reach 0.8 times), and its second difference has a robust z above 8, because a noisy
+    series has no spikes.
     """
     if len(values) < MIN_ALIGNED_S * RATE_HZ:
         return values
@@ -128,7 +128,7 @@ def without_spikes(values: LogSeries) -> LogSeries:
         np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1
     )
     bend = np.abs(np.diff(np.pad(values, 1, mode="edge"), 2))
-    # Most of a fin at rest bends by nothing at all: the scale is that of the bends there are.
+    # At rest most second differences are exactly 0: the scale is that of the others.
     scale = 1.4826 * float(np.median(bend[bend > 0])) if (bend > 0).any() else 0.0
     half = 0.5 * float(np.ptp(np.percentile(values, [1, 99])))
     return np.where(
@@ -137,7 +137,7 @@ def without_spikes(values: LogSeries) -> LogSeries:
 
 
 def true_runs(flags: Bool[np.ndarray, "ticks"]) -> list[tuple[int, int]]:
-    """First row and the row after the last of each run of True."""
+    """Return the first row of each run of True, and the row after its last."""
     edges = np.flatnonzero(np.diff(flags, prepend=False, append=False))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -160,7 +160,7 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
         )
     settled = np.zeros(rows, bool)
     for start, end in true_runs(np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S):
-        # Half a second later the water is still, too.
+        # Half a second later the water is also still.
         settled[start + RATE_HZ // 2 : end] = True
     return LogStatistics(
         name=named.name,

@@ -1,1 +1,1 @@
-"""Recordings in other formats become logs at 100 Hz."""
+"""Converts recordings in other formats to logs at 100 Hz."""

@@ -1,8 +1,8 @@
-"""A recording as it was found, and its conversion to logs at 100 Hz.
+"""A recording as it was read, and its conversion to logs at 100 Hz.
 
-Rows without a valid time or value are left out, gaps split it, time begins at 0. A piece on a
-steady 100 Hz clock passes unchanged otherwise; any other is resampled: commands are held, readings
-are interpolated, behind a low-pass where the source is faster.
+Rows without a valid time or value are left out, gaps split the recording, and time begins at 0. A
+piece on a steady 100 Hz clock is otherwise unchanged; any other is resampled: commands are held,
+and readings are interpolated, after a low-pass filter if the source is faster.
 """
 
 import itertools
@@ -20,22 +20,22 @@ from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 COMMAND_CHANNELS = {"command_angle", "command_velocity"}
 
 RATES_HZ = (5.0, 20_000.0)
-"""Plausible rates; beyond them the unit of the time must be wrong."""
+"""Plausible rates; outside them the unit of the time must be wrong."""
 
 CUTOFF_HZ = 40.0
-"""Frequency at which half of the amplitude is left: below the 50 Hz that 100 Hz can show, above all
-that a fin does."""
+"""Frequency at which the amplitude is halved: below 50 Hz, the Nyquist frequency of 100 Hz, and
+above anything a fin does."""
 
 KERNEL_S = 0.1
-"""Length of the filter [s]: 25 Hz pass and 56 Hz are gone."""
+"""Length of the filter [s]; 25 Hz pass, and 56 Hz are suppressed."""
 
 TURN_RAD = 2 * np.pi
 
 TURN_TOLERANCE_RAD = 0.5
-"""Tolerance about a jump of one turn [rad]: the motion of a fast fin in 20 ms."""
+"""Tolerance around a jump of one turn [rad]: the motion of a fast fin in 20 ms."""
 
 EARLY_S = 1e-6
-"""Lateness at which a stamp is still on time [s]: clocks in double precision are no better."""
+"""Lateness up to which a stamp counts as on time [s]; clocks in double precision are no better."""
 
 Span = tuple[float, float]
 """Time from one gap to the next [s]."""
@@ -43,32 +43,32 @@ Span = tuple[float, float]
 Part = Literal["train", "test"]
 
 Channels = dict[str, Float[np.ndarray, "rows"]]
-"""Values by the channel's name."""
+"""Values by the name of the channel."""
 
 
 class Track(NamedTuple):
     """Channels that share a clock: a whole table, or one topic of a bag."""
 
     time: Float[np.ndarray, "rows"]
-    """Time as recorded [s]: it may repeat, jump and lack values."""
+    """Time as recorded [s]; it may repeat, jump or lack values."""
     channels: Channels
-    """Values in SI units and softfin's axes; NaN where there is none."""
+    """Values in SI units and softfin's axes; NaN where a value is missing."""
 
     def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
-        """Keep some of the rows."""
+        """Return the track with some of its rows."""
         return Track(
             self.time[rows], {name: values[rows] for name, values in self.channels.items()}
         )
 
 
 class Recording(NamedTuple):
-    """One recording, as yet unchecked."""
+    """One recording, not yet checked."""
 
     name: str
     part: Part
     tracks: tuple[Track, ...]
     issues: tuple[Issue, ...] = ()
-    """Issues that were met in reading it."""
+    """Issues found while reading it."""
 
 
 class NamedLog(NamedTuple):
@@ -82,11 +82,11 @@ class NamedLog(NamedTuple):
 
 
 def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
-    """Make the logs at 100 Hz of a recording; raises LogError where it has no usable clock."""
+    """Convert a recording to logs at 100 Hz; raises LogError if it has no usable clock."""
     logs: list[NamedLog] = []
     issues = list(recording.issues)
     for name, run in _split_at_restarts(recording):
-        # Time from the first row of any track on: on a Unix clock doubles are coarse.
+        # Times count from the first row of any track: on a Unix clock doubles are coarse.
         times = [track.time[np.isfinite(track.time)] for track in run]
         start = min((float(time[0]) for time in times if len(time)), default=0.0)
         tracks = []
@@ -103,7 +103,8 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
 
 
 def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
-    """Split a table whose clock goes back by more than a second: it is several logs end to end."""
+    """Split a table whose clock goes back by more than a second: it contains several logs end to
+    end."""
     name = recording.name
     (track, *others) = recording.tracks
     edges = [0, *(np.flatnonzero(np.diff(track.time) < -1.0) + 1).tolist(), len(track.time)]
@@ -116,7 +117,7 @@ def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...
 
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
-    """Leave out rows that hold no value or whose time repeats or goes back; check the rate of the
+    """Leave out rows without a value, or whose time repeats or goes back; check the rate of the
     others."""
     finite, rows, issues = _finite_rows(track, name, config)
     if len(finite.time) < 2:
@@ -127,7 +128,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
         return valid, issues
     if len(valid.time) < 2:
         raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
-    # Before anything is derived, filtered or interpolated across a jump.
+    # Before anything is differentiated, filtered or interpolated across a jump.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
     issues += _check_rate(valid, name)
@@ -135,7 +136,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
 
 
 Rows = Int[np.ndarray, "_"]
-"""Rows of the track as it was read."""
+"""Rows of the track as read."""
 
 
 def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, Rows, list[Issue]]:
@@ -200,7 +201,7 @@ def _check_rate(track: Track, name: str) -> list[Issue]:
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
         message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
-        fix = f"record at {RATE_HZ} Hz or faster"
+        fix = f"record at {RATE_HZ:g} Hz or faster"
         return [Issue("warning", "slow rate", name, message, fix, "time")]
     if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
         message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
@@ -209,22 +210,22 @@ def _check_rate(track: Track, name: str) -> list[Issue]:
 
 
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
-    """Find the rows in which an angle within one turn has jumped by a turn, as neither fins nor
-    lost counts do."""
+    """Find the rows in which an angle within one turn has jumped by a turn, which neither a fin nor
+    lost counts would do."""
     if np.ptp(angle) > TURN_RAD + TURN_TOLERANCE_RAD:
         return np.array([], int)
     return np.flatnonzero(np.abs(np.diff(angle)) > TURN_RAD - TURN_TOLERANCE_RAD) + 1
 
 
 def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
-    """Remove an angle's jumps by a turn; of all turns the one whose median is nearest to rest,
-    angle 0."""
+    """Remove an angle's jumps by a turn; choose the turn that puts the median nearest to angle 0,
+    the rest position."""
     continuous = np.unwrap(angle)
     return np.asarray(continuous - TURN_RAD * np.round(np.median(continuous) / TURN_RAD))
 
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:
-    """Split a track where the user moves the clock of some channels."""
+    """Split a track if the user shifts the clock of some channels."""
     lags = {"command": config.command_lag_ms / 1e3, "force": config.force_lag_ms / 1e3}
     groups: dict[float, Channels] = {}
     for channel, values in track.channels.items():
@@ -235,8 +236,8 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
 def _split_at_gaps(
     tracks: list[Track], name: str, config: ImportConfig
 ) -> tuple[list[Span], list[Issue]]:
-    """Find where all clocks have readings; only gaps in readings count, since a command holds until
-    the next."""
+    """Find the spans in which all clocks have readings; only gaps in readings count, since a
+    command holds until the next one."""
     reading = [track for track in tracks if not track.channels.keys() <= COMMAND_CHANNELS]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
@@ -294,7 +295,7 @@ def _at_100_hz(tracks: list[Track], span: Span) -> Log:
 
 
 def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
-    """Take the rows themselves, where they share one clock that a log may have."""
+    """Take the rows unchanged if they share one clock that is valid for a log."""
     time, channels = tracks[0].take((tracks[0].time >= span[0]) & (tracks[0].time <= span[1]))
     try:
         check_columns({"time_s": time}, "")
@@ -308,9 +309,9 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
     grid = start + np.arange(int((end - start + EARLY_S) * RATE_HZ) + 1) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
-        # The low-pass must see nothing from beyond a gap: from the last row by the start to the
-        # first from its end on, between which no wide gap lies. A command holds, however long ago
-        # it was issued.
+        # The low-pass filter must not see anything beyond a gap, so it gets the rows from the last
+        # one before the start to the first one after the end, between which there is no wide gap. A
+        # command holds, no matter how long ago it was issued.
         first = int(np.searchsorted(track.time, start, "right")) - 1
         within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
         for name, values in track.channels.items():
@@ -329,8 +330,8 @@ def interpolated(
 ) -> Float[np.ndarray, "ticks"]:
     """Interpolate a reading at other times; `time` rises strictly.
 
-    The low-pass before a faster source is a windowed sinc, which delays nothing; at the ends it
-    sees what there is.
+    The low-pass filter for a faster source is a windowed sinc without delay; at the ends it uses
+    the available samples.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else TICK_S
     if step < 0.67 * TICK_S:
@@ -354,5 +355,5 @@ def held_command(
     values: Float[np.ndarray, "rows"],
     grid: Float[np.ndarray, "ticks"],
 ) -> Float[np.ndarray, "ticks"]:
-    """Take the last value issued by each time; none of `grid` lies before the first."""
+    """Take the last value issued before each time; no time in `grid` is before the first value."""
     return np.asarray(values[np.searchsorted(time, grid + EARLY_S, side="right") - 1])

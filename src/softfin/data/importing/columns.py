@@ -2,7 +2,7 @@
 softfin's.
 
 What the user states counts first, then softfin's own names, then what `read_name` finds in a name;
-two columns that may be the same channel are refused. Every column that is not named as softfin does
+if two columns could be the same channel, both are refused. Every column without softfin's own name
 is shown with its unit.
 """
 
@@ -23,21 +23,21 @@ OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True))
 """Channel of each of softfin's own columns."""
 
 MAX_LISTED_COLUMNS = 12
-"""Most names that a message lists."""
+"""Largest number of names that a message lists."""
 
 
 class Column(NamedTuple):
-    """The column that a channel is read from."""
+    """The column from which a channel is read."""
 
     name: str
     unit: str
     """Unit of its values."""
     is_unit_stated: bool
-    """Whether its name or an option states the unit; else it is the SI unit, assumed."""
+    """Whether its name or an option states the unit; otherwise the SI unit is assumed."""
 
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
-    """Find the column of each channel; raises LogError, naming the option that decides, where it is
+    """Find the column of each channel; raises LogError, naming the option that decides, if it is
     not certain."""
     found = {
         channel: name
@@ -45,7 +45,7 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
         if name in names and channel not in config.columns
     }
     found |= _mapped_columns(names, config, source)
-    # What an option states for the whole file is not guessed.
+    # Nothing is guessed that an option states for the whole file.
     options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
     stated = [channel for channel, value in options.items() if value is not None]
     decided = {*found, *config.columns, *stated}
@@ -80,7 +80,8 @@ def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> 
 def _recognized_columns(
     names: Sequence[str], taken: Collection[str], decided: Collection[str], source: str
 ) -> dict[str, str]:
-    """Return the columns that are recognized by their names, of channels that are not decided."""
+    """Return the columns that are recognized by their names, for channels that are not yet
+    decided."""
     candidates: dict[str, list[str]] = {}
     for name in names:
         read = read_name(name)
@@ -116,7 +117,8 @@ def _missing_error(names: Sequence[str], missing: Sequence[str], source: str) ->
 
 
 def _preferred_velocities(names: list[str]) -> list[str]:
-    """Prefer profile velocities: a goal velocity next to one is that of a drive's velocity mode."""
+    """Prefer profile velocities: a goal velocity next to one belongs to the drive's velocity
+    mode."""
     profiles = [name for name in names if "profile" in split_unit(name, "velocity")[0]]
     return profiles or names
 
@@ -132,7 +134,7 @@ def stated_unit(channel: str, config: ImportConfig) -> str | None:
 
 
 def describe_columns(columns: Mapping[str, Column]) -> str:
-    """Describe which columns were taken, where their names are not softfin's own; empty where all
+    """Describe which columns were used, as far as their names are not softfin's own; empty if all
     are."""
     return ", ".join(
         f"{channel}={column.name!r} in {column.unit}"
@@ -147,8 +149,8 @@ def converted(
     config: ImportConfig,
     units: Mapping[str, str] | None = None,
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Convert to SI units and softfin's signs and axes; `units` are the channels' own, else the
-    options' or SI."""
+    """Convert to SI units and softfin's signs and axes; `units` are those stated by the channels;
+    otherwise those of the options, or SI."""
     result = {}
     for channel, values in channels.items():
         kind = KINDS[channel]
@@ -172,6 +174,7 @@ def _listed(names: Sequence[str], between: str = ", ") -> str:
 
 
 def _quoted(channel: str, name: str) -> str:
-    """Write a column as a shell and `ImportConfig` read it; NAME for what cannot be typed."""
+    """Write a column so that a shell and `ImportConfig` can read it; NAME for what cannot be
+    typed."""
     pair = f"{channel}={name if name.isprintable() else 'NAME'}"
     return shlex.quote(f'"{pair}"' if "," in pair else pair)

@@ -1,5 +1,4 @@
-"""Options of `open_logs`: which column is which, units, signs, clocks of recordings that somebody
-else made."""
+"""Options of `open_logs`: columns, units, signs and clocks of recordings made by others."""
 
 import csv
 import itertools
@@ -12,18 +11,17 @@ from softfin.core.configuration import Configuration
 from softfin.data.importing.names import KINDS, UNITS, Channel
 
 NO_COLUMN = "-"
-"""Given as a column's name where the file has none for this channel, whatever its names look
-like."""
+"""Stands for a column that the file does not have, whatever its names look like."""
 
 AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
 
 ANGLES: tuple[AngleChannel, ...] = get_args(AngleChannel)
-"""Channels that may be in degrees."""
+"""Channels that can be in degrees."""
 
 SignedChannel = Literal["command_angle", "angle", "velocity"]
 
 SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
-"""Channels that may be of the wrong sign; a commanded velocity is a magnitude."""
+"""Channels that can have the wrong sign; a commanded velocity is a magnitude."""
 
 Topic = Literal["command", "joint", "wrench"]
 
@@ -31,8 +29,8 @@ FORCE_FRAMES = tuple(
     f"{sx}{x},{sy}{y}"
     for (x, y), sx, sy in itertools.product((("x", "y"), ("y", "x")), ("", "-"), ("", "-"))
 )
-"""The ways in which a sensor's axes can be swapped and turned: what is +x and what is +y, in its
-own axes."""
+"""The ways in which a sensor's axes can be swapped or reversed: softfin's +x and +y, in the
+sensor's axes."""
 
 
 class ImportConfig(Configuration):
@@ -60,8 +58,8 @@ class ImportConfig(Configuration):
     """Axes of the recording that are softfin's +x (thrust, which drives the robot forward)
     and +y."""
     negate: tuple[SignedChannel, ...] = ()
-    """Angle channels with the wrong sign, such as ``command_angle``. A signed velocity
-    changes its sign, too."""
+    """Angle channels with the wrong sign, such as ``command_angle``. A signed velocity also changes
+    its sign."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Delay of the time stamps of the commands relative to the angle [ms]; softfin removes it."""
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
@@ -87,7 +85,7 @@ class ImportConfig(Configuration):
             return value
         if info.field_name == "angles" and "=" not in value:
             return dict.fromkeys(ANGLES, value)
-        # As in a CSV file, a pair with a comma of its own stands in quotes.
+        # As in a CSV file, a pair that contains a comma is quoted.
         parts = [
             part.strip()
             for part in next(csv.reader([value], skipinitialspace=True), [])
@@ -115,13 +113,13 @@ class ImportConfig(Configuration):
 
 
 def turned(x: Any, y: Any, frame: str) -> list[Any]:
-    """Take a force in another frame: its +x and +y."""
+    """Convert a force to another frame: its +x and +y."""
     source = {"x": x, "y": y, "-x": -x, "-y": -y}
     return [source[term] for term in frame.split(",")]
 
 
 def compose_frames(given: str, then: str) -> str:
-    """Frame of force that does what two frames do, one after the other."""
+    """Return the frame that combines two frames, one after the other."""
     x, y = turned(1, 2, given)
     both = turned(x, y, then)
     return next(frame for frame in FORCE_FRAMES if turned(1, 2, frame) == both)

@@ -1,4 +1,4 @@
-"""The channel and the unit that the name of a column states.
+"""Reads the channel and the unit from the name of a column.
 
 One table of words and one of units, for every kind of file whose columns have names. Case and
 separators do not count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are the
@@ -14,7 +14,7 @@ Channel = Literal[
 ]
 
 CHANNELS: tuple[str, ...] = get_args(Channel)
-"""Channels of a log. A recording may lack the velocity, and time and commanded velocity where an
+"""Channels of a log. A recording may lack the velocity, and also time and commanded velocity if an
 option gives them."""
 
 KINDS: dict[str, str] = {channel: re.sub("command_|_x|_y", "", channel) for channel in CHANNELS}
@@ -59,8 +59,8 @@ SPELLINGS = {
     "kN": "kn kilonewton kilonewtons",
     **{unit: unit for unit in ("gf", "kgf", "lbf")},
 }
-"""Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and a
-second's."""
+"""Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and those of
+a second."""
 
 COMMAND_WORDS = {
     "command",
@@ -77,7 +77,7 @@ COMMAND_WORDS = {
     "reference",
     "ref",
 }
-"""Words that make an angle or a velocity the commanded one. Alone, all but "reference" mean the
+"""Words that make an angle or a velocity the commanded one. Alone, all except "reference" mean the
 commanded angle."""
 
 PHRASES = {
@@ -99,13 +99,13 @@ PHRASES = {
         "angle velocity",
         "angle vel",
     ],
-    # The last one is a Dynamixel's of protocol 1.
+    # The last one is from Dynamixel's protocol 1.
     "command_velocity": ["profile velocity", "profile vel", "profile speed", "moving speed"],
     "force_x": ["force x", "fx", "f x"],
     "force_y": ["force y", "fy", "f y"],
 }
-"""Names of each channel, in any order of their words; with one of `COMMAND_WORDS`, of the commanded
-one."""
+"""Names of each channel, in any order of their words; with one of `COMMAND_WORDS`, the commanded
+channel."""
 
 NEUTRAL_WORDS = {
     "actual",
@@ -139,7 +139,7 @@ NEUTRAL_WORDS = {
     "dxl",
     "workbench",
 }
-"""Words that do not change what a name means."""
+"""Words that do not change the meaning of a name."""
 
 _PHRASES = {
     tuple(sorted(phrase.split())): channel for channel, some in PHRASES.items() for phrase in some
@@ -170,7 +170,7 @@ SPELLED = {kind: _spellings(kind) for kind in UNITS}
 
 
 def read_name(name: str) -> tuple[str, str | None] | None:
-    """Find the channel of a name, and its unit or None; None for both unless every word of it is
+    """Find the channel of a name, and its unit or None; both are None unless every word of it is
     understood."""
     for kind in UNITS:
         words, unit = split_unit(name, kind)
@@ -183,7 +183,7 @@ def read_name(name: str) -> tuple[str, str | None] | None:
             and (kind == "angle" or (kind == "velocity" and unit))
         ):
             channel = kind
-        # Milliseconds are a time without any other word, but "min" is more often something else.
+        # Milliseconds mean a time without any other word, but "min" is more often something else.
         if not words and kind == "time" and unit in ("s", "ms", "us", "ns"):
             channel = "time"
         if channel in ("angle", "velocity") and commanded:
@@ -201,13 +201,13 @@ def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
     # "(t)" only states that it is a function of time; a second to the power of -1 is one below a
     # slash.
     plain = re.sub(r"\(t\)|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
-    # Words are parted by anything but letters, and where capitals begin, but not within mN.
+    # Words are separated by anything but letters, and where capitals begin, but not within mN.
     parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     lower = parted.lower().replace("µ", "u").replace("μ", "u")
     words = re.findall(r"[^\W\d_]+|\d+|[°%]|-(?=[\])}>])", lower)
     for start in range(max(len(words) - 3, 0), len(words)):
         ending = [word for word in words[start:] if word != "per"]
-        # A lone letter is a name.
+        # A single letter is a name.
         if "/".join(ending) in SPELLED[kind] and (start > 0 or len(ending[0]) > 1):
             return words[:start], SPELLED[kind]["/".join(ending)]
     return words, None

@@ -1,8 +1,8 @@
-"""ROS 2 bags, MCAP or SQLite, read without ROS: the topics of command, joint and force in, a
-recording out.
+"""Reads ROS 2 bags, MCAP or SQLite, without ROS: the topics of command, joint and force go in, a
+recording comes out.
 
-A message's own stamp counts where every message of the topic has one, else the time at which it was
-logged.
+The stamps of the messages count if every message of the topic has one, otherwise the times at which
+they were logged.
 """
 
 from pathlib import Path
@@ -46,11 +46,11 @@ TOPIC_CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
 }
 
 MAX_LISTED_TOPICS = 12
-"""Most topics that a message lists."""
+"""Largest number of topics that an error message lists."""
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
-    """Read one bag; raises LogError where it is damaged, lacks a topic, or a topic has messages of
+    """Read one bag; raises LogError if it is damaged, lacks a topic, or a topic has messages of
     another type."""
     try:
         for file in [path] if not path.is_dir() else sorted(path.glob("*.mcap")):
@@ -68,8 +68,8 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     except LogError:
         raise
     except Exception as error:
-        # Damaged bags fail in the reader, its storage, its decompression or its messages, each in a
-        # way of its own.
+        # Damaged bags fail in the reader, its storage, its decompression or its messages, each in
+        # its own way.
         reason = _plain(one_line(error))
         raise LogError(
             f"{path}: truncated, or not a ROS 2 bag ({reason}); copy it, or: ros2 bag reindex"
@@ -77,7 +77,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     if all(np.array_equal(tracks[0].time, track.time) for track in tracks):
-        # Topics that are stamped alike are one track, which needs no other clock.
+        # Topics with the same stamps form one track, which needs no other clock.
         tracks = [
             Track(
                 tracks[0].time, {name: v for track in tracks for name, v in track.channels.items()}
@@ -122,8 +122,8 @@ def _read_topic(
     stamped = []
     rows = []
     for _, stamp, data in reader.messages(connections):
-        # ROS 2's own definitions, not the bag's: the reader makes code of definitions, and a bag is
-        # anybody's.
+        # ROS 2's own definitions, not the bag's: the reader turns definitions into code, and a bag
+        # can come from anybody.
         message: Any = type_store().deserialize_cdr(data, kind)
         header = getattr(message, "header", None)
         logged.append(stamp)
@@ -145,7 +145,7 @@ def _read_topic(
     # microsecond.
     time = np.array(stamped, np.int64) / 1e9
     pairs = np.array(rows, np.float64)
-    # What a log cannot hold counts as a missing value, which is reported later.
+    # A value that a log cannot contain counts as missing, which is reported later.
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
     first, second = TOPIC_CHANNELS[role]
     channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
@@ -158,18 +158,18 @@ def _read_topic(
             way_out = "--velocity 3.1 takes its place, if all had that one [rad/s]"
             raise LogError(f"{where}: no velocity in the commands; {way_out}")
         channels[second] = np.full(len(time), config.velocity_rad_s)
-        text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+        text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, from --velocity"
         issues.append(Issue("note", "columns", name, text))
     return Track(time, channels), issues
 
 
 def _read_zeros(reader: Reader) -> list[tuple[float, RestForce]]:
-    """Time [s] and value [N] of each zero that softfin measured at rest while it recorded."""
+    """Return time [s] and value [N] of each zero that softfin measured at rest while recording."""
     connections = [
         each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING
     ]
     zeros = []
-    # Without connections the reader would go through all topics.
+    # Without a list of connections the reader would read all topics.
     for _, stamp, data in reader.messages(connections) if connections else ():
         message: Any = type_store().deserialize_cdr(data, STRING)
         zero = parse_zero(message.data)
@@ -196,7 +196,7 @@ def _less_zero(
 
 
 def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, float]:
-    """Angle and velocity, or force x and y."""
+    """Return angle and velocity, or force x and y."""
     if kind == ARRAY:
         if len(message.data) != 2:
             raise LogError(

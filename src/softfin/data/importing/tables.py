@@ -1,4 +1,4 @@
-"""Tables on disk, CSV or Parquet with any column names: files in, recordings out."""
+"""Reads tables, CSV or Parquet, with any column names: files go in, recordings come out."""
 
 import csv
 import re
@@ -56,8 +56,8 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
 def _notes(
     name: str, names: list[str], found: dict[str, Column], config: ImportConfig
 ) -> list[Issue]:
-    """Describe which column was taken for what and in which unit, unless softfin's own names state
-    it."""
+    """Describe which column was used for which channel, and its unit, unless softfin's own names
+    state it."""
     texts = [describe_columns(found)]
     fix = (
         "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit"
@@ -72,7 +72,7 @@ def _notes(
             texts.append(f"{option} {value:g} not used: {found[channel].name!r} holds it")
     if config.velocity_rad_s is not None and "command_velocity" not in found:
         texts.append(
-            f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, by --velocity"
+            f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, from --velocity"
         )
     text = "; ".join(filter(None, texts))
     notes = [Issue("note", "columns", name, text, fix)] if text else []
@@ -90,7 +90,7 @@ def derived_velocity(name: str) -> Issue:
 
 
 def _read_header(path: Path) -> tuple[list[str], str]:
-    """Names of the columns of a CSV file, and its delimiter."""
+    """Return the column names of a CSV file, and its delimiter."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             line = file.readline()
@@ -136,5 +136,6 @@ def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
     except pa.ArrowException:
         raise LogError(
-            f"{path}: column {name!r} is {column.type}, must hold numbers; map another, or cast it"
+            f"{path}: column {name!r} is {column.type}, must hold numbers; choose "
+            "another, or convert it"
         ) from None

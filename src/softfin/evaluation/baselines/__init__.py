@@ -1,1 +1,1 @@
-"""Baselines that need no training: open-loop search, inverse model, and RecurrentPPO."""
+"""Baselines that need no training: open-loop search and inverse model."""

@@ -1,5 +1,5 @@
-"""Baselines evaluated as controllers are: what the fin does with no learning, or with a few fitted
-numbers alone.
+"""Baselines, evaluated like controllers: what the fin does without learning, or with only a few
+fitted numbers.
 
 ===================== ========================================================================
 ``still``             the rest command: the fin does nothing
@@ -9,8 +9,7 @@ numbers alone.
 ``random_search``     the best of some random gaits of six actions, for each reference
 ===================== ========================================================================
 
-All but the last are open loop. The search plant, as a rule a surrogate of the fin, is all that they
-learn from.
+All are open loop. They use only the search plant, usually a surrogate of the fin.
 """
 
 from collections.abc import Callable, Mapping
@@ -51,12 +50,12 @@ class BaselinesConfig(ExperimentsConfig):
     """Coefficients of the inverse model."""
     inverse_frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(2.1, 1.1, 1.0), min_length=1)
     """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1
-    Hz, whose periods fill the window of 2 s: those of the other two leave a ripple in its mean that
-    is not the model's error."""
+    Hz, whose periods fill the window of 2 s; the other two leave a ripple in its mean that is not
+    an error of the model."""
 
     @property
     def experiments(self) -> EvaluateConfig:
-        """The experiments that controllers would be scored by."""
+        """The experiments by which controllers would be scored."""
         return EvaluateConfig(
             references=self.references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
         )
@@ -68,14 +67,14 @@ def evaluate_baselines(
     config: BaselinesConfig,
     report: Callable[[float, str], None] = lambda *_: None,
 ) -> Baselines:
-    """Find the baselines on one plant and evaluate them on another, the same one or the fin that it
-    stands for.
+    """Find the baselines on one plant and evaluate them on another: the same one, or the fin that
+    it models.
 
-    Returns by name, as ``baselines``, what `Evaluation.summary` gives, with what was ``commanded``
-    for each reference: a sine with the fraction of ticks at which the plant's limits clipped its
-    angle or velocity, or a gait; and as ``left_out`` why a baseline has no scores. `report` is
-    called with the done part (0 .. 1) and a note. Raises PlantError where no command suits both
-    plants.
+    Returns by name, as ``baselines``, the result of `Evaluation.summary`, with what was
+    ``commanded`` for each reference: a sine with the fraction of ticks at which the plant's limits
+    clipped its angle or velocity, or a gait; and as ``left_out`` why a baseline has no scores.
+    `report` is called with the completed fraction (0 .. 1) and a note. Raises PlantError if no
+    command is valid for both plants.
     """
     references = np.asarray(config.references, np.float64)
     seconds = config.seconds
@@ -152,7 +151,7 @@ def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -
 
 
 def shared_limits(one: Limits, other: Limits) -> Limits:
-    """The commands that two plants both take; raises PlantError where there are none."""
+    """Return the commands that both plants accept; raises PlantError if there are none."""
     low = np.maximum(one, other).tolist()
     high = np.minimum(one, other).tolist()
     limits = Limits(low[0], high[1], low[2], high[3])
@@ -175,5 +174,5 @@ def write_baselines(result: Mapping[str, object], out: Path, overwrite: bool = F
 
 
 def _rounded(values: Any) -> list[float]:
-    # A zero without a sign.
+    # Removes the sign of a zero.
     return [round(float(value), 4) + 0.0 for value in values]

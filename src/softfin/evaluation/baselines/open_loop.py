@@ -1,13 +1,13 @@
-"""Open-loop commands, tried on a plant, as a rule a surrogate: sines of the shaft, the U-CAT
-robots' model, gaits.
+"""Open-loop commands, tried on a plant, usually a surrogate: sines of the shaft, the U-CAT robots'
+model, gaits.
 
-Commands are issued one a tick, so that a sine can be commanded; an action held for 33 ticks is 33
-equal commands.
+Commands are issued once per tick, so that a sine can be commanded; an action held for 33 ticks is
+33 equal commands.
 
-The drive runs a velocity profile to its target angle, so the target goes along the sine and the
-profile velocity, which is a ceiling, stays at the sine's greatest speed. A ceiling that follows the
-sine's own speed holds the profile back at each turn: on the virtual tank a sine of 0.4 rad and 2 Hz
-then comes out as one of 0.25 rad, and as 0.39 rad this way.
+The drive runs a velocity profile to its target angle, so the target follows the sine, and the
+profile velocity, which is a limit, stays at the largest speed of the sine. A limit that followed
+the speed of the sine would hold the profile back at each reversal: in the virtual tank a sine of
+0.4 rad and 2 Hz would become one of 0.25 rad; this way it reaches 0.39 rad.
 
 The inverse model, `softfin.gaits.inverse_model`, chooses a sine for a force.
 """
@@ -39,36 +39,36 @@ Sines = Float[np.ndarray, "cases 3"]
 """Centre [rad], amplitude [rad] and frequency [Hz]."""
 
 CHUNK = 256
-"""Cases that run side by side at most: one compiled program serves any greater number of them."""
+"""Largest number of cases that run together: one compiled program works for any larger number."""
 
 OFFSETS = np.array(list(product(range(-2, 3), repeat=2)))
-"""Steps of centre and amplitude to the 5 x 5 sines round one that is refined."""
+"""Steps of centre and amplitude to the 5 x 5 sines around one that is refined."""
 
 ROUNDING = 1e-6
-"""Rounding of single precision about the greatest angles [rad] and velocities [rad/s]."""
+"""Rounding error of single precision at the largest angles [rad] and velocities [rad/s]."""
 
 
 class ShaftSine(NamedTuple):
     """angle(t) = centre + amplitude sin(2 pi frequency t)."""
 
     centre: Float[AnyArray, "*shape"]
-    """Angle in the middle [rad]."""
+    """Centre angle [rad]."""
     amplitude: Float[AnyArray, "*shape"]
-    """Greatest distance from the middle [rad]."""
+    """Amplitude [rad]."""
     frequency: Float[AnyArray, "*shape"]
     """Periods a second [Hz]."""
 
     def commands(
         self, limits: Limits, ticks: int
     ) -> tuple[Command, Float[Array, "*shape"], Float[Array, "*shape"]]:
-        """Commands ``(*shape, ticks)`` within the limits, and fractions of ticks of which these
-        clip angle and speed.
+        """Return commands ``(*shape, ticks)`` within the limits, and the fractions of ticks at
+        which these clip angle and speed.
 
-        A profile velocity that is raised to the plant's least one clips nothing: the target angle
-        still sets the pace.
+        A profile velocity that is raised to the plant's lowest one clips nothing, because the
+        target angle still sets the pace.
         """
         centre, amplitude, frequency = (jnp.asarray(part, jnp.float32)[..., None] for part in self)
-        # The command of a tick shows in the reading at its end.
+        # The command of a tick affects the reading at its end.
         turn = 2 * jnp.pi * frequency * (jnp.arange(ticks) + 1) * TICK_S
         angle = centre + amplitude * jnp.sin(turn)
         fastest = 2 * jnp.pi * frequency * amplitude
@@ -88,11 +88,11 @@ def inverse(
     config: InverseConfig,
     constant: float,
 ) -> tuple[ShaftSine, list[JsonObject]]:
-    """The sine that should give each force (x, y) [N] on average; `constant` is K [N s2], the
-    config's or a fitted one.
+    """Return the sine that should give each force (x, y) [N] on average; `constant` is K [N s2],
+    the config's or a fitted one.
 
-    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi where no
-    amplitude gives as much) and the centre to the angles that the plant takes. Thrust at angle
+    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi if no
+    amplitude is large enough) and the centre to the angles that the plant accepts. Thrust at angle
     theta points along (cos theta, -sin theta), so a force towards -y is made at a positive angle.
     """
     wanted = np.arctan2(-force[:, 1], force[:, 0])
@@ -121,22 +121,21 @@ class SearchConfig(Configuration):
     """Frequencies of the sines [Hz]; whole periods fill the window of 2 s, so that its mean has no
     ripple."""
     centres: int = Field(default=13, ge=2)
-    """Zero directions of the first lattice, over the angles that the plant takes."""
+    """Number of zero directions in the first lattice, over the angles that the plant accepts."""
     amplitudes: int = Field(default=8, ge=2)
-    """Amplitudes of the first lattice, up to `amplitude_max_rad`."""
+    """Number of amplitudes in the first lattice, up to `amplitude_max_rad`."""
     amplitude_max_rad: float = Field(default=1.5, gt=0, le=np.pi)
-    """Greatest amplitude of a sine [rad]."""
+    """Largest amplitude of a sine [rad]."""
     kept: PositiveInt = 4
-    """Sines that are refined for each reference."""
+    """Number of sines that are refined for each reference."""
     refinements: int = Field(default=4, ge=0)
-    """Rounds; each halves the steps of centre and amplitude and tries the 5 x 5 sines round each
-    kept one."""
+    """Number of rounds; each halves the steps of centre and amplitude and tries the 5 x 5 sines
+    around each kept one."""
     gaits: PositiveInt = 256
-    """Random gaits of six actions: some 20 s of what a surrogate learnt from, as many as a look-up
-    table might hold."""
+    """Number of random gaits of six actions: as many as a look-up table might contain."""
     trials: int = Field(default=6, ge=1)
-    """Sines straight ahead that the inverse model's constant is fitted to, over the driver's
-    amplitudes."""
+    """Number of sines straight ahead to which the inverse model's constant is fitted, over the
+    driver's amplitudes."""
 
 
 @eqx.filter_jit
@@ -146,7 +145,7 @@ def run_commands(
     """Issue every series of commands with every key of the plant, each from rest.
 
     Returns the readings ``(cases, seeds, ticks)`` and the true force ``(cases, seeds, ticks, 2)``
-    [N], None where the plant does not know it. `plant` as `jit_argument` makes it.
+    [N], or None if the plant does not know it. `plant` is the result of `jit_argument`.
     """
 
     def one(command: Command, key: PRNGKeyArray) -> tuple[Reading, Array | None]:
@@ -158,7 +157,7 @@ def run_commands(
 
 
 def repeated(gaits: Command, seconds: int) -> Command:
-    """Hold gaits of six actions on the 33/33/34 clock, again and again: one command a tick."""
+    """Repeat gaits of six actions on the 33/33/34 clock: one command per tick."""
     actions = np.arange(CYCLE_ACTIONS * seconds) % CYCLE_ACTIONS
     rows = np.repeat(actions, action_ticks(len(actions)))[: seconds * RATE_HZ]
     return Command(*(np.asarray(part)[..., rows].astype(np.float32) for part in gaits))
@@ -167,18 +166,19 @@ def repeated(gaits: Command, seconds: int) -> Command:
 def force_errors(
     forces: MeanForces, references: ReferenceRows
 ) -> Float[np.ndarray, "cases references"]:
-    """Error of each case at each reference: those of x and y together [N], as in Table II."""
+    """Return the error of each case at each reference: those of x and y combined [N], as in Table
+    II."""
     return np.stack(
         [moving_error(forces, reference).sum(axis=1) for reference in references], axis=1
     )
 
 
 class OpenLoopSearch(NamedTuple):
-    """Sines and gaits tried on a plant."""
+    """Tries sines and gaits on a plant."""
 
     plant: Plant
     limits: Limits
-    """Limits that the commands keep."""
+    """Limits of the commands."""
     config: SearchConfig
     seed: int
 
@@ -186,7 +186,7 @@ class OpenLoopSearch(NamedTuple):
         """Forces of many series of commands, all with one key."""
         count = len(commands.angle)
         size = min(CHUNK, count)
-        # Filled up with repetitions of the last case, whose forces are dropped again.
+        # Padded with repetitions of the last case, whose forces are dropped again.
         padded = Command(
             *(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands)
         )
@@ -204,8 +204,8 @@ class OpenLoopSearch(NamedTuple):
         )
 
     def best_sines(self, references: ReferenceRows) -> ShaftSine:
-        """Find the sine of least error for each reference: in a lattice, then in finer ones round
-        the best of each."""
+        """Find the sine with the smallest error for each reference: in a lattice, then in finer
+        ones around the best of each."""
         config = self.config
         low, high = np.array(
             [(self.limits.angle_min, 0.0), (self.limits.angle_max, config.amplitude_max_rad)]
@@ -242,8 +242,8 @@ class OpenLoopSearch(NamedTuple):
         return ShaftSine(*np.stack([points[error.argmin()] for points, error in tried], axis=1))
 
     def best_gaits(self, references: ReferenceRows) -> Command:
-        """Find the gait of least error for each reference, ``(references, 6)``, of the same few
-        random ones."""
+        """Find the gait with the smallest error for each reference, ``(references, 6)``, among the
+        same random ones."""
         limits = self.limits
         generator = named_generator(self.seed, "baselines/gaits")
         shape = (self.config.gaits, CYCLE_ACTIONS)
@@ -257,8 +257,8 @@ class OpenLoopSearch(NamedTuple):
         return Command(*(part[best] for part in gaits))
 
     def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
-        """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError
-        where it pulls."""
+        """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError if
+        it pulls."""
         amplitude = np.linspace(*amplitudes, self.config.trials)
         forces = self.forces_of_sines(
             np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1)

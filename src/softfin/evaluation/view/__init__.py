@@ -1,2 +1,1 @@
-"""A fin to look at: a plant is rolled and drawn, its bent shape, its force and the traces, as a
-film or a page."""
+"""Animations of a fin: its bent shape, its force and their traces, as a film or a page."""

@@ -1,4 +1,4 @@
-"""A footage as a file: a GIF or PNG through Pillow, or an HTML page that plays it by itself."""
+"""Writes footage as a file: a GIF or PNG by Pillow, or a self-contained HTML page that plays it."""
 
 import importlib.resources
 import io
@@ -20,21 +20,20 @@ from softfin.evaluation.view.picture import TRAIL_TICKS, Picture
 from softfin.storage import artifact as artifacts
 
 ReportPart = Callable[[float], None]
-"""Called with the part that is done (0 .. 1)."""
+"""Function that is called with the completed fraction (0 .. 1)."""
 
 SHAPE_UNIT_M = 1e-4
-"""Unit of a page's shapes, which are whole numbers: a fifth of a pixel, in few bytes."""
+"""Unit of a page's shapes, which are stored as whole numbers: a fifth of a pixel, and small."""
 
 
 def shown_ticks(ticks: int, frames_per_second: int) -> range:
-    """Return the ticks that are shown, in real time, the last one among them."""
+    """Return the ticks that are shown, in real time, including the last one."""
     step = RATE_HZ // frames_per_second
     return range((ticks - 1) % step, ticks, step)
 
 
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: ReportPart) -> None:
-    """Write all frames, in a loop. All of them share a palette, so that what stays costs no
-    bytes."""
+    """Write all frames, in a loop. They share a palette, so that static parts cost no bytes."""
     ticks = shown_ticks(len(picture.footage.shape), frames_per_second)
     palette = PIL.Image.fromarray(picture.frame(-1)).quantize(method=PIL.Image.Quantize.MAXCOVERAGE)
 
@@ -46,7 +45,7 @@ def write_gif(path: Path, picture: Picture, frames_per_second: int, report: Repo
 
     first, *others = quantized_frames()
     buffer = io.BytesIO()
-    # Browsers slow down a GIF whose frames take less than 2 hundredths of a second.
+    # Browsers slow down a GIF whose frames are shorter than 2 hundredths of a second.
     first.save(
         buffer,
         "GIF",
@@ -66,7 +65,7 @@ def write_png(path: Path, picture: Picture) -> None:
 
 
 def write_page(path: Path, footage: Footage, title: str) -> None:
-    """Write the page: canvas and plain JavaScript, nothing fetched."""
+    """Write the page: canvas and plain JavaScript, without a network."""
     template, script = (
         importlib.resources.files("softfin.evaluation.view").joinpath(name).read_text("utf-8")
         for name in ("page.html.jinja", "page.js")

@@ -1,7 +1,7 @@
-"""Record of what can be seen of a plant: rolled tick by tick, with the fin's shape wherever the
-plant computes it.
+"""Records what can be seen of a plant: simulated tick by tick, with the fin's shape if the plant
+computes it.
 
-Commands go in, a Footage comes out, and the Scale by which film and page draw it. A plant may have
+Commands go in; a Footage comes out, with the Scale at which film and page draw it. A plant may have
 a method ``shape(state)``, as the virtual tank does: points ``(points, 2)`` from the shaft to the
 tip [m], in the tank's axes.
 """
@@ -23,8 +23,8 @@ from softfin.tank import Tank, TankConfig
 
 LONGEST = 0.65
 MEAN_LONGEST = 0.4
-"""Length of the arrows of the greatest force, and of the greatest reference or mean force, over
-that of the fin; the second would be too short to see beside the peaks of a stroke."""
+"""Length of the arrows of the largest force, and of the largest reference or mean force, relative
+to the fin; on the same scale the second would be too short to see next to the peaks of a stroke."""
 
 AxisRange = tuple[float, float]
 FootageSeries = Float[np.ndarray, "ticks 2"]
@@ -35,31 +35,30 @@ class Footage(NamedTuple):
     """A fin in motion, in ticks of 10 ms."""
 
     command: Command
-    """Fields ``(ticks,)``: the command under which the reading of that tick came about."""
+    """Fields ``(ticks,)``: the command in force before the reading of that tick."""
     reading: Reading
     """Fields ``(ticks,)``, force ``(ticks, 2)``."""
     true_force: FootageSeries | None
-    """Force on the mount without the errors of the sensor [N]; None if the plant has only
-    readings."""
+    """Force on the mount without sensor errors [N]; None if the plant has only readings."""
     average: Float[np.ndarray, "windows 2"]
-    """Mean of the drawn force over the last 200 samples, from the first instant at which all are
-    there [N]."""
+    """Mean of the drawn force over the last 200 samples, from the first instant at which all exist
+    [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
-    """Middle line of the fin from the shaft to the tip [m]."""
+    """Centre line of the fin from the shaft to the tip [m]."""
     length_m: float
     """Length of the fin from the shaft to the tip [m]."""
     shape_known: bool
-    """Whether the plant computes the shape; if not, it is a line at the shaft's angle, as long as
-    the default fin."""
+    """Whether the plant computes the shape; if not, the shape is a straight line at the shaft's
+    angle, as long as the default fin."""
     thickness: Float[np.ndarray, " points"]
-    """Thickness at the same points [m]; that of the default fin, in proportion, where the plant is
-    not a tank."""
+    """Thickness at the same points [m]; that of the default fin, scaled, if the plant is not a
+    tank."""
     reference: FootageSeries | None
-    """The force that a controller was asked for [N]."""
+    """The reference of the controller [N]."""
 
     @property
     def force(self) -> FootageSeries:
-        """Force that is drawn [N]: the true one if it is known, else the reading."""
+        """Force that is drawn [N]: the true one if it is known, otherwise the reading."""
         return np.asarray(self.reading.force if self.true_force is None else self.true_force)
 
 
@@ -71,8 +70,8 @@ plant lacks."""
 def film(
     plant: Plant, key: PRNGKeyArray, commands: Command, reference: FootageSeries | None = None
 ) -> Footage:
-    """Roll the plant from rest, one command a tick, ``(ticks,)``, that follow a reference where
-    there is one."""
+    """Simulate the plant from rest, with one command per tick, ``(ticks,)``, which may follow a
+    reference."""
     issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
     command, seen = jax.tree.map(np.asarray, (issued, shots))
@@ -80,8 +79,8 @@ def film(
 
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
-    """Roll the plant from a state, one command a tick, ``(ticks,)``, and keep what can be seen;
-    traceable."""
+    """Simulate the plant from a state, with one command per tick, ``(ticks,)``, and keep what can
+    be seen; traceable."""
     shape_of: Callable[[State], Array | None] = getattr(plant, "shape", lambda state: None)
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
@@ -96,7 +95,7 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 def develop(
     plant: Plant, command: Command, shots: Shots, reference: FootageSeries | None
 ) -> Footage:
-    """The footage of what was shot under the commands, all as NumPy arrays; raises PlantError for
+    """Return the footage of a simulation under the commands, as NumPy arrays; raises PlantError for
     wrong shapes."""
     reading, shape, true_force = shots
     name = type(plant).__name__
@@ -136,8 +135,8 @@ def develop(
 
 
 class Scale(NamedTuple):
-    """Scale of one drawing, the same for all its frames: what is seen of the tank, and how long a
-    newton is drawn."""
+    """Scale of one drawing, the same for all its frames: the visible part of the tank, and the
+    length of a newton."""
 
     length_m: float
     """Length of the fin [m]."""
@@ -150,7 +149,7 @@ class Scale(NamedTuple):
     mean_key_n: float
     """A round force for their key [N]."""
     x: AxisRange
-    """Seen part of the tank [m]."""
+    """Visible part of the tank [m]."""
     y: AxisRange
     force: AxisRange
     """Axis of the force traces [N]."""
@@ -159,8 +158,8 @@ class Scale(NamedTuple):
 
 
 def max_sizes(footage: Footage) -> Float[np.ndarray, "2"]:
-    """Return the sizes of the greatest force, and reference or mean force [N]; 0 where it has
-    none."""
+    """Return the sizes of the largest force, and of the largest reference or mean force [N]; 0 if
+    it has none."""
     means = np.concatenate(
         [footage.average, NONE if footage.reference is None else footage.reference]
     )
@@ -172,8 +171,8 @@ def choose_scale(
 ) -> Scale:
     """Return the scale by which fin and arrows stay in the picture at every tick.
 
-    Of a footage that is still growing, up to the `greatest` sizes, wherever the fin turns within
-    the `angle` [rad].
+    For footage that is still growing, it holds up to the `greatest` sizes while the fin stays
+    within the `angle` [rad].
     """
     length = footage.length_m
     force = np.asarray(footage.force, float)
@@ -184,7 +183,7 @@ def choose_scale(
     axis = (-force_n, force_n)
     if greatest is None:
         axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))
-        # Half a newton at least, so that the noise of a fin at rest is not blown up.
+        # At least half a newton, so that the noise of a fin at rest is not magnified.
         force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
         mean_n = force_n if footage.reference is None else max(mean_n, 0.25)
     per_newton = LONGEST * length / force_n

@@ -1,7 +1,8 @@
-"""Frames of a footage, drawn by Matplotlib: what stays is drawn once, what moves over a copy of it.
+"""Frames of footage, drawn by Matplotlib: static parts are drawn once, and moving parts over a copy
+of them.
 
-A footage goes in, images of ``(height, width, 3)`` bytes come out; `files` writes them. An
-EpisodeFilm is the picture of an episode of the Gymnasium environment while it goes on.
+Footage goes in, images of ``(height, width, 3)`` bytes come out; `files` writes them. An
+EpisodeFilm draws an episode of the Gymnasium environment while it runs.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,23 +41,24 @@ FIN = "#3E4C59"
 WATER = "#F1F6FA"
 
 TRAIL_TICKS = (5, 10, 15, 20, 25)
-"""How long ago the faint shapes behind the fin were [10 ms]."""
+"""Ages of the faint shapes behind the fin [10 ms]."""
 
 PANEL = 0.92
-"""Width over height of the part of the tank that is seen, about that of its place in the figure."""
+"""Ratio of width to height of the visible part of the tank, about that of its panel in the
+figure."""
 
 ARROW = 0.035
-"""Width of the arrow of the force over the length of the fin."""
+"""Width of the force arrow relative to the length of the fin."""
 
 PIECES = 6
-"""Straight pieces drawn between two points of the fin."""
+"""Number of straight pieces drawn between two points of the fin."""
 
 
 class Picture:
-    """A figure whose moving parts are set to one tick after the other.
+    """A figure whose moving parts are set to one tick after another.
 
-    Of a footage that is still `growing`, its scale and the seconds of the time axis are given;
-    nothing lies ahead then.
+    For footage that is still `growing`, its scale and the seconds of the time axis are given, and
+    nothing is drawn in advance.
     """
 
     def __init__(
@@ -66,16 +68,16 @@ class Picture:
         dots_per_inch: int = 100,
         growing: tuple[Scale, float] | None = None,
     ) -> None:
-        # As Any: what a footage may lack is drawn only where it is there.
+        # Typed as Any, because optional parts of the footage are drawn only if they exist.
         self.footage: Any = footage
         self._growing = growing is not None
         self.scale, self._seconds = growing or (choose_scale(footage), len(footage.shape) * TICK_S)
-        # Artists that move, each with how it is set to a tick.
+        # Moving artists, each with the function that sets it to a tick.
         self._moving: list[tuple[Any, Callable[[int], Any]]] = []
         with styled():
             self.figure = new_figure(9.6, 5.2)
             self.figure.set_dpi(dots_per_inch)
-            # As Any, because Matplotlib's canvas has no types.
+            # Typed as Any, because Matplotlib's canvas has no types.
             self._canvas = cast(Any, FigureCanvasAgg(self.figure))
             grid = self.figure.add_gridspec(3, 2, width_ratios=(1.05, 1))
             self._draw_tank(self.figure.add_subplot(grid[:, 0]), title)
@@ -86,7 +88,7 @@ class Picture:
         self._still = self._canvas.copy_from_bbox(self.figure.bbox)
 
     def frame(self, tick: int) -> Image:
-        """The picture at a tick, counted from 0; -1 is the last one."""
+        """Return the picture at a tick, counted from 0; -1 is the last one."""
         self._canvas.restore_region(self._still)
         for artist, update in self._moving:
             update(tick % len(self.footage.shape))
@@ -106,7 +108,7 @@ class Picture:
         footage = self.footage
         scale = self.scale
         length = self.scale.length_m
-        # A band above for clock and keys, and one below where there is a note.
+        # A band at the top for clock and keys, and one at the bottom if there is a note.
         above = 0.16 * length if footage.reference is None else 0.27 * length
         below = 0.0 if footage.shape_known else 0.16 * length
         xlim, ylim = _filling(scale.x, (scale.y[0] - below, scale.y[1] + above))
@@ -160,7 +162,7 @@ class Picture:
             axes.text(0.03, 0.03, "shape not known: drawn straight", color=GREY, **corner)
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
-        """Draw round forces, to measure the arrows by."""
+        """Draw arrows of round forces as a key."""
         scale = self.scale
         name = "force" if self.footage.true_force is None else "true force"
         keys = [(f"{name} {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]
@@ -195,7 +197,7 @@ class Picture:
         self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
         self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
-        # A true force is not measured.
+        # A true force is not a measurement.
         is_read = self.footage.true_force is None
         force, blue = ("force", "measured") if is_read else ("true force", "angle, true force")
         for i, axes in enumerate(forces):
@@ -236,7 +238,7 @@ class Picture:
         *,
         style: str = "default",
     ) -> None:
-        """Draw what has passed in full, and the whole of it faint, where that is known; `start` is
+        """Draw the past of a series, and all of it in a lighter colour if it is known; `start` is
         its first tick."""
 
         def times(series: Any) -> Any:
@@ -256,10 +258,10 @@ class Picture:
 
 
 class EpisodeFilm:
-    """Picture of a plant that is recorded action by action.
+    """Draws a plant that is recorded action by action.
 
-    For that the plant is rolled a second time, tick by tick: it is pure, so it moves as it did for
-    the task.
+    The plant is simulated a second time, tick by tick: it is pure, so it moves as it did for the
+    task.
     """
 
     def __init__(self, plant: Plant, seconds: float, greatest_reference_n: float) -> None:
@@ -273,22 +275,20 @@ class EpisodeFilm:
         self._picture: Picture | None = None
 
     def reset(self, state: State, reference: Float[np.ndarray, "2"]) -> None:
-        """Begin with a fin at rest, as it is one tick later; the first action takes the place of
-        that tick."""
+        """Begin with a fin at rest, one tick later; the first action replaces that tick."""
         self._rest = self._roll(state, rest_command(self._limits), 1, reference)
         self._actions = []
 
     def add(
         self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]
     ) -> None:
-        """Add an action: the plant before it, its command, how long it is held, the reference
-        [N]."""
+        """Add an action: the plant before it, its command, its duration, and the reference [N]."""
         self._actions.append(self._roll(state, command, ticks, reference))
 
     def _roll(
         self, state: State, command: Command, ticks: int, reference: Float[np.ndarray, "2"]
     ) -> Any:
-        # One compiled program, for the longest: a tick does not depend on those that follow.
+        # One compiled program, for the longest action: a tick does not depend on those that follow.
         commands = Command(*(jnp.full(MAX_ACTION_TICKS, field, jnp.float32) for field in command))
         rolled = jax.tree.map(
             lambda x: np.asarray(x)[:ticks], (commands, self._shoot(state, commands))
@@ -296,14 +296,14 @@ class EpisodeFilm:
         return *rolled, np.tile(np.asarray(reference, np.float32), (ticks, 1))
 
     def frame(self) -> Image:
-        """The picture of this moment."""
+        """Return the picture of this moment."""
         parts = self._actions or [self._rest]
         command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
         footage = develop(self._plant, command, shots, reference)
         greatest = max_sizes(footage)
         outgrown = greatest > self._greatest
         if self._picture is None or outgrown.any():
-            # Twice as much as is needed, so that the scale seldom changes.
+            # Twice the required range, so that the scale rarely changes.
             self._greatest = np.where(outgrown, 2 * greatest, self._greatest)
             scale = choose_scale(
                 footage, self._greatest, (self._limits.angle_min, self._limits.angle_max)
@@ -319,7 +319,7 @@ class EpisodeFilm:
 
 
 def _filling(x: AxisRange, y: AxisRange) -> tuple[AxisRange, AxisRange]:
-    """Both ranges, the one that is too short for the shape of the panel made longer at both
+    """Return both ranges; the one that is too short for the shape of the panel is extended at both
     ends."""
     width = x[1] - x[0]
     height = y[1] - y[0]
@@ -329,7 +329,7 @@ def _filling(x: AxisRange, y: AxisRange) -> tuple[AxisRange, AxisRange]:
 
 
 def smooth(points: OutlinePoints) -> Float[np.ndarray, "pieces 2"]:
-    """A curve through the points (Catmull and Rom 1974)."""
+    """Return a curve through the points (Catmull and Rom 1974)."""
     places = np.arange(len(points))
     curve = CubicHermiteSpline(places, points, np.gradient(points, axis=0))
     return np.asarray(curve(np.linspace(0, places[-1], places[-1] * PIECES + 1)))
@@ -338,8 +338,8 @@ def smooth(points: OutlinePoints) -> Float[np.ndarray, "pieces 2"]:
 def fin_outline(
     middle: OutlinePoints, thickness: Float[np.ndarray, " points"]
 ) -> Float[np.ndarray, "corners 2"]:
-    """Outline of a fin with `thickness` at the points of its middle line, smoothed, with a rounded
-    tip."""
+    """Return the outline of a fin with `thickness` at the points of its centre line, smoothed, with
+    a rounded tip."""
     line = smooth(middle)
     half = np.interp(np.linspace(0, 1, len(line)), np.linspace(0, 1, len(thickness)), thickness) / 2
     along = np.gradient(line, axis=0)
@@ -352,8 +352,8 @@ def fin_outline(
 
 
 def arrow_outline(vector: Float[np.ndarray, "2"], width_m: float) -> Float[np.ndarray, "7 2"]:
-    """Outline of an arrow from the shaft; a short one is narrower, so that it keeps its look and
-    vanishes at zero."""
+    """Return the outline of an arrow from the shaft; a short one is narrower, so that it keeps its
+    shape and vanishes at zero."""
     length = float(np.linalg.norm(vector))
     along = vector / length if length > 0 else np.zeros(2)
     head = min(3.2 * width_m, 0.6 * length)

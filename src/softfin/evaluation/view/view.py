@@ -1,5 +1,5 @@
-"""A plant made visible: what it is commanded is decided here, then filmed, then drawn as the kind
-of file asked for."""
+"""Animates a plant: chooses its commands, simulates it, and draws it as the requested kind of
+file."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -28,21 +28,21 @@ Reference = tuple[float, float]
 
 
 class StrokeGaitConfig(Configuration):
-    """The simplest gait: strokes to either side of a centre, one an action of the 3 Hz clock."""
+    """The simplest gait: strokes to both sides of a centre, one per action of the 3 Hz clock."""
 
     centre_rad: float = 0.0
     """Angle about which the fin strokes [rad]; the mean force turns with it, a positive one towards
     -y."""
     amplitude_rad: float = Field(0.5, ge=0)
-    """Greatest commanded angle on either side of the centre [rad]; half a radian swims forward."""
+    """Largest commanded angle on both sides of the centre [rad]; half a radian swims forward."""
     velocity_rad_s: float | None = Field(None, gt=0)
-    """Velocity of each stroke [rad/s]; None: what fills two thirds of an action, within the plant's
-    limits."""
+    """Velocity of each stroke [rad/s]; None: so that a stroke takes two thirds of an action, within
+    the plant's limits."""
 
 
 def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command:
-    """One command a tick, fields ``(ticks,)``; raises CommandError for what the plant does not
-    take."""
+    """Return one command per tick, fields ``(ticks,)``; raises CommandError for commands outside
+    the plant's limits."""
     filling = min(
         max(2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3), limits.velocity_min),
         limits.velocity_max,
@@ -61,9 +61,10 @@ class ViewConfig(Configuration):
     """Configuration of a view: plant, motion, duration."""
 
     seconds: float = Field(10.0, ge=0.1, le=60)
-    """Length in the plant's time, from rest [s]; ten show the mean over 2 s settle."""
+    """Duration of the plant's time, from rest [s]; in ten seconds the mean over 2 s settles."""
     frames_per_second: Literal[10, 20, 25, 50] = 25
-    """Frames of a GIF, in real time [1/s]: whole numbers of 10 ms apart, as GIF counts."""
+    """Frames of a GIF, in real time [1/s]: the period is a whole number of 10 ms, the unit of
+    GIF."""
     dots_per_inch: int = Field(100, ge=50, le=300, multiple_of=10)
     """Resolution of GIF and PNG, which are 9.6 by 5.2 inch [1/in]."""
     seed: int = Field(0, ge=0)
@@ -71,12 +72,11 @@ class ViewConfig(Configuration):
     gait: StrokeGaitConfig = StrokeGaitConfig()
     """Commands of the fin, unless a controller or random commands move it."""
     random: bool = False
-    """Random commands, such as datasets are recorded under, in place of the gait."""
+    """Random commands, as in recordings of datasets, in place of the gait."""
     excitation: ExcitationConfig = ExcitationConfig()
     """The random commands."""
     next_references: tuple[Reference, ...] = ()
-    """References (x, y) [N] that a controller is asked for after its first, each for an equal part
-    of the time."""
+    """References (x, y) [N] after the first one, each for an equal part of the time."""
 
 
 def record_footage(
@@ -88,7 +88,7 @@ def record_footage(
     """The plant under the configuration's commands, or under those of a controller that tracks a
     reference [N].
 
-    Raises CoverageError where the controller was not trained for one of those that follow.
+    Raises CoverageError if the controller was not trained for one of the later ones.
     """
     ticks = round(config.seconds * RATE_HZ)
     key = named_key(config.seed, "view/plant")
@@ -101,7 +101,7 @@ def record_footage(
         seconds = -(-ticks // RATE_HZ)
         asked = Recorded(time_s=times, force_n=references).sample(seconds * RATE_HZ)
         recording = experiment.run(controller, plant, asked[None], seconds, key[None])
-        # The plant is pure: under the same commands and key it moves again as it did for the
+        # The plant is pure: under the same commands and key it moves exactly as it did for the
         # controller.
         held: Command = jax.tree.map(lambda x: x[0, 0, :ticks], recording.command)
         return film(plant, key, held, asked[:ticks])

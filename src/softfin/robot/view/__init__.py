@@ -1,1 +1,1 @@
-"""A robot's trial as a page in three dimensions."""
+"""A three-dimensional page of a robot's trial."""

@@ -1,5 +1,5 @@
-"""A trial as one HTML page that plays it in three dimensions; three.js (MIT licence) is part of the
-page."""
+"""Writes a trial as one HTML page that plays it in three dimensions; three.js (MIT licence) is
+included in the page."""
 
 import base64
 import importlib.resources
@@ -19,17 +19,17 @@ from softfin.robot.trial import Record
 from softfin.storage import artifact as artifacts
 
 FRAME_TICKS = 5
-"""Ticks between two frames of the page, which blends in between."""
+"""Ticks between two frames of the page, which interpolates in between."""
 
 ROBOT_SHAPE_UNIT_M = 1e-4
-"""Unit of the fins' shapes, which are whole numbers: finer than a pixel, in few bytes."""
+"""Unit of the fins' shapes, which are stored as whole numbers: finer than a pixel, and small."""
 
 FIN_SPAN_M = 0.081
-"""Width at which a fin is drawn [m]."""
+"""Width with which a fin is drawn [m]."""
 
 
 def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
-    """Write the page: nothing is fetched."""
+    """Write the page; it needs no network."""
     folder = importlib.resources.files("softfin.robot.view")
     template, script = (
         folder.joinpath(name).read_text("utf-8") for name in ("page.html.jinja", "page.js")
@@ -94,8 +94,8 @@ def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
 
 
 def _recent_mean(wrench: np.ndarray) -> np.ndarray:
-    """Mean over the period of two strokes that ends at each tick: what the body feels of the
-    fins."""
+    """Return the mean over the period of two strokes that ends at each tick: the effect of the fins
+    on the body."""
     ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
     start = np.maximum(np.arange(len(wrench)) + 1 - ticks, 0)

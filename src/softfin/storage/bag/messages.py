@@ -1,5 +1,5 @@
-"""Content of softfin's bags: topics, their messages as CDR, and definitions by which any reader
-decodes them.
+"""Content of softfin's bags: topics, their messages as CDR, and definitions with which any reader
+can decode them.
 
 Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``:
 readers refuse others.
@@ -51,8 +51,8 @@ FIELDS = {
     ),
     FLOAT: ("data",),
 }
-"""Paths of the values: angle and velocity [rad, rad/s], force and torque [N, N m], a current
-[A]."""
+"""Paths of the values in the messages: angle and velocity [rad, rad/s], force and torque [N, N m],
+a current [A]."""
 
 FRAME = "fin"
 """Frame of the force and name of the joint."""
@@ -75,8 +75,9 @@ def cdr(
 ) -> bytes:
     """The bytes of a message, in OMG's CDR as ROS 2 uses it; the stamp is the time since 1970 [ns].
 
-    rosbags serialises each kind once. The numbers are then written into a copy, seven times as
-    fast: the control loop waits for Python while the recorder packs.
+    rosbags serialises each kind once; the numbers are then written into a copy, which is seven
+    times as fast. Speed matters because the recorder holds Python's lock while the control loop
+    waits.
     """
     if isinstance(values, str):
         return serialized(kind, {"data": values.encode(errors="replace").decode()})
@@ -91,7 +92,7 @@ def cdr(
 
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
-    """A message as rosbags serialises it, and the places of its values."""
+    """A message as rosbags serialises it, and the offsets of its values."""
     names = (
         {}
         if kind == FLOAT
@@ -110,11 +111,11 @@ def serialized(kind: str, values: Mapping[str, object], types: Typestore | None 
 
 
 def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """A field, as rosbags describes it, with values by their paths within it; other numbers are 0,
-    others empty.
+    """A field, as rosbags describes it, with values by their paths within it; all other numbers are
+    0, all other fields empty.
 
-    Sequences are as long as the paths go. Raises ValueError where there is no such field, or one of
-    another kind.
+    Sequences are as long as the paths require. Raises ValueError if there is no such field or it
+    has another type.
     """
     node, detail = descriptor
     if node is Nodetype.BASE:
@@ -149,10 +150,10 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
 
 
 class BagWriter:
-    """An MCAP file that is written to a stream, message by message.
+    """Writes an MCAP file to a stream, message by message.
 
-    Chunks are not compressed: of one that a power cut left half-written every whole message can be
-    read.
+    Chunks are not compressed: if a power cut leaves one half-written, every complete message in it
+    can be read.
     """
 
     def __init__(self, stream: object) -> None:
@@ -164,7 +165,8 @@ class BagWriter:
             )
             for kind in dict.fromkeys(TYPES.values())
         }
-        # MCAP's profile for ROS 2 requires the entry; empty is ROS 2's default quality of service.
+        # MCAP's profile for ROS 2 requires the entry; empty means ROS 2's default quality of
+        # service.
         quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
@@ -181,7 +183,7 @@ class BagWriter:
 
 
 def start_writer(stream: Any) -> Any:
-    """Start an MCAP file as all of softfin's are written."""
+    """Start an MCAP file with the settings of all softfin's bags."""
     writer: Any = Writer(stream, compression=CompressionType.NONE)
     writer.start(profile="ros2", library=f"softfin {importlib.metadata.version('softfin')}")
     return writer

@@ -1,8 +1,8 @@
-"""Bags that are whole, still grow, were cut off or damaged: bytes in, records of the mcap library
-or a whole bag out.
+"""Reads bags that are complete, still growing, cut off or damaged: bytes in, records of the mcap
+library or a complete bag out.
 
-The library's own readers need a file that ends as it should. Here a record counts as soon as it
-lies whole in the file, a chunk only if its length and its checksum are right.
+The library's own readers need a file with a proper end. Here a record counts as soon as it is
+complete in the file, a chunk only if its length and its checksum are right.
 """
 
 import contextlib
@@ -29,10 +29,10 @@ from softfin.storage.bag.messages import start_writer
 from softfin.storage.formats import check_file_format
 
 MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of a file."""
+"""First and last bytes of an MCAP file."""
 
 HEAD = struct.Struct("<BQ")
-"""Opcode and length, before each record."""
+"""Header of each record: opcode and length."""
 
 MAX_RECORD_BYTES = 64 * 2**20
 """Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
@@ -48,9 +48,9 @@ class RawRecord(NamedTuple):
     opcode: int
     start: int
     end: int
-    """Bytes of the file: the record's first, and the one that follows it."""
+    """Offsets of the record's first byte and of the byte after it."""
     content: bytes
-    """Bytes behind opcode and length; of an attachment none."""
+    """Bytes after the header; empty for an attachment."""
 
 
 class Damage(NamedTuple):
@@ -62,13 +62,13 @@ class Damage(NamedTuple):
 
 
 def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[RawRecord]:
-    """Yield the whole records between two bytes of a file; raises LogError at bytes that cannot be
-    a record."""
+    """Yield the complete records between two offsets of a file; raises LogError at bytes that
+    cannot be a record."""
     while start + HEAD.size <= size:
         file.seek(start)
         head = file.read(HEAD.size)
         if len(head) < HEAD.size or not any(head):
-            # Over a network, and after a power cut, the length of a file can be seen before its
+            # Over a network, and after a power cut, a file can have its final length before its
             # bytes.
             return
         opcode, length = HEAD.unpack(head)
@@ -84,7 +84,7 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
 
 
 def decode_bag_record(record: RawRecord) -> list[BagRecord]:
-    """Decode a record, of a chunk all that it holds; raises LogError where it is damaged."""
+    """Decode a record, or all records of a chunk; raises LogError if it is damaged."""
     stream = ReadDataStream(io.BytesIO(record.content))
     try:
         if record.opcode == Opcode.MESSAGE:
@@ -111,8 +111,8 @@ def decode_bag_record(record: RawRecord) -> list[BagRecord]:
 
 
 def scan(path: Path) -> Iterator[BagRecord | Damage]:
-    """Yield the records of a file in order, those in chunks too, and each damage where it is
-    met."""
+    """Yield the records of a file in order, including those in chunks, and each damaged part where
+    it occurs."""
     try:
         with path.open("rb") as file:
             yield from _scan(file, os.fstat(file.fileno()).st_size)
@@ -123,7 +123,7 @@ def scan(path: Path) -> Iterator[BagRecord | Damage]:
 
 
 def check_bag(path: Path) -> None:
-    """Raise LogError unless the file is whole, and not of a newer softfin."""
+    """Raise LogError unless the file is complete and not of a newer softfin."""
     for item in scan(path):
         if isinstance(item, Channel):
             check_file_format("recording", item.metadata, str(path))
@@ -167,29 +167,29 @@ def _decode(record: RawRecord) -> list[BagRecord] | list[Damage]:
 
 
 def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterator[RawRecord]:
-    """Yield the whole records of a last chunk that was not compressed."""
+    """Yield the complete records of a last, uncompressed chunk."""
     file.seek(at)
-    # Opcode, length and the fields of an uncompressed chunk: its compression has no letters.
+    # Opcode, length and the fields of an uncompressed chunk: the name of its compression is empty.
     head = file.read(49)
     if head[:1] == bytes([Opcode.CHUNK]) and head[37:41] == bytes(4):
-        # A file system shows zeros where bytes never reached the disk, so no message may end in
-        # them.
+        # A file system shows zeros where bytes never reached the disk, so a message must not extend
+        # into them.
         beginning = file.read(min(size - at, MAX_RECORD_BYTES)).rstrip(b"\0")
-        # Behind the first bytes that are not a record there is nothing to save.
+        # After the first bytes that are not a record, nothing can be saved.
         with contextlib.suppress(LogError):
             yield from read_records(io.BytesIO(beginning), 0, len(beginning))
 
 
 def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
-    """Whether a footer is followed by the file's last bytes, and the checksum of the index before
-    it is right."""
+    """Whether the footer is followed by the closing bytes, and the checksum of the index is
+    right."""
     file.seek(record.end)
     if file.read() != MAGIC or len(record.content) < 20:
         return False
     start, _, checksum = struct.unpack_from("<QQI", record.content)
     if start > record.start:
         return False
-    # The checksum covers the index from its start on, and the footer but for the checksum itself.
+    # The checksum covers the index and the footer, except for the checksum itself.
     file.seek(start)
     return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum
 
@@ -198,15 +198,16 @@ class Recovery(NamedTuple):
     """Result of a recovery."""
 
     whole: bool
-    """Whether the bag was whole, so that nothing was written."""
+    """Whether the bag was complete, so that nothing was written."""
     messages: dict[str, int]
     """Number of messages saved, or present, by topic."""
     seconds: float
     """Time from the first to the last message [s]."""
     orphans: int
-    """Number of messages whose topic is not known any more: they are not saved."""
+    """Number of messages whose topic is unknown because its definition was lost: they are not
+    saved."""
     damages: tuple[Damage, ...]
-    """Parts that could not be read."""
+    """Parts of the file that could not be read."""
 
     def to_dict(self) -> JsonObject:
         """Recovery for JSON."""
@@ -219,12 +220,12 @@ class Recovery(NamedTuple):
 
 
 def recovered_path(path: Path) -> Path:
-    """Path that is written unless another is given: ``run.recovered.mcap`` beside ``run.mcap``."""
+    """Default path of the output: ``run.recovered.mcap`` beside ``run.mcap``."""
     return path.with_name(f"{path.stem}.recovered.mcap")
 
 
 class _Contents:
-    """Contents of a bag, as far as they can be read."""
+    """Readable contents of a bag."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -235,8 +236,8 @@ class _Contents:
         self.damages = list[Damage]()
         self._first = 2**64
         self._last = 0
-        # Definitions may stand behind their messages where the first chunk is lost: the index
-        # repeats them.
+        # If the first chunk is lost, definitions may come after their messages: the index repeats
+        # them.
         for item in scan(path):
             match item:
                 case Damage():
@@ -256,14 +257,14 @@ class _Contents:
         return max(0, self._last - self._first) / 1e9
 
     def messages(self) -> Counter[str]:
-        """Count the messages by topic, of channels that are known."""
+        """Count the messages of known channels by topic."""
         messages = Counter[str]()
         for number in sorted(self.channels.keys() & self.counts):
             messages[self.channels[number].topic] += self.counts[number]
         return messages
 
     def copy(self, file: BinaryIO) -> None:
-        """Write all that can be read as a new bag."""
+        """Write everything readable as a new bag."""
         writer = start_writer(file)
         registered = {0: 0}
         written = {}
@@ -284,8 +285,7 @@ class _Contents:
 
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Save what can be read; raises LogError where nothing can, ArtifactError where `out`
-    exists."""
+    """Save what can be read; raises LogError if nothing can, and ArtifactError if `out` exists."""
     artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
     contents = _Contents(path)
     messages = contents.messages()

@@ -1,9 +1,9 @@
-"""Live recording as a ROS 2 bag in MCAP: the control loop hands rows in and never waits; a thread
+"""Live recording as a ROS 2 bag in MCAP: the control loop hands in rows and never waits; a thread
 writes them.
 
-Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk, so a
-kill or a power cut loses what came since. The file is at any time the beginning of a whole bag:
-`softfin bag recover` completes it.
+Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk; a kill
+or a power cut loses only what came later. At any time the file is the beginning of a valid bag,
+which `softfin bag recover` completes.
 """
 
 import contextlib
@@ -29,23 +29,23 @@ from softfin.storage.bag.messages import (
 )
 
 POLL_S = 0.05
-"""Period at which the queue is emptied [s]: so few rows at a time delay the loop by tenths of a
-millisecond at most."""
+"""Period at which the queue is emptied [s]; so few rows at a time delay the loop by a few tenths of
+a millisecond at most."""
 
 STALL_S = 5.0
 """Longest time without a flush, while rows come, before the recording counts as failed [s]."""
 
 BACKLOG = 50_000
-"""Most rows that wait for a disk that hangs: two minutes at 400 per second, some 20 MB."""
+"""Largest number of rows that wait for a slow disk: two minutes at 400 per second, about 20 MB."""
 
 CLOSE_S = 10.0
 """Longest time that `close` waits for the thread [s]."""
 
 
 class BagRecorder:
-    """A bag that grows while the fin moves; one thread hands rows in, with times of `clock`.
+    """A bag that grows while the fin moves; one thread hands in rows, with times of `clock`.
 
-    Stamps are `clock` plus the wall clock's lead over it at the start, so that a jump of the wall
+    Stamps are `clock` plus its offset from the wall clock at the start, so that a jump of the wall
     clock does no harm.
     """
 
@@ -57,7 +57,7 @@ class BagRecorder:
         reserve_bytes: int = 50_000_000,
         clock: Clock = REAL,
     ) -> None:
-        """Create the file, and its folder; raises LogError where it exists, RunError where it
+        """Create the file and its folder; raises LogError if the file exists, and RunError if it
         cannot be written."""
         self.path = path
         self._flush_s = flush_s
@@ -68,11 +68,11 @@ class BagRecorder:
             queue.SimpleQueue()
         )
         self.failure: str | None = None
-        """Reason why this recording is not whole, in one line with what to do; None as long as all
+        """Reason why this recording is incomplete, in one line with what to do; None as long as all
         is well."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # The buffer has room for 25 minutes that wait for a full disk.
+            # The buffer has room for 25 minutes while the disk is full.
             self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
             raise LogError(
@@ -87,8 +87,8 @@ class BagRecorder:
         self._flushed = clock()
         self._commanded = -float("inf")
         self._closing = clock.event()
-        # The file is a bag before the first row comes, and a disk without room is noticed before a
-        # motion.
+        # The file is a bag before the first row comes, and a full disk is noticed before anything
+        # moves.
         self._flush()
         if self.failure is not None:
             with contextlib.suppress(OSError):
@@ -99,7 +99,7 @@ class BagRecorder:
 
     def command(self, time: float, angle: float, velocity: float) -> None:
         """Record a command [rad, rad/s]."""
-        # In simulated time two may come at one moment, and their order must be kept.
+        # In simulated time two may have the same time, and their order must be kept.
         self._commanded = max(time, self._commanded + 1e-6)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
@@ -123,8 +123,8 @@ class BagRecorder:
         self._hand_in(EVENTS, time, text)
 
     def close(self) -> None:
-        """Write what is left, the index and the end; may be called again, never raises; `failure`
-        holds any error."""
+        """Write the remaining rows, the index and the end. May be called again and never raises;
+        `failure` describes any error."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -153,7 +153,7 @@ class BagRecorder:
             self._take()
             self._flush(end=True)
         except Exception as error:
-            # Whatever it is, the loop must be told and go on to stop the fin.
+            # Whatever the error is, the loop must learn of it and stop the fin.
             self._fail(
                 f"{type(error).__name__}: {one_line(error)}", f"softfin bag recover {self.path}"
             )
@@ -176,15 +176,16 @@ class BagRecorder:
         try:
             (self._bag.finish if end else self._bag.flush)()
             if shutil.disk_usage(self.path.parent).free < self._reserve:
-                # Reported while there is room for the stop, the events and the end of the file.
+                # Reported while there is still room for the stop, the events and the end of the
+                # file.
                 self._fail(
                     f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room"
                 )
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            # What could not be written stays in the buffer: the next flush goes on from there,
-            # should room be made.
+            # What could not be written stays in the buffer: the next flush continues from there if
+            # there is room again.
             self._fail(
                 error.strerror or str(error),
                 f"make room on its disk; softfin bag recover {self.path}",
@@ -194,5 +195,5 @@ class BagRecorder:
     def _fail(self, reason: str, fix: str) -> None:
         if self.failure is None:
             self.failure = (
-                f"{self.path}: the recording fails: {reason}; what was written stays; {fix}"
+                f"{self.path}: recording failed: {reason}; the rows so far are kept; {fix}"
             )

@@ -1,7 +1,7 @@
 """Zero of the force in a bag: a session measures the force at rest and records it as an event; the
-wrench stays raw.
+recorded wrench stays raw.
 
-An event goes in as text; the zero of any moment comes out, to be subtracted from the readings.
+Events go in as text; out comes the zero at any moment, to be subtracted from the readings.
 """
 
 import re
@@ -31,11 +31,10 @@ def parse_zero(text: str) -> RestForce | None:
 def zeros_at(
     zeros: Sequence[tuple[float, RestForce]], time: Float[np.ndarray, "rows"]
 ) -> Float[np.ndarray, "rows 2"]:
-    """Return the zero [N] of each time: the last one measured by then, before the first measurement
-    the first one.
+    """Return the zero [N] of each time: the last one measured before it; before the first
+    measurement, the first one.
 
-    `zeros` are in the order of their times, on the clock of `time`; where there are none, all are
-    0.
+    `zeros` are sorted by their times, on the clock of `time`; without any, all zeros are 0.
     """
     if not zeros:
         return np.zeros((len(time), 2))

@@ -1,1 +1,1 @@
-"""Surrogates compared on test logs."""
+"""Comparison of surrogates on test logs."""

@@ -1,8 +1,8 @@
-"""Surrogates side by side on the same unseen logs, free-running over several horizons: Table I
-extended.
+"""Compares surrogates on the same unseen logs, free-running over several horizons: an extension of
+Table I.
 
-A group of scores are the seeds of one configuration on the same data. All surrogates are scored on
-the same rows, whatever they need to be warm.
+A group consists of the seeds of one configuration on the same data. All surrogates are scored on
+the same rows, no matter how long their warm-up is.
 """
 
 import itertools
@@ -37,21 +37,21 @@ from softfin.surrogate.store import AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.ensemble import COVERAGE
 
 ENOUGH_SEEDS = 3
-"""Fewest seeds of a group: below, a difference between two groups may be the luck of a seed."""
+"""Smallest number of seeds in a group; with fewer, a difference between two groups may be luck."""
 
 FAR = 0.01
-"""Distance beyond the range of the training commands, over that range, from which a test command is
-worth a note."""
+"""Distance outside the range of the training commands, relative to that range, from which a test
+command gets a note."""
 
 
 class CompareConfig(Configuration):
     """How surrogates are compared."""
 
     horizons_s: tuple[float, ...] = (1.0, 5.0, 30.0)
-    """How long a surrogate runs free [s], on the 10 ms grid; the last is long beside any memory of
-    the fin."""
+    """Durations of the free runs [s], multiples of 10 ms; the last is much longer than any memory
+    of the fin."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """Seed of the noise of the plant that sets the noise floor."""
+    """Seed of the noise in the plant that gives the noise floor."""
 
     @pydantic.field_validator("horizons_s")
     @classmethod
@@ -64,7 +64,7 @@ class CompareConfig(Configuration):
 
 
 class Candidate(NamedTuple):
-    """A surrogate and where it lies."""
+    """A surrogate and its folder."""
 
     folder: Path
     surrogate: AnySurrogate
@@ -73,21 +73,21 @@ class Candidate(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Seeds of one configuration, or the plant of the noise floor."""
+    """The seeds of one configuration, or the plant of the noise floor."""
 
     row: JsonObject
     """Entry of the group in the summary."""
     longest: list[HorizonScores]
     """Scores of each seed at the longest horizon."""
     reading: Reading
-    """Prediction of the first seed, of the segments of the longest horizon."""
+    """Prediction of the first seed for the segments of the longest horizon."""
 
 
 class Comparison(NamedTuple):
     """All groups on the same rows."""
 
     summary: JsonObject
-    """The content of ``comparison.json``, which docs/files.md describes."""
+    """Return the content of ``comparison.json``, which docs/files.md describes."""
     groups: list[Group]
     noise_floor: Group | None
     measured: Log
@@ -106,7 +106,7 @@ def compare_surrogates(
     first = max(candidate.surrogate.memory for candidate in found)
     rows = [len(log.reading.time) for log in logs]
     ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
-    # The longest first: it is the one that a log may be too short for.
+    # The longest horizon comes first, because a log may be too short for it.
     parts = [(plan_segments(rows, each, first), each) for each in reversed(ticks)][::-1]
     spans = measured_ranges(logs)
     measured = [take(logs, *part) for part in parts]
@@ -136,7 +136,7 @@ def compare_surrogates(
     models, flops = zip(
         *((s.model, s.flops_per_tick()) for s in (each[0].surrogate for each in seeds)), strict=True
     )
-    # By its model; where several are of one model, also by its first folder.
+    # Named by its model; if several groups have the same model, also by its first folder.
     names = [
         model if models.count(model) == 1 else f"{model} ({members[0].folder})"
         for model, members in zip(models, seeds, strict=True)
@@ -200,7 +200,7 @@ def compare_surrogates(
 
 
 def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[JsonObject]:
-    """Scores at each horizon, as mean and 95% interval over the seeds."""
+    """Return the scores at each horizon, as mean and 95% interval over the seeds."""
     rows = []
     for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):
         values = {name: np.array([seed.scores[name] for seed in each]) for name in each[0].scores}
@@ -215,13 +215,13 @@ def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
     """Caveats for a reader of a group's scores."""
     if (seeds := row["seeds"]) < ENOUGH_SEEDS:
         yield (
-            f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before a difference "
-            "is believed"
+            f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before you trust a "
+            "difference"
         )
     if row["furthest_beyond_training"] > FAR:
         yield (
-            f"{row['commands_beyond_training']:.1%} of the test commands lie beyond those it was "
-            f"trained on, the furthest by {row['furthest_beyond_training']:.0%} of their range: "
+            f"{row['commands_beyond_training']:.1%} of the test commands lie outside its training "
+            f"commands, the furthest by {row['furthest_beyond_training']:.0%} of their range; "
             "there it extrapolates"
         )
     if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
@@ -229,20 +229,19 @@ def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
 
 
 def candidates(folders: Sequence[Path]) -> list[Candidate]:
-    """Load surrogates; raises ConfigurationError where there is none, or one is given twice."""
+    """Load surrogates; raises ConfigurationError if none or a duplicate is given."""
     if not folders:
-        raise ConfigurationError("no surrogate: give the folders of those that are to be compared")
+        raise ConfigurationError("no surrogate: give the folders of the surrogates to compare")
     found = []
     seen = set[str]()
     for folder in folders:
         surrogate = load_surrogate(folder)
         description = artifacts.load_description(folder, "surrogate")
         data = (description.get("provenance") or {}).get("data_hash")
-        # Of imported ones nothing says that two are seeds of one another.
+        # Nothing says whether two imported surrogates are seeds of the same configuration.
         group = str(folder.resolve())
         if description.get("configuration") is not None and data is not None:
-            # The networks too: of several candidates one seed may have chosen another than the
-            # next.
+            # The networks count too, because seeds may have chosen different candidates.
             parts = [
                 surrogate.model,
                 description["configuration"],
@@ -250,7 +249,7 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
                 data,
             ]
             group = json.dumps(parts, sort_keys=True)
-        # A copy would pass for a second seed and make the interval too narrow.
+        # A copy would count as a second seed and make the interval too narrow.
         if (which := identity(surrogate)) in seen:
             raise ConfigurationError(
                 f"{folder}: given twice, or a copy of another; give each surrogate once"
@@ -261,13 +260,13 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
 
 
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
-    """Share of the logs' commands beyond those a group was trained on, and how far the furthest is
-    over their range."""
+    """Return the fraction of the logs' commands outside the training commands of a group, and the
+    largest distance relative to their range."""
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
     low = limits[..., 0]
     high = limits[..., 1]
-    # Where the training commands never changed, over 1 rad or rad/s.
+    # If the training commands never changed, relative to 1 rad or rad/s.
     span = np.where(high > low, high - low, 1)
     excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
     return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)

@@ -1,5 +1,5 @@
-"""A comparison as a folder: ``comparison.json``, and a figure of the predicted forces and their
-errors."""
+"""Writes a comparison as a folder: ``comparison.json``, and a figure of the predicted forces and
+their errors."""
 
 from collections.abc import Mapping
 from itertools import cycle
@@ -29,13 +29,13 @@ SHOWN_FORCE_S = 8
 """Length of the force that is shown, measured and predicted [s]."""
 
 TRACES = 3
-"""Groups whose traces are shown: more cover each other."""
+"""Number of groups whose traces are shown; more would cover each other."""
 
 SHARES = np.linspace(0, 1, 401)
 """Quantiles at which distributions are drawn."""
 
 STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":", "D"))
-"""Colour, line and marker of the groups, in turn."""
+"""Colours, lines and markers of the groups, in turn."""
 
 
 def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str, object]) -> None:
@@ -45,8 +45,8 @@ def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str,
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Force over a segment, measured and predicted; below, error by horizon, of the mean force, of
-    its intervals."""
+    """Draw the force over a segment, measured and predicted; below it the errors by horizon, of the
+    mean force, and relative to the intervals."""
     longest = [group.longest[0] for group in comparison.groups]
     draw = [_draw_horizons]
     if longest[0].mean_errors is not None:
@@ -91,7 +91,7 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
         for number, (axis, face) in enumerate(zip(AXES, (colour, "white"), strict=True)):
             cells = [row[f"force_{axis}_rmse_n"] for row in group.row["horizons"]]
             intervals = [cell["interval"] for cell in cells if cell["interval"] is not None]
-            # Side by side, so that bars of intervals do not cover each other.
+            # Shifted, so that the bars of intervals do not cover each other.
             shift = 0.03 * (2 * index + number - count + 0.5)
             axes.errorbar(
                 places + shift,
@@ -127,7 +127,7 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
 
 
 def _draw_means(axes: Axes, comparison: Comparison) -> None:
-    """Share of the mean forces that are off by no more than so much."""
+    """Draw the fraction of mean forces with an error up to each value."""
     styled_groups = [
         (group, *style[:2], 1.4)
         for group, style in zip(comparison.groups, cycle(STYLES), strict=False)
@@ -160,8 +160,8 @@ def _draw_means(axes: Axes, comparison: Comparison) -> None:
 
 
 def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
-    """Share of the errors within a multiple of the stated half-widths: at 1 it should be what was
-    stated."""
+    """Draw the fraction of errors within a multiple of the stated half-widths: at 1 it should equal
+    the stated coverage."""
     for group, (colour, line, marker) in zip(comparison.groups, cycle(STYLES), strict=False):
         if group.longest[0].half_widths is None:
             continue

@@ -1,10 +1,9 @@
-"""Free-running over logs, and the scores of what is predicted: Table I, and those of several
-horizons.
+"""Free-running predictions of logs and their scores: Table I, and scores over several horizons.
 
 The paper does not say how it normalises the distance of dynamic time warping (DTW). Here it is the
-least sum of |difference| over all warping paths inside a Sakoe-Chiba band of 1 s, divided by the
-number of samples: no greater than the mean absolute error. It forgives a lag, so it never stands
-without RMSE.
+smallest sum of |difference| over all warping paths inside a Sakoe-Chiba band of 1 s, divided by the
+number of samples, so it is at most the mean absolute error. It forgives a lag, so it is never
+reported without the RMSE.
 """
 
 import math
@@ -27,7 +26,8 @@ from softfin.surrogate.channels import ANGLE, FORCES, ranges, to_columns
 from softfin.surrogate.store import AnySurrogate
 
 BATCH = 64
-"""Segments side by side, at most: enough for the matrix products, and a few MB of activations."""
+"""Largest number of segments computed together: enough for efficient matrix products, with a few MB
+of activations."""
 
 DTW_BAND = 100
 """Half-width of the band [samples]: a shift of more than a second is no longer the same motion."""
@@ -36,7 +36,7 @@ PAPER_TABLE_I = {
     "posnet": {"window": 100, "parameters": 113_601, "rmse": 0.03, "mae": 0.002, "dtw": 0.002},
     "forcenet": {"window": 100, "parameters": 129_794, "rmse": 0.2, "mae": 0.04, "dtw": 0.03},
 }
-"""The paper's Table I; units and the normalisation of DTW are not stated there."""
+"""The paper's Table I; it does not state units or the normalisation of DTW."""
 
 NETS = {
     "posnet": ("PosNet, commands to angle", "rad", "posnet"),
@@ -46,8 +46,8 @@ NETS = {
     "force_measured": ("Force networks, given the measured motion", "N", "forcenet"),
     "force_free_running": ("Force networks, free-running behind the drive networks", "N", None),
 }
-"""Rows of Table I: by key of `table_one`, what the row is, its unit, the paper's row to stand
-beside."""
+"""Rows of Table I: by key of `table_one`, the description of the row, its unit, and the matching
+row of the paper."""
 
 Samples = Float[np.ndarray, "samples"]
 
@@ -56,16 +56,16 @@ Means = Float[np.ndarray, "segments windows 2"]
 
 
 Segment = tuple[int, int]
-"""Beginning of a run of rows: log and row."""
+"""Start of a run of rows: log and row."""
 
 
 def plan_segments(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
-    """Segments of `ticks` end to end over logs of so many rows, from row `first` on; LogError for a
-    short log."""
+    """Return consecutive segments of `ticks` in logs with the given numbers of rows, from row
+    `first` on; LogError for a short log."""
     for index, count in enumerate(rows):
         if count < first + ticks:
             raise LogError(
-                f"test log {index}: {count} rows; {first} to begin with and a horizon of "
+                f"test log {index}: {count} rows; the warm-up of {first} rows and a horizon of "
                 f"{ticks / RATE_HZ:g} s need "
                 f"{first + ticks}; record longer test logs, or give shorter --horizons"
             )
@@ -75,17 +75,17 @@ def plan_segments(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
 
 
 def take(records: Sequence[PyTree], segments: Sequence[Segment], ticks: int) -> Any:
-    """The rows of some segments of logs or readings, stacked: fields ``(segments, ticks, ...)``."""
+    """Stack the rows of some segments of logs or readings: fields ``(segments, ticks, ...)``."""
     return _stacked([_rows(records[log], row, row + ticks) for log, row in segments])
 
 
 def free_run(
     surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
 ) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
-    """Predict segments from their commands alone, warmed on the rows before; also the forces of
-    each member [N]."""
+    """Predict segments from their commands alone, warmed up on the rows before; also return the
+    forces of each member [N]."""
     size = math.ceil(len(segments) / math.ceil(len(segments) / BATCH))
-    # Filled up with repeats that are thrown away, so that one compiled program serves all batches.
+    # Padded with repeats that are thrown away, so that one compiled program works for all batches.
     filled = [*segments, *[segments[-1]] * (-len(segments) % size)]
     parts = []
     for begin in range(0, len(filled), size):
@@ -93,7 +93,7 @@ def free_run(
         states = _stacked(
             [surrogate.warm(_rows(logs[log], row - surrogate.memory, row)) for log, row in some]
         )
-        # What row k shows was commanded in row k - 1.
+        # The reading of row k follows the command of row k - 1.
         commands = take(logs, [(log, row - 1) for log, row in some], ticks).command
         parts.append(_free_run(surrogate, states, commands))
     reading, members = jax.tree.map(lambda *each: np.concatenate(each)[: len(segments)], *parts)
@@ -101,13 +101,13 @@ def free_run(
 
 
 def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
-    """Whole logs by a plant that starts at rest: NumPy, row for row; raises CommandError beyond the
-    plant's limits."""
+    """Predict whole logs, row by row, with a plant that starts at rest; NumPy. Raises CommandError
+    for commands outside the plant's limits."""
     rows = [len(log.reading.time) for log in logs]
     issued = []
     for log, count in zip(logs, rows, strict=True):
         check_commands(plant.limits, log.command)
-        # The command that row 0 shows stands in no log; the first that does is taken for it.
+        # The command before row 0 is in no log; the first command is used for it.
         issued.append(
             Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command))
         )
@@ -155,7 +155,7 @@ def mae(predicted: AnyArray, measured: AnyArray) -> float:
 
 
 def dtw_mae(predicted: Samples, measured: Samples) -> float:
-    """Mean absolute difference of one channel after warping: see the module."""
+    """Return the mean absolute difference of one channel after warping; see the module."""
     series = [np.ascontiguousarray(samples, np.float64) for samples in (predicted, measured)]
     return float(
         dtw.distance_fast(*series, window=DTW_BAND, inner_dist="euclidean") / len(predicted)
@@ -170,11 +170,11 @@ TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {
 
 
 def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> JsonObject:
-    """Table I, a row for each network: ``window``, ``parameters``, and means over logs and channels
-    of its scores.
+    """Return Table I, with one row per network: ``window``, ``parameters``, and means over logs and
+    channels of its scores.
 
-    ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or over the
-    measured range.
+    ``physical`` ones are in rad or N, ``scaled`` ones times the surrogate's scaling, or divided by
+    the measured range.
     """
     scales = {name: 1 / span for name, span in measured_ranges(logs).items()}
     if surrogate.scaling is not None:
@@ -207,8 +207,8 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> JsonObject:
 
 
 def measured_ranges(logs: Sequence[Log]) -> dict[str, float]:
-    """Greatest minus least measured value of each channel over test logs; raises LogError where one
-    never changes."""
+    """Return the range of the measured values of each channel over test logs; raises LogError if a
+    channel never changes."""
     spans = {}
     for name, (low, high) in ranges(logs, (ANGLE, *FORCES)).items():
         spans[name] = high - low
@@ -224,8 +224,7 @@ class HorizonScores(NamedTuple):
     """Scores of one surrogate at one horizon."""
 
     scores: dict[str, float]
-    """Scores by name with unit; those of the mean force and of its interval only where there are
-    such."""
+    """Scores by name with unit; those of the mean force and its interval only if they exist."""
     mean_errors: Means | None
     """Errors of the mean force, predicted minus measured."""
     half_widths: Means | None

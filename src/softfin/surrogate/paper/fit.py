@@ -1,5 +1,5 @@
-"""Fits PosNet and ForceNet to logs: both learn side by side from the same windows, one step ahead
-(Sec. III-B).
+"""Fits PosNet and ForceNet to logs: both are trained together on the same windows to predict one
+step ahead (Sec. III-B).
 
 Adam on the mean square error of the scaled outputs; early stopping per network on held-out logs,
 best weights kept.
@@ -43,19 +43,21 @@ class FitConfig(Configuration):
     forcenet: NetworkConfig = FORCENET
     """Motion to force."""
     epochs: PositiveInt = 12
-    """Most passes over all windows; the learning rate falls to zero over them (cosine)."""
+    """Largest number of passes over all windows, during which the learning rate falls to zero
+    (cosine)."""
     patience: PositiveInt = 4
-    """Passes without a better held-out error of either network before training stops."""
+    """Number of passes without a lower held-out error of either network after which training
+    stops."""
     batch: PositiveInt = 512
     """Windows an update."""
     learning_rate: float = Field(default=1e-3, gt=0)
     """Learning rate of Adam at the start."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Share of the training logs that is kept for early stopping; at least one log."""
+    """Fraction of the training logs held out for early stopping; at least one log."""
 
 
 class Nets(NamedTuple):
-    """Both networks, or something of each: losses, counts."""
+    """Both networks, or a value for each: losses, counts."""
 
     posnet: PyTree
     forcenet: PyTree
@@ -72,7 +74,7 @@ def fit_paper(
     there is one."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
-    # Equal calls, so that one compiled program does them all.
+    # Calls of equal size, so that one compiled program does them all.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
     learner = PaperLearner(config, updates)
@@ -112,7 +114,7 @@ def fit_paper(
 def split(
     logs: Sequence[Log], config: FitConfig
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
-    """Training logs, held-out logs, and of the former the scaling and where windows begin; raises
+    """Return training logs, held-out logs, and the scaling and window starts of the former; raises
     LogError."""
     check_lengths(logs, config.posnet.window, "training")
     training, holding = hold_out(logs, config.held_out)
@@ -126,7 +128,7 @@ def split(
 
 
 class PaperLearner:
-    """The update of both networks, compiled once."""
+    """The training step of both networks, compiled once."""
 
     def __init__(self, config: FitConfig, updates: int) -> None:
         self.config = config
@@ -149,8 +151,8 @@ class PaperLearner:
     def _run(
         self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray
     ) -> tuple[TrainingState, Nets]:
-        """An update for each of the batches ``(updates, batch)`` of windows of the table; also the
-        mean losses."""
+        """Do one update for each of the batches ``(updates, batch)`` of windows in the table; also
+        return the mean losses."""
 
         def update(
             carry: tuple[Nets, PyTree], batch: Int[Array, "batch"]
@@ -170,12 +172,12 @@ class PaperLearner:
 def loss(
     nets: Nets, table: Float[Array, "rows channels"], starts: Int[Array, "batch"], key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], Nets]:
-    """Mean square error of the scaled outputs, summed over both networks: each depends on its own
-    alone."""
+    """Return the mean square error of the scaled outputs, summed over both networks, which do not
+    depend on each other."""
     window = nets.posnet.config.window
     inputs = gather(table[:, : 1 + len(COMMAND_COLUMNS)], starts, window)
     target = table[starts + window]
-    # With one key for both, networks of like layers would drop the same units.
+    # With one key for both, networks with similar layers would drop the same units.
     posnet_key, forcenet_key = jax.random.split(key)
     losses = Nets(
         jnp.mean((nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]) ** 2),
@@ -187,7 +189,7 @@ def loss(
 
 
 def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"]:
-    """Return the rows where windows begin in logs laid end to end, with their target inside the
+    """Return the rows at which windows begin in concatenated logs, with their target inside the
     same log."""
     offsets = np.cumsum([0, *rows[:-1]])
     parts = [

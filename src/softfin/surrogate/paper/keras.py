@@ -1,4 +1,4 @@
-"""Import of Keras 2 ``.keras`` files: a zip with the layers as JSON and the weights as HDF5. No
+"""Imports Keras 2 ``.keras`` files: a zip with the layers as JSON and the weights as HDF5. No
 TensorFlow, no pickle.
 
 The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, data_max}}``.
@@ -56,13 +56,12 @@ LAYERS: dict[str, tuple[Callable[[JsonObject], JsonObject], JsonObject]] = {
     "Flatten": (lambda _: {"kind": "flatten"}, {}),
     "GlobalAveragePooling1D": (lambda _: {"kind": "mean_pool"}, {}),
 }
-"""Layer by its name in Keras, and the options that must be as they are here wherever they are
-given."""
+"""Layers by their names in Keras, and the values that their options must have if given."""
 
 
 def read_keras_surrogate(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
-    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError where
-    it cannot."""
+    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError if it
+    cannot."""
     try:
         channels = json.loads(scalers.read_bytes())
     except OSError as error:
@@ -109,14 +108,15 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
     except OSError as error:
         raise ArtifactError(f"{path}: cannot be read ({error.strerror or error})") from None
     except Exception as error:
-        # Damaged files fail anywhere in zip, JSON and HDF5, and h5py makes of it whatever exception
-        # fits.
+        # Damaged files fail anywhere in zip, JSON and HDF5, and h5py raises many kinds of
+        # exceptions.
         reason = one_line(error)
         raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({reason})") from None
 
 
 def _layers(path: Path, description: JsonObject) -> tuple[list[Any], list[str], tuple[int, int]]:
-    """The layers, where the HDF5 has the weights of each, and the input's shape."""
+    """Return the layers, the places of their weights in the HDF5 file, and the shape of the
+    input."""
     if description.get("class_name") != "Sequential":
         raise ArtifactError(
             f"{path}: is a {description.get('class_name')} model; only Sequential ones can be "

@@ -1,5 +1,5 @@
-"""Networks over a window of samples, described by their configuration: channels are the steps, the
-window the features.
+"""Networks over a window of samples, described by their configuration: the channels are the steps
+of the sequence, the window its features.
 
 This is the layout of the published weights (paper Sec. III-B): a window (channels, samples) goes
 into the first layer as a sequence of `channels` steps with `samples` features each.
@@ -20,8 +20,8 @@ from softfin.core.configuration import Configuration
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
 MAX_CHUNK_WINDOWS = 2048
-"""Windows that a network takes at once from a table: enough for the matrix products, few enough for
-the caches."""
+"""Number of windows that a network takes from a table at once: enough for efficient matrix
+products, few enough for the caches."""
 
 Activation = Literal["linear", "relu", "tanh"]
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
@@ -42,8 +42,8 @@ def abstract(*shape: int) -> Any:
 
 
 class BaseLayer(Configuration):
-    """A layer that works on a whole batch with few and large products, faster than Equinox's; this
-    changes nothing."""
+    """A layer that works on a whole batch with few, large products, faster than Equinox's. This
+    base class passes its input through."""
 
     def shapes(self, example: Shape) -> Shapes:
         """Shapes of the parameters by name."""
@@ -70,8 +70,8 @@ class Conv1D(BaseLayer):
         }
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """One matrix product: with few steps nearly every block of the convolution's matrix is
-        used."""
+        """Compute the convolution as one matrix product: with few steps nearly every block of its
+        matrix is used."""
         batch, steps, features = x.shape
         kernel = parameters["kernel"]
         left = (self.kernel - 1) // 2
@@ -80,7 +80,7 @@ class Conv1D(BaseLayer):
         def block(tap: int) -> Array:
             return kernel[tap] if 0 <= tap < self.kernel else empty
 
-        # Blocks rather than an index: at one fin a step is an eighth quicker.
+        # Blocks instead of an index: with one fin a step is an eighth faster.
         matrix = jnp.block(
             [[block(source - target + left) for target in range(steps)] for source in range(steps)]
         )
@@ -95,7 +95,7 @@ class LSTM(BaseLayer):
     kind: Literal["lstm"] = "lstm"
     units: PositiveInt
     sequence: bool = False
-    """Whether the hidden states of all steps go on, or only the last."""
+    """Whether the layer returns the hidden states of all steps, or only the last."""
 
     def shapes(self, example: Shape) -> Shapes:
         """Kernel (features, gates), recurrent kernel (units, gates) and bias."""
@@ -104,8 +104,8 @@ class LSTM(BaseLayer):
         return {**kernels, "bias": abstract(gates)}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """One product a step, of input and past side by side; the first step has no past, so
-        nothing to forget."""
+        """Do one product per step, of input and hidden state together; the first step has no past,
+        so nothing to forget."""
         kernel = parameters["kernel"]
         bias = parameters["bias"]
         both = jnp.concatenate([kernel, parameters["recurrent"]])
@@ -136,7 +136,7 @@ class MeanPool(BaseLayer):
 
 
 class Flatten(BaseLayer):
-    """Steps and features side by side."""
+    """Flattens steps and features."""
 
     kind: Literal["flatten"] = "flatten"
 
@@ -162,8 +162,8 @@ class Dense(BaseLayer):
 
 
 class Dropout(BaseLayer):
-    """Drops features at random in training (Srivastava et al. 2014), see `Network.__call__`; else
-    changes nothing."""
+    """Drops features at random in training (Srivastava et al. 2014), see `Network.__call__`;
+    otherwise passes its input through."""
 
     kind: Literal["dropout"] = "dropout"
     rate: float = Field(ge=0, lt=1)
@@ -180,11 +180,11 @@ class NetworkConfig(Configuration):
     outputs: tuple[str, ...]
     """Names of the output channels."""
     window: PositiveInt = 100
-    """Samples of the past that it sees [samples at 100 Hz]; the paper's 1 s."""
+    """Number of past samples that it sees [samples at 100 Hz]; the paper's 1 s."""
     layers: tuple[Layer, ...]
 
     def examples(self) -> list[Shape]:
-        """Shape of one example before each layer and behind the last."""
+        """Shape of one example before each layer and after the last."""
         examples: list[Shape] = [(len(self.channels), self.window)]
         for layer in self.layers:
             given = layer.shapes(examples[-1]), abstract(1, *examples[-1])
@@ -203,7 +203,7 @@ class NetworkConfig(Configuration):
         return sum(shape.size for layer in self.shapes() for shape in layer.values())
 
     def flops(self) -> int:
-        """Floating-point operations of the matrix products for one window, two a multiply-add."""
+        """Floating-point operations of the matrix products for one window, two per multiply-add."""
         program = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
         steps = program(self.shapes(), abstract(1, len(self.channels), self.window)).eqns
         return int(
@@ -230,7 +230,7 @@ POSNET = NetworkConfig(
         Dense(units=1, activation="linear"),
     ),
 )
-"""PosNet: the last second of commands in, the angle one sample later out; 113,601 parameters, as in
+"""PosNet: maps the last second of commands to the angle one sample later; 113,601 parameters, as in
 Table I."""
 
 FORCENET = NetworkConfig(
@@ -245,7 +245,7 @@ FORCENET = NetworkConfig(
         Dense(units=2, activation="linear"),
     ),
 )
-"""ForceNet: the last second of motion and commands in, the force one sample later out; 129,794
+"""ForceNet: maps the last second of motion and commands to the force one sample later; 129,794
 parameters, as in Table I. The published weights have a second LSTM layer instead of the mean."""
 
 
@@ -258,7 +258,7 @@ class Network(eqx.Module):
     def __call__(
         self, windows: Float[Array, "batch channels window"], key: PRNGKeyArray | None = None
     ) -> Float[Array, "batch outputs"]:
-        """Scaled windows to scaled outputs; a key means training, so dropout drops."""
+        """Map scaled windows to scaled outputs; with a key, for training, dropout is active."""
         x = windows
         for index, (layer, parameters) in enumerate(
             zip(self.config.layers, self.layers, strict=True)
@@ -273,8 +273,8 @@ class Network(eqx.Module):
     def over_table(
         self, table: Float[np.ndarray, "rows channels"]
     ) -> Float[np.ndarray, "predicted outputs"]:
-        """Scaled output for every row behind the first window: window i is rows i .. i+99 and
-        predicts row i+100."""
+        """Return the scaled output for every row after the first window: window i is rows i .. i+99
+        and predicts row i+100."""
         count = len(table) - self.config.window
         on_device = jnp.asarray(table)
         parts = [
@@ -285,7 +285,7 @@ class Network(eqx.Module):
 
     @classmethod
     def create(cls, config: NetworkConfig, key: PRNGKeyArray) -> "Network":
-        """Fresh weights: Glorot-uniform, recurrent ones orthogonal, forget gates open (Keras's
+        """Return new weights: Glorot-uniform, recurrent ones orthogonal, forget gates open (Keras's
         defaults)."""
         draw = {
             "kernel": jax.nn.initializers.glorot_uniform(),
@@ -309,7 +309,7 @@ class Network(eqx.Module):
 def gather(
     table: Float[Array, "rows channels"], starts: Int[Array, "batch"], window: int
 ) -> Float[Array, "batch channels window"]:
-    """The windows of a table that begin at `starts`."""
+    """Return the windows of a table that begin at `starts`."""
     taken = jax.vmap(lambda start: jax.lax.dynamic_slice_in_dim(table, start, window))(starts)
     return jnp.swapaxes(taken, 1, 2)
 

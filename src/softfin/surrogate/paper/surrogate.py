@@ -3,8 +3,8 @@
     command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
-A held command lets all ticks of an action go through each network at once: PosNet sees commands
-alone, and ForceNet sees angles that PosNet has then predicted already. Only the new ticks are
+While a command is held, all ticks of an action can go through each network at once: PosNet sees
+only commands, and ForceNet sees angles that PosNet has already predicted. Only the new ticks are
 computed.
 """
 
@@ -54,7 +54,7 @@ class Surrogate(eqx.Module):
 
     @property
     def window(self) -> int:
-        """Samples of the past that both networks see."""
+        """Number of past samples that both networks see."""
         return self.posnet.config.window
 
     memory = window
@@ -62,28 +62,27 @@ class Surrogate(eqx.Module):
 
     @property
     def limits(self) -> Limits:
-        """The range of the commands in the training data: beyond it the networks extrapolate."""
+        """The range of the commands in the training data: outside it the networks extrapolate."""
         angle, velocity = (self.scaling.channels[name] for name in COMMAND_COLUMNS)
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
     def init(self, key: PRNGKeyArray) -> SurrogateState:
-        """Return the state of a fin at rest at angle 0 for longer than the window; the key is not
-        used."""
+        """Return the state of a fin at rest at angle 0 for longer than the window; the key is
+        unused."""
         rest = self._scaled(rest_command(self.limits))
         angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
 
     def warm(self, history: Log) -> SurrogateState:
-        """The state after a recorded history, of which the last `memory` rows count; raises
-        LogError if shorter."""
+        """Return the state after a recorded history, of which the last `memory` rows are used;
+        raises LogError if it is shorter."""
         if (rows := len(history.reading.time)) < self.memory:
             raise LogError(
-                f"{rows} rows of history; a surrogate that sees {self.memory} samples is warm "
-                "after as many"
+                f"{rows} rows of history; this surrogate needs {self.memory} rows to warm up"
             )
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
-        # The last row's command is yet to be given; the oldest of the state's leaves before it is
-        # looked at.
+        # The command of the last row is still to come; the oldest command in the state drops out
+        # before it is used.
         commands = np.concatenate([table[:2, :1], table[:2, :-1]], axis=1)
         tick = tick_at(float(history.reading.time[-1]))
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands), jnp.asarray(table[2]))
@@ -98,13 +97,13 @@ class Surrogate(eqx.Module):
     def hold_action(
         self, state: SurrogateState, command: Command, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
-        """Hold the command for an action, as one batch of the longest."""
+        """Hold the command for an action, as one batch with the length of the longest action."""
         return self._held(state, command, MAX_ACTION_TICKS, ticks)
 
     def _held(
         self, state: SurrogateState, command: Command, rows: int, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
-        """Readings of so many rows, of which the first `ticks` count."""
+        """Return readings with a fixed number of rows, of which the first `ticks` are valid."""
         held = jnp.tile(self._scaled(command)[:, None], rows)
         commands = jnp.concatenate([state.commands, held], axis=1)
         passed = windows(commands[:, 1:], self.window)
@@ -128,24 +127,25 @@ class Surrogate(eqx.Module):
         )
 
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
-        """PosNet's angles from the commands of a log, for its rows from `window` on [rad]."""
+        """Return PosNet's angles from the commands of a log, for its rows from `window` on
+        [rad]."""
         angle = self.posnet.over_table(self.scaling.table(COMMAND_COLUMNS, log))
         return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
 
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
-        """ForceNet's forces for the rows of a log from `window` on [N], from the measured angles or
-        from PosNet's."""
+        """Return ForceNet's forces for the rows of a log from `window` on [N], from the measured
+        angles or from PosNet's."""
         table = self.scaling.table((ANGLE, *COMMAND_COLUMNS), log)
         if free_running:
-            # Nothing was predicted for the first window.
+            # The first window has no prediction.
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
         return np.asarray(
             self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table)))
         )
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Predictions of logs by PosNet, and by ForceNet given the measured angle and behind
-        PosNet."""
+        """Return predictions of logs by PosNet, and by ForceNet with the measured angle and with
+        PosNet's."""
         posnet, forcenet = (net.config.parameters() for net in (self.posnet, self.forcenet))
         angle = [self.predict_angle(log)[:, None] for log in logs]
         given, free = (
@@ -163,7 +163,7 @@ class Surrogate(eqx.Module):
         return self.posnet.config.flops() + self.forcenet.config.flops()
 
     def parameters(self) -> int:
-        """Trainable numbers of both networks."""
+        """Number of trainable parameters of both networks."""
         return self.posnet.config.parameters() + self.forcenet.config.parameters()
 
     def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
@@ -179,8 +179,8 @@ class Surrogate(eqx.Module):
     def from_files(
         cls, description: JsonObject, weights: dict[str, np.ndarray], source: str
     ) -> "Surrogate":
-        """The surrogate that `to_files` described; raises ArtifactError where channels or weights
-        do not fit."""
+        """Build the surrogate that `to_files` described; raises ArtifactError if channels or
+        weights do not fit."""
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)
         networks = description["networks"]
@@ -197,7 +197,8 @@ class Surrogate(eqx.Module):
 def windows(
     series: Float[Array, "channels samples"], window: int
 ) -> Float[Array, "count channels window"]:
-    """Every run of `window` samples, the oldest first: ``count = samples - window + 1``."""
+    """Return every window of `window` samples, the oldest first: ``count = samples - window +
+    1``."""
     count = series.shape[1] - window + 1
     rows = jnp.arange(count)[:, None] + jnp.arange(window)
     return jnp.swapaxes(series[:, rows], 0, 1)

@@ -1,2 +1,1 @@
-"""Streaming surrogates: networks with a state of their own that step at 100 Hz at a constant cost a
-tick."""
+"""Streaming surrogates: networks with a state, which step at 100 Hz at a constant cost per tick."""

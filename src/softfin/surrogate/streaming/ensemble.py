@@ -2,13 +2,13 @@
 their error estimates.
 
 The interval on the mean force is split conformal (Lei et al. 2018, J. Am. Stat. Assoc. 113:1094):
-errors on logs that no weight was trained on, divided by what the members' disagreement expects of
-them, and their quantile. The errors of one log and axis share its drift, so K logs hold little more
-than 2 K independent ones: the quantile is widened by Student's t with 2 K degrees of freedom over
-the normal quantile, as for a scale estimated from so many. The same logs chose among the ten sets
-of weights of each member: so it is calibrated, not guaranteed. The distance of a motion from the
-training data is Mahalanobis's in the memory of a network (Lee et al. 2018, NeurIPS), which depends
-on the last motion.
+the errors on held-out logs are divided by the size expected from the members' disagreement, and
+their quantile scales the interval. The errors of one log and axis share its drift, so K logs
+contain little more than 2 K independent ones: the quantile is widened by the ratio of Student's t
+with 2 K degrees of freedom to the normal quantile. The same logs were used to choose among ten sets
+of weights for each member, so the interval is calibrated but not guaranteed. The distance of a
+motion from the training data is the Mahalanobis distance in the memory of a network (Lee et al.
+2018, NeurIPS), which depends on the last motion.
 """
 
 import functools
@@ -38,19 +38,18 @@ from softfin.surrogate.streaming.nets import (
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 
 COVERAGE = 0.9
-"""Share of the mean forces that an interval should hold."""
+"""Fraction of the mean forces that an interval should contain."""
 
 ENOUGH_LOGS = 10
-"""Held-out logs below which it is luck how much of what differs from log to log, such as the drift,
-is known."""
+"""Number of held-out logs below which differences between logs, such as the drift, are poorly
+known."""
 
 RARE = 0.999
-"""Share of the training data that is nearer than distance 1."""
+"""Fraction of the training data with a distance below 1."""
 
 LOGS = 50
 EVERY = 7
-"""Logs that the distance is measured from, and ticks between the moments that are taken from
-them."""
+"""Number of logs that define the distance, and ticks between the moments taken from them."""
 
 
 class MemberState(NamedTuple):
@@ -61,19 +60,20 @@ class MemberState(NamedTuple):
 
 
 class Member(eqx.Module):
-    """Commands in, motion and force out; one fin, no batch axes."""
+    """Maps commands to motion and force; one fin, no batch axes."""
 
     drive: FollowingNet
     force: ForceNet
 
     def start(self, motion: Motion, waiting: Command) -> MemberState:
-        """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
+        """Return the state for a given motion and the commands of the last `MAX_DELAY` ticks,
+        newest first."""
         return MemberState(self.drive.start(motion, waiting), self.force.start(motion))
 
     def step(
         self, state: MemberState, command: Command
     ) -> tuple[MemberState, tuple[Motion, Float[Array, "2"]]]:
-        """Step by a tick under a command."""
+        """Advance by one tick under a command."""
         drive = self.drive.step(state.drive, command)
         force, predicted = self.force.step(state.force, drive.motion)
         return MemberState(drive, force), (drive.motion, predicted)
@@ -82,7 +82,7 @@ class Member(eqx.Module):
 def ensemble(
     count: int, drive: DriveNetConfig, force: ForceNetConfig, scales: Scales, key: PRNGKeyArray
 ) -> Member:
-    """Make members with fresh weights of their own: every array has a leading axis ``members``."""
+    """Create members with different new weights: every array has a leading axis ``members``."""
 
     def one(key: PRNGKeyArray) -> Member:
         keys = jax.random.split(key)
@@ -93,18 +93,18 @@ def ensemble(
 
 
 def single(members: PyTree, index: int | Array = 0) -> Any:
-    """One member of a stack."""
+    """Return one member of a stack."""
     return jax.tree.map(lambda x: x[index], members)
 
 
 def parameters(module: eqx.Module) -> int:
-    """Numbers that were learnt or read off the logs."""
+    """Return the number of parameters that were trained or identified from the logs."""
     return sum(leaf.size for leaf in jax.tree.leaves(module))
 
 
 def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Command) -> Motion:
-    """The shaft's motion under one command a tick, ``(1 + ticks,)``: that of command k is what row
-    k + 1 shows."""
+    """Return the shaft's motion under one command per tick, ``(1 + ticks,)``: row k + 1 follows
+    command k."""
 
     def step(state: FollowingState, command: Command) -> tuple[FollowingState, Motion]:
         state = drive.step(state, command)
@@ -115,7 +115,7 @@ def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Com
 
 
 def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
-    """The forces of all rows of a motion ``(1 + ticks,)`` but the first [N]."""
+    """Return the forces of all rows of a motion ``(1 + ticks,)`` except the first [N]."""
     before, after = (
         jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None))
     )
@@ -123,11 +123,12 @@ def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
 
 
 def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
-    """Predict the motion of every log, ``(members, rows)``, from its commands and its first row
-    alone; NumPy."""
+    """Predict the motion of every log, ``(members, rows)``, from only its commands and its first
+    row; NumPy."""
 
     def predict(some: Sequence[Log]) -> Any:
-        # What was commanded before a log is not recorded: its first command has long been given.
+        # The commands before a log are not recorded: its first command is assumed to have been held
+        # for long.
         command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
         waiting = Command(*(np.repeat(x[:, :1], MAX_DELAY, axis=1) for x in command))
         before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
@@ -139,8 +140,8 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
 def predict_force(
     nets: ForceNet, motion: Sequence[Motion]
 ) -> list[Float[np.ndarray, "members rows 2"]]:
-    """Predict the forces of motions ``(members, rows)``; a first row has no motion before it and
-    gets the second's."""
+    """Predict the forces of motions ``(members, rows)``; the first row has no motion before it and
+    gets the force of the second."""
 
     def predict(some: Sequence[Motion]) -> Float[np.ndarray, "members logs rows 2"]:
         force = _forces(nets, jax.tree.map(lambda *x: np.stack(x, axis=1), *some))
@@ -152,7 +153,7 @@ def predict_force(
 def _together(
     records: Sequence[PyTree], rows: Sequence[int], predict: Callable[[PyTree], PyTree]
 ) -> list[Any]:
-    """Predict for records of equal length, side by side on the second axis."""
+    """Predict for records of equal length, stacked on the second axis."""
     results: dict[int, PyTree] = {}
     for length in set(rows):
         index = [i for i, other in enumerate(rows) if other == length]
@@ -179,29 +180,29 @@ def _forces(nets: ForceNet, motion: Motion) -> Any:
 
 
 class Interval(Configuration):
-    """Interval of the mean force over the evaluation window, on either axis.
+    """Interval for the mean force over the evaluation window, on each axis.
 
     half width = factor * sqrt(spread^2 + floor^2), with the variance spread^2 over the members.
     """
 
     coverage: float = Field(gt=0, lt=1)
-    """Share of the means that it should hold [-]."""
+    """Fraction of the means that it should contain [-]."""
     factor: float = Field(gt=0)
-    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, widened as they are few
-    [-]."""
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, widened because they are
+    few [-]."""
     floor_n: float = Field(gt=0)
-    """Root mean square error of the ensemble's mean there [N]: noise, drift, and what all members
-    have wrong."""
+    """Root mean square error of the ensemble's mean there [N]: noise, drift, and the common error
+    of all members."""
     windows: int = Field(ge=1)
-    """Means that it was calibrated with, those of both axes, from so many `logs`."""
+    """Number of means used for the calibration, over both axes, from `logs` logs."""
     logs: int = Field(ge=1)
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
-        """Half width of the interval, from the members' own means [N]."""
+        """Return the half width of the interval, from the means of the members [N]."""
         return self.factor * (means.var(axis=0) + self.floor_n**2) ** 0.5
 
     def caveat(self) -> str | None:
-        """Reason not to rely on the interval, in a sentence; None where there is none."""
+        """Reason not to rely on the interval, in one sentence, or None."""
         if self.logs >= ENOUGH_LOGS:
             return None
         return (
@@ -214,8 +215,8 @@ class Interval(Configuration):
 def calibrated(
     predicted: Sequence[Float[np.ndarray, "members rows 2"]], logs: Sequence[Log], burn_in: int
 ) -> Interval:
-    """Calibrate the interval on the members' predictions of held-out logs behind the first
-    `burn_in` ticks."""
+    """Calibrate the interval on the members' predictions of held-out logs after the first `burn_in`
+    ticks."""
     means = np.concatenate([window_means(force[:, burn_in:]) for force in predicted], axis=1)
     measured = np.concatenate(
         [window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs]
@@ -223,11 +224,11 @@ def calibrated(
     error = np.abs(means.mean(axis=0) - measured)
     floor_n = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
-    # One more than there are, so that the next error is covered and not only these.
+    # One more than there are, so that the next error is covered and not only the known ones.
     factor = float(
         np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf")
     )
-    # Errors of one log and axis are alike: they share its drift.
+    # Errors of one log and axis are correlated, because they share its drift.
     upper = (1 + COVERAGE) / 2
     widened = factor * float(stdtrit(2 * len(logs), upper) / ndtri(upper))
     return Interval(
@@ -236,34 +237,34 @@ def calibrated(
 
 
 class Familiarity(eqx.Module):
-    """Training data in the memory of the first member's force network."""
+    """The training data as seen in the memory of the first member's force network."""
 
     mean: Float[Array, "remembered"]
     whitening: Float[Array, "remembered remembered"]
-    """Inverse square root of the covariance, over the distance that only 1 of 1000 training moments
-    exceeds."""
+    """Inverse square root of the covariance, divided by the distance that only 1 of 1000 training
+    moments exceeds."""
 
     def distance(self, memory: Float[Array, "remembered"]) -> Float[Array, ""]:
-        """Out-of-distribution score: 1 where only one of a thousand moments of the training data is
-        as far out."""
+        """Return the out-of-distribution score: 1 if only one in a thousand moments of the training
+        data is as far out."""
         return jnp.sqrt(jnp.sum(((memory - self.mean) @ self.whitening) ** 2))
 
 
 def remembered(state: ForceState) -> Float[Array, "remembered"]:
-    """Memory of a force network, in which the distance is measured."""
+    """Return the memory of a force network, in which the distance is measured."""
     return jnp.concatenate(jax.tree.leaves((state.memory, state.wake)))
 
 
 def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiarity:
-    """Compute where training logs lie, from their predicted motion ``(members, rows)`` behind row
-    `burn_in`."""
+    """Compute the distribution of training logs, from their predicted motion ``(members, rows)``
+    after row `burn_in`."""
     some = [single(each) for each in motion if each.angle.shape[1] > burn_in + 1][:LOGS]
     memory = np.concatenate(
         [_memories(single(nets), each)[burn_in::EVERY] for each in some]
     ).astype(np.float64)
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
-    # A direction in which nothing moves would make rounding errors look far.
+    # In a direction without any variation, rounding errors would look like a large distance.
     whitening = vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))
     far = np.quantile(np.linalg.norm((memory - mean) @ whitening, axis=1), RARE)
     return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))
@@ -271,7 +272,7 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
 
 @eqx.filter_jit
 def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]:
-    """Memory behind every row of a motion ``(rows,)`` but the first."""
+    """Return the memory after every row of a motion ``(rows,)`` except the first."""
 
     def step(state: ForceState, now: Motion) -> tuple[ForceState, Array]:
         state, _ = net.step(state, now)

@@ -1,7 +1,7 @@
 """Fits a streaming surrogate: profile, drive networks, force networks, then their error estimates,
 in this order.
 
-All members learn side by side. Force networks are trained on the motion that the drive networks
+All members are trained together. Force networks are trained on the motion that the drive networks
 predict for whole logs, so that both are scored as they will be used: free-running, from the
 commands alone.
 """
@@ -50,47 +50,47 @@ from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best_nets
 
 WARM_UP = 100
-"""Updates in which the learning rate rises."""
+"""Number of updates during which the learning rate rises."""
 
 MAX_SCORINGS = 10
-"""Times that a network is scored on the held-out logs while it is trained."""
+"""Number of times that a network is scored on the held-out logs during training."""
 
 NetLoss = Callable[
     [Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]
 ]
-"""Loss of one member: (net, segments, predicted motion, part of the training done, key, config)."""
+"""Loss of one member: (net, segments, predicted motion, completed fraction of the training, key,
+config)."""
 
 
 class StreamingConfig(Configuration):
-    """How an ensemble of networks with a state of their own is fitted; docs/surrogates.md measures
-    the choices."""
+    """How an ensemble of streaming networks is fitted; docs/surrogates.md has the measurements
+    behind the choices."""
 
     drive: DriveNetConfig = DriveNetConfig()
     """Commands to motion."""
     force: ForceNetConfig = ForceNetConfig()
     """Motion to force."""
     members: PositiveInt = 5
-    """Members of the ensemble, trained side by side from different weights on different
-    segments."""
+    """Number of members in the ensemble, trained from different weights on different segments."""
     drive_updates: PositiveInt = 400
     """Updates of the drive networks; the learning rate falls to a hundredth over them (cosine)."""
     force_updates: PositiveInt = 2000
-    """Updates of the force networks, likewise."""
+    """Updates of the force networks, with the same schedule."""
     batch: PositiveInt = 16
-    """Segments of the logs an update and member."""
+    """Number of log segments per update and member."""
     ticks: int = Field(default=250, ge=2)
-    """Length of a segment [10 ms]; gradients go back through all of it."""
+    """Length of a segment [10 ms]; gradients reach back through all of it."""
     burn_in: int = Field(default=80, ge=0)
-    """Ticks at the beginning of a segment whose errors do not count: what was before it is not
-    known."""
+    """Ticks at the start of a segment whose errors do not count, because the past before it is
+    unknown."""
     learning_rate: float = Field(default=0.01, gt=0)
-    """Greatest learning rate of Adam."""
+    """Largest learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
-    """Parts of the force networks' training between which they change from the measured to the
-    predicted motion."""
+    """Fractions of the force networks' training between which their input changes from the measured
+    to the predicted motion."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Share of the training logs kept for choosing weights and calibrating intervals; at least one
-    log."""
+    """Fraction of the training logs held out for choosing weights and calibrating intervals; at
+    least one log."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "StreamingConfig":
@@ -104,8 +104,7 @@ class StreamingConfig(Configuration):
 
 
 class StreamingLearner:
-    """The updates of one kind of network, compiled once: all members' weights a step further, side
-    by side."""
+    """The training step of one kind of network, compiled once, for all members together."""
 
     def __init__(self, loss: NetLoss, config: StreamingConfig, updates: int) -> None:
         self.loss = loss
@@ -119,8 +118,8 @@ class StreamingLearner:
         self.run = jit("high")(self._run)
 
     def start(self, nets: PyTree) -> TrainingState:
-        """State before the first update."""
-        # With its type, or the second call would be compiled anew.
+        """Return the state before the first update."""
+        # With an explicit type, or the second call would be compiled again.
         worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
         return TrainingState(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), nets, worst)
 
@@ -133,7 +132,7 @@ class StreamingLearner:
         count: int,
         key: PRNGKeyArray,
     ) -> tuple[TrainingState, Float[Array, "members"]]:
-        """`count` updates (static), of which `first` is the first; also returns the members' mean
+        """Do `count` updates (static) from number `first` on; also returns the members' mean
         losses."""
 
         def member(
@@ -162,7 +161,7 @@ class StreamingLearner:
 
 
 def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
-    """Square error of angle and velocity, each in its own unit."""
+    """Return the square error of angle and velocity, each in its own scale."""
     angle = (predicted.angle - measured.angle) / scales.angle_rad
     velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
     return angle**2 + velocity**2
@@ -176,7 +175,7 @@ def drive_loss(
     ___: PRNGKeyArray,
     config: StreamingConfig,
 ) -> Float[Array, ""]:
-    """Mean of `motion_error`: free-running from the first tick on."""
+    """Return the mean of `motion_error` in a free run from the first tick on."""
     before = jax.tree.map(lambda x: x[:, 0], segments.motion)
     predicted = jax.vmap(partial(motions, net))(before, segments.waiting, segments.commands)
     return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, 1 + config.burn_in :])
@@ -190,11 +189,11 @@ def force_loss(
     key: PRNGKeyArray,
     config: StreamingConfig,
 ) -> Float[Array, ""]:
-    """Mean square error of the force over its scale, given the measured motion of a segment or the
-    drive network's.
+    """Return the mean square error of the scaled force, given the measured motion of a segment or
+    that of the drive network.
 
-    The latter with a probability that grows from 0 to 1 over the `free_running` part of the
-    training.
+    The latter is chosen with a probability that grows from 0 to 1 over the `free_running` part of
+    the training.
     """
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
@@ -238,8 +237,8 @@ def fit_streaming(
     record = run_directory.log(rewind_to=sum(done.values()))
 
     def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
-        """Do all updates of one kind of network; return the best by `errors` on held-out logs,
-        ``(members, rows)``."""
+        """Do all updates of one kind of network; return the best weights by their `errors`
+        ``(members, rows)`` on held-out logs."""
         key = named_key(seed, f"fit/{name}")
         (call, round_of) = _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
@@ -293,8 +292,8 @@ def fit_streaming(
 def split_streaming(
     logs: Sequence[Log], config: StreamingConfig
 ) -> tuple[Sequence[Log], list[Log], Scales, Table]:
-    """Training and held-out logs, scales and table of the former; raises LogError where these
-    cannot be fitted."""
+    """Return training and held-out logs, and the scales and table of the former; raises LogError if
+    they cannot be used."""
     training, held_out = hold_out(logs, config.held_out)
     needed = config.burn_in + WINDOW
     holding = [log for log in held_out if len(log.reading.time) >= needed]
@@ -307,8 +306,8 @@ def split_streaming(
 
 
 def _calls(updates: int) -> tuple[int, int]:
-    """Updates a call and a round: rounds of equal calls, so that one compiled program does all but
-    the very last."""
+    """Return the updates per call and per round: equal calls, so that one compiled program does all
+    except the last."""
     round_of = -(-updates // MAX_SCORINGS)
     calls = -(-round_of // UPDATES_A_CALL)
     call = -(-round_of // calls)

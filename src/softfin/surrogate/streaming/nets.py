@@ -1,9 +1,9 @@
 """The networks of one fin, tick by tick: drive network (commands to motion) and force network
 (motion to force).
 
-A fin that is mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y
-change sign (odd), force x and speeds do not (even). The recurrent core of both networks has that
-built in, weight by weight.
+A fin mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y change sign
+(odd), force x and speeds do not (even). The recurrent core of both networks has this symmetry built
+into its weights.
 """
 
 from typing import Any, Literal, NamedTuple
@@ -20,13 +20,13 @@ from softfin.surrogate.streaming.profile import Profile, ProfileState
 from softfin.surrogate.streaming.segments import Motion, Scales
 
 SLOWEST = 60.0
-"""Gates begin with time constants from 2 to this many ticks, so that both ripples and strokes are
-remembered."""
+"""Longest initial time constant of the gates [ticks]; the shortest is 2, so that both ripples and
+strokes are remembered."""
 
 
 class Parity(NamedTuple):
-    """Sizes, inputs, outputs or memory: those that a mirror does not change, and those whose sign
-    it changes."""
+    """Sizes, inputs, outputs or memory, split by parity: even parts are unchanged by the mirror,
+    odd ones change sign."""
 
     even: PyTree
     odd: PyTree
@@ -57,24 +57,24 @@ class MirrorCore(eqx.Module):
         self.units = units
         self.odd_in = _uniform(keys[0], units + inputs.odd, 2 * units)
         self.even_in = _uniform(keys[1], 2 * units + inputs.even, 4 * units)
-        # In random order, to open by 1 / time constant.
+        # In random order, so that the gates open by 1 / time constant.
         gates = jax.random.permutation(
             keys[2], -jnp.log(jnp.geomspace(2.0, SLOWEST, 2 * units) - 1)
         )
         self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
-        # Zero, so that training begins with the physical model alone.
+        # Zero, so that training starts from the physical model alone.
         self.even_out = jnp.zeros((hidden, outputs.even))
         self.odd_out = jnp.zeros((units, outputs.odd))
         self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
 
     def blank(self) -> Parity:
-        """Memory that holds nothing yet."""
+        """Return an empty memory."""
         return Parity(jnp.zeros(self.units), jnp.zeros(self.units))
 
     def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
-        """Step by one tick: (memory, inputs) -> (memory, outputs)."""
+        """Advance by one tick: (memory, inputs) -> (memory, outputs)."""
         n = self.units
         candidates, mixtures = jnp.split(jnp.concatenate([memory.odd, inputs.odd]) @ self.odd_in, 2)
         sizes = magnitude(mixtures)
@@ -94,30 +94,29 @@ def magnitude(x: Array) -> Array:
 
 
 def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
-    """Draw entries of variance 1/2 over the inputs: less than keeps the spread, since all memory is
-    fed back."""
+    """Draw entries with a variance of 1/2 divided by the number of inputs: less than preserves the
+    spread, because all memory is fed back."""
     reach = jnp.sqrt(1.5 / inputs)
     return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
 
 
 def products(net: eqx.Module) -> int:
-    """Multiplications of the matrix products of one tick: every matrix of one fin's networks is
-    used once."""
+    """Return the number of multiplications of one tick: every matrix of one fin's networks is used
+    once."""
     return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
 
 
 class DriveNetConfig(Configuration):
-    """Size of the drive network, and what is built into it; the latter is fixed, but names the
-    network's structure."""
+    """Size of the drive network, and its built-in structure, which is fixed but stored with it."""
 
     units: PositiveInt = 8
-    """Remembered numbers of each parity."""
+    """Size of the memory of each parity."""
     hidden: PositiveInt = 16
     """Units of the layer between memory and output."""
     mirror: Literal[True] = True
-    """The drive goes both ways alike."""
+    """The drive behaves the same in both directions."""
     profile: Literal[True] = True
-    """The trapezoidal profile is known, and the network gives only the rest: the fin's load, the
+    """The trapezoidal profile is known, and the network adds only the rest: the fin's load, the
     servo, the play."""
 
 
@@ -130,8 +129,8 @@ class FollowingState(NamedTuple):
 
 
 class FollowingNet(eqx.Module):
-    """The drive network, which predicts how far the shaft is from its profile; one fin, no batch
-    axes."""
+    """The drive network, which predicts the deviation of the shaft from its profile; one fin, no
+    batch axes."""
 
     core: MirrorCore
     profile: Profile
@@ -145,15 +144,16 @@ class FollowingNet(eqx.Module):
         self.scales = scales
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
-        """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
+        """Return the state for a given motion and the commands of the last `MAX_DELAY` ticks,
+        newest first."""
         return FollowingState(
             jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion
         )
 
     def step(self, state: FollowingState, command: Command) -> FollowingState:
-        """Step by one tick under a command; `motion` of the new state is what the shaft has come
-        to."""
-        # Identified beforehand and not learnt: its corners make a poor slope to descend.
+        """Advance by one tick under a command; `motion` of the new state is the new motion of the
+        shaft."""
+        # Identified before and not trained: its corners give poor gradients.
         fixed: Any = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
         before = fixed.motion(state.profile)
@@ -166,7 +166,7 @@ class FollowingNet(eqx.Module):
         memory, outputs = self.core.step(
             state.memory, Parity((target.velocity / velocity)[None], odd)
         )
-        # Outputs of 1 move the shaft by about a tick's motion: the network is a correction.
+        # An output of 1 moves the shaft by about one tick's motion: the network is a correction.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
         return FollowingState(
             profile, memory, Motion(angle, now.velocity + change * outputs.odd[1])
@@ -174,24 +174,24 @@ class FollowingNet(eqx.Module):
 
 
 class ForceNetConfig(Configuration):
-    """Size of the force network, and what is built into it; the latter is fixed, but names the
-    network's structure."""
+    """Size of the force network, and its built-in structure, which is fixed but stored with it."""
 
     units: PositiveInt = 16
-    """Remembered numbers of each parity."""
+    """Size of the memory of each parity."""
     hidden: PositiveInt = 32
     """Units of the layer between memory and force."""
     wake: int = Field(default=4, ge=0, le=64)
-    """Vectors remembered in the tank's axes; they begin with time constants of 0.05 to 1.5 s."""
+    """Number of vectors remembered in the tank's axes; their initial time constants are 0.05 to 1.5
+    s."""
     mirror: Literal[True] = True
-    """The mirrored motion makes the mirrored force."""
+    """Mirrored motion gives mirrored force."""
     turning: Literal[True] = True
     """The force turns with the fin: the tank is the same in all directions."""
     quasi_steady: Literal[True] = True
     """Whether a force of added mass and drag, with fitted coefficients, is added to the output of
     the network."""
     heteroscedastic: Literal[False] = False
-    """The network does not learn how far readings scatter about its force."""
+    """The network does not learn the scatter of the readings about its force."""
 
 
 class ForceState(NamedTuple):
@@ -206,17 +206,17 @@ class ForceState(NamedTuple):
 class ForceNet(eqx.Module):
     """The force network of one fin; no batch axes.
 
-    In the frame that turns with the shaft the angle has no effect: still water looks alike in all
-    directions. So the network takes rates alone and gives the force along the fin's axis (thrust,
-    even) and across it (odd). What the water remembers in the tank's own axes, a wake, is a few
-    vectors that the turning frame turns back at each tick.
+    In the frame that rotates with the shaft the angle has no effect, because still water looks the
+    same in all directions. The network therefore takes only rates, and returns the force along the
+    fin's axis (thrust, even) and across it (odd). The wake, which stays in the tank's axes, is
+    represented by a few vectors that are rotated back at each tick.
     """
 
     core: MirrorCore
     along: Float[Array, "wake_source wake"]
-    """Weights by which the memory pushes the wake along the fin."""
+    """Weights with which the memory pushes the wake along the fin."""
     across: Float[Array, "wake_source wake"]
-    """Weights by which the memory pushes the wake across the fin."""
+    """Weights with which the memory pushes the wake across the fin."""
     log_time: Float[Array, "wake"]
     """Logarithm of the wake's time constants [s]."""
     thrust: Float[Array, "2"]
@@ -225,9 +225,9 @@ class ForceNet(eqx.Module):
     """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity
     (friction)."""
     mount_turn: Float[Array, ""]
-    """Angle of the sensor against the tank's axes [rad]."""
+    """Angle of the sensor relative to the tank's axes [rad]."""
     offset: Float[Array, "2"]
-    """Offset of the sensor: its reading without force [force scale]."""
+    """Offset of the sensor: its reading at zero force [force scale]."""
     config: ForceNetConfig = eqx.field(static=True)
     scales: Scales = eqx.field(static=True)
 
@@ -245,14 +245,14 @@ class ForceNet(eqx.Module):
         self.scales = scales
 
     def start(self, motion: Motion) -> ForceState:
-        """State that remembers nothing but the motion of the tick before."""
+        """Return a state that remembers only the motion of the tick before."""
         still = jnp.zeros(self.config.wake)
         return ForceState(self.core.blank(), Parity(still, still), motion)
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
-        """Step to the motion that the shaft has come to; predicts the force (x, y) that is read
-        with it [N]."""
-        # Seen from a fin that has turned, what stands still in the tank has turned the other way.
+        """Advance to the new motion of the shaft; predicts the force (x, y) read at that moment
+        [N]."""
+        # Seen from a fin that has turned, the tank has turned the other way.
         wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
@@ -274,8 +274,8 @@ class ForceNet(eqx.Module):
 
 
 def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:
-    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes that the angle is
-    counted from."""
+    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes from which the
+    angle is counted."""
     cos = jnp.cos(angle)
     sin = jnp.sin(angle)
     return along * cos + across * sin, across * cos - along * sin

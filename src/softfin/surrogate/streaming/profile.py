@@ -1,8 +1,8 @@
-"""The profile that a positioning drive follows, and its coefficients, read off logs.
+"""The profile that a positioning drive follows, with coefficients identified from logs.
 
 The trapezoidal profile itself is the drive's (`softfin.tank.drive`). CMA-ES finds the coefficients
-that leave the least mean absolute error of the angle: so a stroke that the profile cannot explain
-does not pull at all the others.
+with the smallest mean absolute error of the angle, so that a stroke that the profile cannot explain
+has little influence.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch
 from softfin.tank.drive import delayed, next_velocity
 
 STEPS_PER_TICK = 2
-"""Steps of the profile in a tick: a corner between two ticks is met within 5 ms."""
+"""Steps of the profile per tick, so that a corner between two ticks is reproduced within 5 ms."""
 
 SEGMENTS = 48
 TICKS = 300
-"""How many segments of the logs the coefficients are read off, and how long they are at most [10
-ms]."""
+"""Number and largest length [10 ms] of the log segments from which the coefficients are
+identified."""
 
 POPULATION = 16
 GENERATIONS = 150
@@ -33,7 +33,7 @@ STARTS = 4
 
 
 class ProfileState(NamedTuple):
-    """Angle [rad] and velocity [rad/s] of the profile, and the commands on their way, newest
+    """Angle [rad] and velocity [rad/s] of the profile, and the commands in the queue, newest
     first."""
 
     angle: Float[AnyArray, ""]
@@ -46,15 +46,14 @@ def _coefficient(default: float) -> Any:
 
 
 class Profile(eqx.Module):
-    """Angle and velocity of a drive that follows its profile; by default one that does what it is
-    told."""
+    """A drive that follows its profile; by default an ideal one."""
 
     gain: Float[Array, ""] = _coefficient(1.0)
-    """Ratio of the angle that is read to the angle that was commanded [-]."""
+    """Ratio of the measured to the commanded angle [-]."""
     zero: Float[Array, ""] = _coefficient(0.0)
-    """Angle that is read where 0 was commanded [rad]."""
+    """Measured angle for a command of 0 [rad]."""
     delay: Float[Array, ""] = _coefficient(0.0)
-    """Ticks from a command to the first that obeys it, at most `MAX_DELAY` [10 ms]."""
+    """Ticks from a command to the first one that obeys it, at most `MAX_DELAY` [10 ms]."""
     velocity_factor: Float[Array, ""] = _coefficient(1.0)
     """Ratio of the profile's velocity to the commanded velocity [-]."""
     velocity_limit: Float[Array, ""] = _coefficient(100.0)
@@ -62,15 +61,16 @@ class Profile(eqx.Module):
     acceleration: Float[Array, ""] = _coefficient(100.0)
     """Acceleration when speeding up and braking [rad/s2]."""
     lag: Float[Array, ""] = _coefficient(0.0)
-    """Angle that the shaft is behind its profile over its velocity [s]."""
+    """Angle by which the shaft is behind its profile, divided by its velocity [s]."""
 
     def start(self, motion: Motion, waiting: Command) -> ProfileState:
-        """State in motion, with the commands of the last `MAX_DELAY` ticks, newest first."""
+        """Return the state for a given motion and the commands of the last `MAX_DELAY` ticks,
+        newest first."""
         return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
 
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
-        """Step by a tick under a new command; also returns the command that is obeyed, as the log's
-        angles count."""
+        """Advance by one tick under a new command; also returns the command being obeyed, in the
+        angle scale of the log."""
         queue = Command(
             *(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True))
         )
@@ -87,12 +87,12 @@ class Profile(eqx.Module):
         return ProfileState(angle, velocity, Command(*(channel[:-1] for channel in queue))), target
 
     def motion(self, state: ProfileState) -> Motion:
-        """Motion of the shaft that follows the profile."""
+        """Return the motion of the shaft that follows the profile."""
         return Motion(state.angle - self.lag * state.velocity, state.velocity)
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
-    """Find the coefficients, and the mean absolute error of the angle [rad] that they leave."""
+    """Find the coefficients; also return their mean absolute error of the angle [rad]."""
     ticks = min(TICKS, max(len(log.reading.time) for log in logs) - MAX_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
@@ -101,8 +101,8 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
     results = []
     for start in range(STARTS):
-        # A drive that does what it is told two or three ticks later, no faster than in the logs.
-        # The error has a minimum at many delays: one search in five ends in a wrong one.
+        # An ideal drive with a delay of two or three ticks, no faster than in the logs. The error
+        # has local minima at many delays: one search in five ends in a wrong one.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
         random = named_generator(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
@@ -120,9 +120,9 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag
-    count from 0 on."""
-    # The limit moves in small steps: where it is above all commands it has no effect, and a search
-    # gets lost there.
+    are absolute values."""
+    # The limit moves in small steps: above all commands it has no effect, and a search would get
+    # lost there.
     gain, zero, delay, factor, limit, acceleration, lag = coded
     return Profile(
         jnp.exp(0.1 * gain),

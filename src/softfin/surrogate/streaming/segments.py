@@ -1,5 +1,5 @@
-"""Logs as one table on the device, the segments of it that training draws, and the scales of what
-they hold."""
+"""Logs as one table on the device, the segments that training draws from it, and the scales of its
+channels."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ from softfin.core.errors import LogError
 from softfin.core.quantities import AnyArray, Command, Log
 
 MAX_DELAY = 20
-"""Longest delay from a command to the motion that obeys it [ticks]."""
+"""Longest delay from a command to its motion [ticks]."""
 
 
 class Motion(NamedTuple):
@@ -39,7 +39,7 @@ class Scales(Configuration):
 
 
 def measure_scales(logs: Sequence[Log]) -> Scales:
-    """Scales of the training logs; raises LogError where nothing moves."""
+    """Compute the scales of the training logs; raises LogError if nothing moves."""
     angle, velocity, force = (
         [np.asarray(getattr(log.reading, name), np.float64) for log in logs]
         for name in ("angle", "velocity", "force")
@@ -53,14 +53,14 @@ def measure_scales(logs: Sequence[Log]) -> Scales:
     for name, value in values.items():
         if not value > 0:
             raise LogError(
-                f"{name.partition('_')[0]} never changes in the training logs: nothing can be "
-                "learnt"
+                f"{name.partition('_')[0]} never changes in the training logs: no surrogate can be "
+                "fitted"
             )
     return Scales(**{name: float(value) for name, value in values.items()})
 
 
 class SegmentBatch(NamedTuple):
-    """Segments of logs, ``(batch, ticks)``: commands of rows k, and the force of rows k + 1."""
+    """Segments of logs, ``(batch, ticks)``: the commands of rows k, and the force of rows k + 1."""
 
     waiting: Command
     """Commands before the first row, newest first, ``(batch, MAX_DELAY)``."""
@@ -79,11 +79,11 @@ class Table(NamedTuple):
     motion: Motion
     force: Float[Array, "rows 2"]
     starts: Int[Array, "choices"]
-    """Rows that a segment may begin at: all of it lies in one log."""
+    """Rows at which a segment may begin, so that all of it is in one log."""
 
     @classmethod
     def of(cls, logs: Sequence[Log], ticks: int) -> "Table":
-        """Make the table for segments of `ticks`; raises LogError where no log holds one."""
+        """Build the table for segments of `ticks`; raises LogError if no log is long enough."""
         rows = [len(log.reading.time) for log in logs]
         first = np.cumsum([0, *rows[:-1]])
         starts = [

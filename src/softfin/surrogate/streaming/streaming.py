@@ -39,15 +39,13 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 from softfin.surrogate.training import name_net_arrays, restored
 
 SETTLED = 3000
-"""Ticks that `init` has been at rest for: twenty of the longest time constants that a wake begins
-with."""
+"""Ticks at rest before `init`: twenty times the longest initial time constant of a wake."""
 
 SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
-    """State of every member, and ticks since the start [10 ms]; it does not grow, whatever it
-    remembers."""
+    """State of every member, and ticks since the start [10 ms]; its size is constant."""
 
     tick: Int[Array, ""]
     members: MemberState
@@ -59,17 +57,17 @@ class StreamingSurrogate(eqx.Module):
     members: Member
     """Members, stacked."""
     rest: MemberState
-    """States of the members long at rest at angle 0, stacked."""
+    """Stacked states of the members after a long rest at angle 0."""
     familiarity: Familiarity
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """The range of the commands in the training data: beyond it the networks extrapolate."""
+    """The range of the commands in the training data: outside it the networks extrapolate."""
 
     computed: ClassVar[tuple[str, ...]] = ("rest",)
-    """Fields that are computed from the others."""
+    """Names of the fields that are computed from the others."""
     model: ClassVar[str] = "streaming"
     memory: ClassVar[int] = 300
-    """Rows of a log that `warm` follows: a stroke at the paper's least velocity takes as long."""
+    """Rows of a log that `warm` needs: the duration of a stroke at the paper's lowest velocity."""
     scaling: ClassVar[None] = None
 
     def __init__(
@@ -91,23 +89,22 @@ class StreamingSurrogate(eqx.Module):
         return int(self.members.force.offset.shape[0])
 
     def init(self, key: PRNGKeyArray) -> StreamingState:
-        """Long at rest at angle 0. Nothing is random here: the key is not used."""
+        """Return the state after a long rest at angle 0. Nothing is random: the key is unused."""
         return StreamingState(jnp.int32(0), self.rest)
 
     def warm(self, history: Log) -> StreamingState:
-        """The state after a recorded history, free-running over its last `memory` rows; raises
-        LogError if shorter."""
+        """Return the state after a recorded history, free-running over its last `memory` rows;
+        raises LogError if it is shorter."""
         if (rows := len(history.reading.time)) < self.memory:
             raise LogError(
-                f"history: {rows} rows; {self.memory} are needed to know what the fin has been "
-                "doing"
+                f"history: {rows} rows; {self.memory} are needed to know the state of the fin"
             )
         command, reading = jax.tree.map(
             lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
         )
         motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
         waiting = Command(*(part[:MAX_DELAY][::-1] for part in command))
-        # The last row's command shows in the row that comes next.
+        # The last row's command takes effect in the row after it.
         passed = Command(*(part[MAX_DELAY:-1] for part in command))
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
@@ -115,7 +112,7 @@ class StreamingSurrogate(eqx.Module):
     def advance(
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each: fields
+        """Hold the command for `ticks` samples of 10 ms and read after each; fields have the shape
         ``(ticks,)``."""
         state, each = self.advance_members(state, command, ticks)
         return state, Reading(each.time[0], *(channel.mean(axis=0) for channel in each[1:]))
@@ -123,8 +120,7 @@ class StreamingSurrogate(eqx.Module):
     def advance_members(
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
-        """Advance as `advance` does, with every member's own reading: fields ``(members,
-        ticks)``."""
+        """Like `advance`, but with the reading of every member: fields ``(members, ticks)``."""
         held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
 
         def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
@@ -138,8 +134,7 @@ class StreamingSurrogate(eqx.Module):
         return StreamingState(state.tick + ticks, after), reading
 
     def member(self, index: Int[Array, ""]) -> "StreamingSurrogate":
-        """One member as a plant of its own, an ensemble of one; `index` may be a value in a
-        program."""
+        """Return one member as a plant, an ensemble of one; `index` may be a traced value."""
         picked = jax.tree.map(lambda x: x[index][None], (self.members, self.rest))
         alone: StreamingSurrogate = eqx.tree_at(
             lambda ensemble: (ensemble.members, ensemble.rest), self, picked
@@ -147,13 +142,13 @@ class StreamingSurrogate(eqx.Module):
         return alone
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
-        """Distance of the last motion from the training data: 1 is as far as one in a thousand
-        moments of them."""
+        """Return the distance of the last motion from the training data: one in a thousand training
+        moments exceeds 1."""
         return self.familiarity.distance(remembered(single(state.members.force)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Mean predictions of logs: drive networks; force networks, given measured and given
-        predicted motion."""
+        """Return the mean predictions of logs by the drive networks, and by the force networks with
+        measured and with predicted motion."""
         drive = self.members.drive
         force = self.members.force
         free = predict_motion(drive, logs)
@@ -179,11 +174,11 @@ class StreamingSurrogate(eqx.Module):
         return 2 * products(single(self.members)) * self.size
 
     def parameters(self) -> int:
-        """Trainable numbers of all members."""
+        """Number of trainable parameters of all members."""
         return parameters(self.members)
 
     def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
-        """Entries of ``surrogate.json``, and the arrays by their place in the networks."""
+        """Entries of ``surrogate.json``, and the arrays by their paths in the networks."""
         drive = self.members.drive
         force = self.members.force
         return {
@@ -202,8 +197,8 @@ class StreamingSurrogate(eqx.Module):
     def from_files(
         cls, description: Any, weights: dict[str, np.ndarray], source: str
     ) -> "StreamingSurrogate":
-        """The surrogate that `to_files` described; raises ArtifactError where channels or arrays do
-        not fit."""
+        """Build the surrogate that `to_files` described; raises ArtifactError if channels or arrays
+        do not fit."""
         if description["channels"] != SURROGATE_CHANNELS:
             raise ArtifactError(
                 f"{source}: channels {description['channels']}; streaming surrogates have "
@@ -230,7 +225,7 @@ class StreamingSurrogate(eqx.Module):
 
 @eqx.filter_jit
 def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
-    """State of every member after these commands, one a tick."""
+    """Return the state of every member after these commands, one per tick."""
 
     def one(member: Member) -> Any:
         return jax.lax.scan(

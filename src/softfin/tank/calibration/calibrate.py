@@ -43,8 +43,7 @@ TRACE_S = 10
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """The tank and the recording that were found, and the segments that they were fitted to and
-    judged on."""
+    """The tank and the recording that were found, and the segments for the fit and for the test."""
 
     tank: TankConfig
     recording: RecordingConfig
@@ -53,8 +52,8 @@ class Calibration:
     test: Segments
 
     def read(self, command: Command) -> Float[np.ndarray, "segments ticks channels"]:
-        """Return what the log of the found tank would have under commands ``(segments, ticks)`` of
-        a log."""
+        """Return what a log of the fitted tank would contain under commands ``(segments, ticks)``
+        of a log."""
         return np.asarray(read(stacked([(self.tank, self.recording)]), command)[0])
 
     def write(
@@ -64,8 +63,8 @@ class Calibration:
         extra_files: Callable[[Path], None],
         overwrite: bool,
     ) -> JsonObject:
-        """Write the folder, whole or not at all; returns the content of its ``calibration.json``
-        (docs/files.md)."""
+        """Write the folder, completely or not at all; returns the content of its
+        ``calibration.json`` (docs/files.md)."""
         modelled = self.read(self.test.command)
         unseen = scores(modelled, self.test)
         summary = {
@@ -79,8 +78,12 @@ class Calibration:
         def write(folder: Path) -> None:
             artifacts.write_description(folder, "calibration", summary)
             for name, config, head in (
-                ("tank", self.tank, "The tank that was found."),
-                ("recording", self.recording, "How the logs differ from what that tank reads."),
+                ("tank", self.tank, "The fitted tank."),
+                (
+                    "recording",
+                    self.recording,
+                    "How the logs differ from the readings of that tank.",
+                ),
             ):
                 text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
                 (folder / f"{name}.yaml").write_text(f"# {head}\n{text}")
@@ -94,8 +97,8 @@ class Calibration:
 def prepared(
     config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]
 ) -> tuple[Space, Segments, Segments]:
-    """Return what is searched, what it is fitted to and what it is judged on; raises where either
-    is not usable."""
+    """Return the search space, the segments for the fit and those for the test; raises if they are
+    not usable."""
     parameters = list_parameters(config.parameters)
     if not parameters:
         raise ConfigurationError(
@@ -124,7 +127,7 @@ def calibrate_tank(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; goes on from the run directory's checkpoint where there is
+    """Fit a tank to the training logs; continues from the run directory's checkpoint if there is
     one."""
     tell = progress or (lambda stage, fraction, note: None)
     space, fitted, unseen = prepared(config, train, test)
@@ -167,8 +170,8 @@ def calibrate_tank(
 def scores(
     modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments
 ) -> ChannelScores:
-    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of what is
-    measured and modelled."""
+    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of measurement
+    and model."""
     rows = {}
     for index, channel in enumerate(FITTED_CHANNELS):
         true = np.asarray(segments.compared, np.float64)[..., index]
@@ -188,7 +191,7 @@ def scores(
 def calibration_figure(
     test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: ChannelScores
 ) -> Figure:
-    """Draw the test segment of median error, and the mean forces over 2 s of all."""
+    """Draw the test segment with the median error, and the mean forces over 2 s of all segments."""
     measured = np.asarray(test.measured)
     ticks = slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
     error = (modelled - measured)[:, test.warm_up :] / np.asarray(test.deviation)

@@ -1,8 +1,8 @@
 """Configuration of a calibration: parameters, data, search.
 
-The numbers that it may change have names such as ``fin.length_m``, and ranges. A search moves in
-scaled coordinates: 0 is the low end of a parameter's range, 1 the high end, on a logarithmic scale
-where both are positive, else on a linear one.
+The numbers that it may change have ranges and names such as ``fin.length_m``, and ranges. A search
+moves in scaled coordinates: 0 is the low end of a parameter's range, 1 the high end, on a
+logarithmic scale where both are positive, else on a linear one.
 """
 
 import difflib
@@ -22,7 +22,7 @@ from softfin.tank import TankConfig
 
 CalibrationRange = tuple[float, float]
 Ranges = dict[str, dict[str, CalibrationRange | None]]
-"""Range of each number, by group and name; None keeps the number."""
+"""Range of each number, by group and name; None keeps the number fixed."""
 
 CalibrationPoint = Float[np.ndarray, "parameters"]
 """Scaled coordinates of the parameters, 0 .. 1."""
@@ -52,11 +52,11 @@ FREE: dict[str, CalibrationRange] = {
     "recording.force_x_n": (-1.0, 1.0),
     "recording.force_y_n": (-1.0, 1.0),
 }
-"""Ranges of what is fitted unless the configuration says otherwise.
+"""Ranges of the parameters that are fitted by default.
 
-Not span and root thickness: a ruler tells them, and no log can tell them from Young's modulus, drag
-and added mass. Not the sensor's misalignment: all that turns with the shaft's zero turns, so one of
-three offsets must be known.
+Span and root thickness are not among them: a ruler measures them, and no log can separate them from
+Young's modulus, drag and added mass. Neither is the sensor's misalignment: it cannot be separated
+from the zero of the shaft, so one of three offsets must be known.
 """
 
 _UNITS = {
@@ -81,17 +81,17 @@ class RecordingConfig(Configuration):
     recording itself."""
 
     angle_gain: float = Field(1.0, gt=0)
-    """Target angle over commanded angle [-]."""
+    """Target angle divided by commanded angle [-]."""
     angle_offset_rad: float = 0.0
-    """Target angle where the command is 0 [rad]."""
+    """Target angle for a command of 0 [rad]."""
     velocity_factor: float = Field(1.0, gt=0)
-    """Profile velocity over commanded velocity [-]: the unit of the log."""
+    """Profile velocity divided by commanded velocity [-]: the unit of the log."""
     velocity_limit_rad_s: float = Field(12.5, gt=0)
-    """Profile velocity that the recorded drive never exceeds, whatever it is told [rad/s]."""
+    """Profile velocity that the recorded drive never exceeds, whatever the command [rad/s]."""
     reading_gain: float = Field(1.0, gt=0)
-    """Angle in the log over angle of the shaft [-]; its velocity likewise."""
+    """Angle in the log divided by the angle of the shaft [-]; the same for its velocity."""
     reading_offset_rad: float = 0.0
-    """Angle in the log where the shaft stands at 0 [rad]: the encoder's zero."""
+    """Angle in the log when the shaft is at 0 [rad]: the encoder's zero."""
     force_x_n: float = 0.0
     """Reading of the force sensor along x without force [N]."""
     force_y_n: float = 0.0
@@ -99,7 +99,7 @@ class RecordingConfig(Configuration):
 
 
 class Parameter(NamedTuple):
-    """One number, and the range in which it is sought."""
+    """One number, and the range in which it is searched."""
 
     name: str
     """Group and field: ``fin.length_m``."""
@@ -181,7 +181,7 @@ class Weights(Configuration):
     @model_validator(mode="after")
     def _some(self) -> "Weights":
         if self.angle + self.force_x + self.force_y == 0:
-            raise ValueError("at least one channel must weigh something")
+            raise ValueError("at least one channel must have a weight above 0")
         return self
 
 
@@ -189,44 +189,44 @@ class CalibrateConfig(Configuration):
     """How a tank is fitted."""
 
     parameters: Ranges = Field(default_factory=every_range, validate_default=True)
-    """Range [low, high] of each number that is sought; null keeps it as `tank` or `recording` has
-    it."""
+    """Range [low, high] of each number to fit; null keeps the value in `tank` or `recording`."""
     tank: TankConfig = TankConfig()
-    """Tank where the search starts, which holds all that it does not change."""
+    """Tank from which the search starts; it contains all values that the search does not change."""
     recording: RecordingConfig = RecordingConfig()
-    """The recording at the start of the search, and all of it that the search does not change."""
+    """Recording from which the search starts; it contains all values that the search does not
+    change."""
     weights: Weights = Weights()
     """Weights of the channels in the loss."""
     evaluations: int = Field(4000, ge=0)
-    """Tanks that the global search (CMA-ES) tries; 0: only the local one, from where `tank` is."""
+    """Number of tanks that the global search (CMA-ES) tries; 0: only the local search, from
+    `tank`."""
     population: int = Field(16, ge=4)
-    """Tanks of one generation, simulated side by side."""
+    """Number of tanks in one generation, simulated at the same time."""
     step: float = Field(0.1, gt=0, le=1)
-    """Standard deviation of the first generation, over the width of each range."""
+    """Standard deviation of the first generation, as a fraction of each range."""
     search_plates: int = Field(4, ge=1, le=32)
-    """Plates of the fin in the global search; the local one has the plates of `tank`."""
+    """Number of plates of the fin in the global search; the local one uses the plates of `tank`."""
     search_steps: int = Field(1, ge=1)
-    """Steps of time a tick in the global search; the local one has those of `tank`."""
+    """Time steps per tick in the global search; the local one uses those of `tank`."""
     iterations: int = Field(12, ge=1)
-    """Most steps of the local search (Levenberg-Marquardt); it ends when a step gains less than
-    1e-6."""
+    """Largest number of steps of the local search (Levenberg-Marquardt); it ends when a step gains
+    less than 1e-6."""
     segments: int = Field(24, ge=2)
-    """Segments of the training logs that are fitted."""
+    """Number of segments of the training logs for the fit."""
     test_segments: int = Field(12, ge=1)
-    """Segments of the test logs that the fit is judged on."""
+    """Number of segments of the test logs for the test."""
     segment_s: float = Field(12.0, ge=0.1)
     """Length of each segment [s]."""
     warm_up_s: float = Field(2.0, ge=0)
-    """Start of each segment that is simulated but not compared [s]: longer than a stroke, so that
-    it can end."""
+    """Start of each segment that is simulated but not compared [s]: longer than a stroke, so that a
+    stroke can end."""
     block_s: float = Field(2.0, ge=0.01)
-    """Blocks of time [s] whose errors are taken to be independent of each other when standard
+    """Length of the blocks of time [s] whose errors are assumed to be independent when standard
     errors are computed."""
     excitation: ExcitationConfig = ExcitationConfig()
-    """Excitation of a plant that is to be fitted; logs bring their own commands."""
+    """Excitation if a plant is fitted; logs have their own commands."""
     velocity_rad_s: CalibrationRange | None = None
-    """Range of the velocities that the plant is commanded in the excitation; null: that of its
-    limits."""
+    """Range of the commanded velocities in the excitation; null: the plant's limits."""
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -270,5 +270,5 @@ CALIBRATE_PRESETS: dict[CalibratePreset, CalibrateConfig] = {
         test_segments=6,
     ),
 }
-"""``full``: fin, water, drive and recording. ``quick``: what tells most, in a minute, the log taken
-as it is."""
+"""``full``: fin, water, drive and recording. ``quick``: the most informative parameters, in a
+minute, without those of the recording."""

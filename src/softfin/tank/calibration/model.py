@@ -1,7 +1,7 @@
-"""Data that a tank is fitted to, and many tanks over them in one compiled program: points in,
-residuals out.
+"""The data for the fit of a tank, and one compiled program that runs many tanks over them: points
+in, residuals out.
 
-Logs of a dataset, or of a plant that is moved for the purpose, are cut into equal segments. R2 of a
+Logs of a dataset, or of a plant that is excited for the fit, are cut into equal segments. R2 of a
 channel is pooled: 1 - (sum of squared errors) / (sum of squared deviations from the mean), both
 sums and the mean over all compared ticks of all segments together.
 """
@@ -63,8 +63,8 @@ class Segments(eqx.Module):
 
 
 def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> Segments:
-    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` where the logs
-    hold no more."""
+    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` if the logs are
+    too short."""
     places = [
         (log, slice(start, start + rows))
         for start in range(0, max((len(log.reading.time) for log in logs), default=0) - rows, rows)
@@ -98,12 +98,11 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> 
 def material(
     data: str | Path | Plant, config: CalibrateConfig, seed: int
 ) -> tuple[list[Log], list[Log], JsonObject]:
-    """Return training logs, test logs and what tells them from others: the data's hash or the
-    plant's identity.
+    """Return training logs, test logs and their identity: the data's hash or the plant's identity.
 
     They are those of a dataset's folder, or of a plant: a surrogate's folder, its name, or itself.
-    Raises ArtifactError for other folders, ConfigurationError for velocities that the plant does
-    not take, or velocities for logs.
+    Raises ArtifactError for other folders, ConfigurationError for velocities outside the plant's
+    limits, or if velocities are given for logs.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -155,17 +154,17 @@ def _of_plant(
 Errors = Callable[
     [Sequence[CalibrationPoint]], Iterator[Float[np.ndarray, "segments compared channels"]]
 ]
-"""Function from points to the errors of each, divided by each channel's standard deviation."""
+"""Function from points to their errors, divided by each channel's standard deviation."""
 
 QUIET = {
     "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
     "drive": {"encoder_step_rad": 0.0},
 }
-"""A tank without what is random or stepped in the readings: neither can be fitted."""
+"""Return a tank without randomness and quantisation in its readings, which cannot be fitted."""
 
 
 class Model(NamedTuple):
-    """A tank, and by the names of `RecordingConfig` what lies between it and the logs."""
+    """A tank, and by the names of `RecordingConfig` the relation between it and the logs."""
 
     tank: Plant
     recording: dict[str, Float[Array, "*models"]]
@@ -177,12 +176,12 @@ class Model(NamedTuple):
         return cls(Tank(tank.merged(QUIET, "calibration")), arrays)
 
     def read(self, command: Command) -> Float[Array, "ticks channels"]:
-        """Return what the log of this tank would have, from rest, after each command ``(ticks,)``
+        """Return what a log of this tank would contain, from rest, after each command ``(ticks,)``
         of a log."""
         by = self.recording
         angle = by["angle_gain"] * command.angle + by["angle_offset_rad"]
         velocity = jnp.minimum(by["velocity_factor"] * command.velocity, by["velocity_limit_rad_s"])
-        # No noise is drawn that counts: the key does not matter.
+        # The readings contain no noise, so the key does not matter.
         _, reading = roll(self.tank, self.tank.init(jax.random.key(0)), Command(angle, velocity))
         angle = by["reading_gain"] * reading.angle + by["reading_offset_rad"]
         force = reading.force + jnp.stack([by["force_x_n"], by["force_y_n"]])
@@ -190,7 +189,7 @@ class Model(NamedTuple):
 
 
 def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
-    """Return the models side by side, along a new first axis of each array."""
+    """Stack the models along a new first axis of each array."""
     side_by_side: Model = jax.tree.map(
         lambda *leaves: jnp.stack(leaves), *(Model.build(*each) for each in configs)
     )
@@ -199,15 +198,15 @@ def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
 
 @eqx.filter_jit
 def read(models: Model, command: Command) -> Float[Array, "models segments ticks channels"]:
-    """Return what each of the stacked models reads under each segment's commands."""
+    """Return the readings of each stacked model under the commands of each segment."""
     readings: Array = jax.vmap(lambda each: jax.vmap(each.read)(command))(models)
     return readings
 
 
 @eqx.filter_jit
 def _errors(models: Model, segments: Segments) -> Float[Array, "models segments compared channels"]:
-    """Model less measured behind the warm-up, over each channel's standard deviation: its mean
-    square is 1 - R2."""
+    """Return model minus measurement after the warm-up, divided by each channel's standard
+    deviation: the mean square is 1 - R2."""
     found: Array = (
         read(models, segments.command)[:, :, segments.warm_up :] - segments.compared
     ) / segments.deviation
@@ -215,14 +214,13 @@ def _errors(models: Model, segments: Segments) -> Float[Array, "models segments 
 
 
 class Space:
-    """The box that the free parameters span, round a tank and a recording that give all other
+    """The box spanned by the free parameters, around a tank and a recording with all other
     numbers."""
 
     def __init__(
         self, parameters: Sequence[Parameter], tank: TankConfig, recording: RecordingConfig
     ) -> None:
-        """Raise ConfigurationError where the box reaches beyond what is valid, or leaves out its
-        starting point."""
+        """Raise ConfigurationError if the box contains invalid values or not its starting point."""
         self.parameters = tuple(parameters)
         self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}
         for parameter in self.parameters:
@@ -247,14 +245,14 @@ class Space:
         return self._built(values, "calibration")
 
     def errors(self, segments: Segments, batch: int) -> Errors:
-        """Return the function that simulates points against segments, `batch` at once."""
+        """Return the function that simulates points against segments, `batch` at a time."""
 
         def errors(
             points: Sequence[CalibrationPoint],
         ) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
             for start in range(0, len(points), batch):
                 some = [self.configs(point) for point in points[start : start + batch]]
-                # Filled up, so that one compiled program serves all calls.
+                # Padded, so that one compiled program is enough for all calls.
                 models = stacked([*some, *some[-1:] * (batch - len(some))])
                 yield from np.asarray(_errors(models, segments))[: len(some)]
 

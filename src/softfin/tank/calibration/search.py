@@ -1,16 +1,16 @@
-"""The two searches in the box of scaled coordinates, and how well the logs determine what they
-find.
+"""The two searches in the box of scaled coordinates, and how well the logs determine the result.
 
-CMA-ES goes over all of the box, least squares from its best point. The state of CMA-ES (Hansen
-2016, arXiv:1604.00772) is not saved but repeated: the same seed and the same losses lead to the
-same generation. The local search is SciPy's trust region, with the Jacobian by differences.
+CMA-ES searches the whole box, then least squares starts from its best point. The state of CMA-ES
+(Hansen 2016, arXiv:1604.00772) is not saved but recomputed: the same seed and the same losses lead
+to the same generation. The local search is SciPy's trust region, with the Jacobian from finite
+differences.
 
-Standard errors are the jackknife's over blocks of time, in the linear model about the optimum: each
-block is left out once. Errors within a block may be correlated in any way, as those of a model
-always are; blocks are taken as independent (Cameron and Miller 2015, J. Human Resources 50, 317,
-sec. VI.B). No standard error is less than that for errors without correlation. A parameter that
-sits on an end of its range is taken as given there, and one without any effect, such as a limit
-that is never met, is left out.
+Standard errors come from a jackknife over blocks of time, in the linear model around the optimum:
+each block is left out once. Errors within a block may be correlated in any way, as model errors
+always are; blocks are assumed to be independent (Cameron and Miller 2015, J. Human Resources 50,
+317, sec. VI.B). No standard error is less than that for errors without correlation. A parameter at
+an end of its range is treated as fixed there, and one without any effect, such as a limit that is
+never reached, is left out.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,12 +36,12 @@ FAILED = 1e3
 """Loss of a tank whose readings are not finite: worse than any other."""
 
 DIFFERENCE = 2e-3
-"""Step of the differences in scaled coordinates: far above float32 round-off, far below any
+"""Step of the finite differences in scaled coordinates: far above float32 round-off, far below any
 curvature."""
 
 GAIN = 1e-6
-"""The search ends when a step lowers the loss by less than this part: little against one over the
-samples."""
+"""The search ends when a step lowers the loss by less than this fraction: small compared with one
+over the number of samples."""
 
 
 def search(
@@ -52,11 +52,10 @@ def search(
     seed: int,
     report: Callable[[int, Losses], None] = lambda done, losses: None,
 ) -> CalibrationPoint:
-    """Return the best point that was tried; `losses` are those known from before, NaN from there
-    on.
+    """Return the best point that was tried; `losses` are those already known, and NaN after them.
 
-    `report` is called with the generations done and all losses so far. Raises RunError where no
-    tank of a generation has finite readings.
+    `report` is called with the generations done and all losses so far. Raises RunError if no tank
+    of a generation has finite readings.
     """
     random = named_generator(seed, "calibrate/search")
     strategy = cma_es(
@@ -85,15 +84,15 @@ def search(
 def misfits(
     errors: Errors, points: Sequence[CalibrationPoint]
 ) -> Float[np.ndarray, "points channels"]:
-    """Return 1 - R2 of each point and channel; not finite where a tank's readings are not."""
+    """Return 1 - R2 of each point and channel; not finite if a tank's readings are not."""
     return np.stack(
         [np.mean(np.square(each, dtype=np.float64), axis=(0, 1)) for each in errors(points)]
     )
 
 
 class Linear(NamedTuple):
-    """A model about a point: residuals, weighted so that the sum of their squares is the loss, and
-    their slopes."""
+    """A linear model around a point: residuals, weighted so that the sum of their squares is the
+    loss, and their derivatives."""
 
     point: CalibrationPoint
     residuals: Float[np.ndarray, "segments compared channels"]
@@ -113,8 +112,8 @@ class Linear(NamedTuple):
 
 
 def linearised(errors: Errors, point: CalibrationPoint, weights: ChannelWeights) -> Linear:
-    """Return the model about a point; central differences inside the box, one-sided ones at its
-    faces."""
+    """Return the linear model around a point; central differences inside the box, one-sided ones at
+    its faces."""
     up, down = (
         np.clip(point + sign * DIFFERENCE * np.eye(len(point)), 0.0, 1.0) for sign in (1, -1)
     )
@@ -136,7 +135,7 @@ def polish(
     iterations: int,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
 ) -> Linear:
-    """Return the model about the best point that is reached from `start` within so many steps."""
+    """Return the linear model around the best point reached from `start` within `steps` steps."""
     tried: list[float] = []
 
     def residuals(point: CalibrationPoint) -> Float[np.ndarray, "samples"]:
@@ -148,13 +147,14 @@ def polish(
         return np.asarray(weighted)
 
     def slopes(point: CalibrationPoint) -> Float[np.ndarray, "samples parameters"]:
-        # Beside the last tank with finite readings there may be none.
+        # Next to the last tank with finite readings there may be none.
         jacobian = np.nan_to_num(
             linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0
         )
         return np.asarray(jacobian.reshape(len(point), -1).T, np.float64)
 
-    # Dogbox, as the best point may lie on a face of the box, where the other methods do not go.
+    # Dogbox, because the best point may lie on a face of the box, which the other methods never
+    # reach.
     found = least_squares(
         residuals,
         start,
@@ -173,19 +173,19 @@ def _scale(errors: np.ndarray, weights: ChannelWeights) -> Float[np.ndarray, "ch
 
 
 TRADING = 0.9
-"""Correlation from which two parameters are said to trade against each other."""
+"""Correlation from which on two parameters are reported as a trade-off."""
 
 VERDICTS = (("well", 0.1), ("roughly", 0.5), ("poorly", np.inf))
-"""Verdict by the part of the uncertainty that is left: standard error over the deviation of the
-whole range."""
+"""Verdict by the remaining uncertainty: standard error divided by the deviation of the whole
+range."""
 
 IDLE = 1e-4
 """Diagonal of J^T J below which a parameter does nothing that float32 differences could tell from
 round-off."""
 
 FARTHEST = 10.0
-"""Ends of an interval, in widths of the range: what logs say nothing of has an error that no float
-could hold."""
+"""Largest ends of an interval, in widths of the range: the error of an undetermined parameter would
+overflow."""
 
 RANGE_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform draw from 0 .. 1."""
@@ -202,7 +202,7 @@ def determination(
     idle = np.diag(normal) < IDLE
     free = np.flatnonzero(~(low | high | idle))
     values, directions = np.linalg.eigh(normal[np.ix_(free, free)])
-    # Along a direction without any slope the error is huge, and not infinite.
+    # Along a direction without any slope the error is huge but not infinite.
     least = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
     inverse = directions / np.maximum(values, least) @ directions.T
     jacobian = linear.jacobian[free].astype(np.float64)
@@ -217,8 +217,8 @@ def determination(
         )
         for k in range(len(residuals))
     ]
-    # Least squares, as without a block that alone tells something of a parameter the estimate is
-    # anywhere.
+    # Least squares, because without the only block that determines a parameter its estimate is
+    # arbitrary.
     moved = np.asarray(
         [
             np.linalg.lstsq(
@@ -232,7 +232,7 @@ def determination(
     covariance = moved.T @ moved * (len(blocks) - 1) / len(blocks)
 
     jackknife = np.sqrt(np.diag(covariance))
-    # Without correlation, each channel has the variance of its own errors.
+    # Without correlation, each channel's variance is that of its own errors.
     shares = (inverse @ jacobian.reshape(free.size, -1)).reshape(jacobian.shape)
     uncorrelated = (shares**2 * np.mean(residuals**2, axis=(0, 1))).sum(axis=(1, 2, 3))
     error = np.full(len(parameters), np.nan)
