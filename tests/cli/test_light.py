@@ -83,7 +83,7 @@ SLIPS: list[tuple[list[str], str]] = [
         "plant pool: unknown (does not exist); give tank, ",
     ),
     (["explore", "made", "--out", "full"], "--out full: a page is written as .html"),
-    (["rig", "check"], "rig.yaml: cannot be read (No such file or directory); docs/rig.md has one"),
+    (["rig", "check"], "rig.yaml: cannot be read (No such file or directory); copy the example"),
     (["run", "no", "--reference=1,1"], "no: no such folder; it should be a controller"),
     (
         ["run", "made", "--reference=1,1", "--bag", "a.txt"],

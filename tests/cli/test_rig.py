@@ -89,7 +89,7 @@ def test_nothing_moves_before_it_is_proved_that_the_drive_stops_by_itself(file, 
     record.unlink()
     zero = ("rig", "zero", "--rig", file, "--angle", "--arm", "--yes")
     line, code = fails(capsys, *zero)
-    assert "nobody has proved that its drive stops when softfin dies" in line
+    assert "no proof yet that its drive stops if softfin dies" in line
     assert line.endswith(f"run: softfin rig check --rig {Path(file).resolve()} --prove --arm")
     assert code == 2
     assert emulated.drive.state is State.SWITCH_ON_DISABLED
@@ -207,7 +207,7 @@ def test_an_emulated_rig_is_a_file_that_says_so_and_never_overwrites_one(
     assert config.safety == SafetyConfig(current_peak_a=3.0, current_sustained_a=1.5)
     line, code = fails(capsys, "rig", "emulate")
     assert (
-        line.endswith("rig.yaml: exists; give another --rig, or --overwrite to replace it"),
+        line.endswith("already exists; set another --rig, or use --overwrite to replace it"),
         code,
     ) == (True, 2)
     (tmp_path / "rig.state.json").write_text("of the rig before")

@@ -120,7 +120,7 @@ def test_view_writes_a_page(capsys, tmp_path):
         ),
         (
             ("ros2", "ucat", "--set", "max_thrust.tail=3"),
-            "max_thrust is of tail; U-CAT has the fins front_right",
+            "max_thrust is for tail, but U-CAT has front_right",
         ),
         (("ros2", "ucat", "--domain", "300"), "connection.domain = 300"),
     ],
@@ -181,7 +181,7 @@ def test_fins_that_are_not_there_end_the_node_in_one_line(capsys, transport):
         )
     assert stop.value.code == 1
     assert (
-        "after 0.1 s nobody publishes /ucat/front_right/joint_states, "
+        "after 0.1 s no publisher on /ucat/front_right/joint_states, "
         in capsys.readouterr().err.splitlines()[-1]
     )
 

@@ -177,10 +177,10 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
         (["--reference=4,0"], "not trained for"),
         (["--set", "joint_topic=joint"], "joint_topic = 'joint'"),
         (["--domain", "300"], "connection.domain = 300"),
-        (["--fin", "left fin"], "fin 'left fin': cannot be in the name of a topic"),
+        (["--fin", "left fin"], "fin 'left fin': cannot be part of a topic name"),
         (
             ["--fin", "left", "--set", "reference_timeout_s=null"],
-            "reference_lost = stop: needs an age",
+            "reference_lost = stop: needs a timeout",
         ),
     ],
 )
@@ -228,4 +228,4 @@ def test_a_topic_of_the_fins_own_is_not_spoken_on(there, monkeypatch, capsys):
     monkeypatch.setattr(driving, "find_robot", lambda name: RobotSetup(machine, SafetyConfig()))
     with pytest.raises(SystemExit):
         run("--plant", "ros2", "--reference=0,0")
-    assert "command_topic = /fin/command: is a topic of the fin's own" in capsys.readouterr().err
+    assert "command_topic = /fin/command: already a topic of the fin" in capsys.readouterr().err

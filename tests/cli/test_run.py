@@ -90,7 +90,7 @@ def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--plant", "tank", *RUN], "plant tank: not a real fin; give rig"),
+        (["--plant", "tank", *RUN], "plant tank: not a real fin; use rig"),
         (["--reference=1,1", "--reference-file", "x.csv"], "one of them"),
         ([], "give --reference=X,Y or --reference-file"),
         (["--reference=1,1", "--seconds", "0"], "--seconds 0: at least 1"),
@@ -133,7 +133,7 @@ def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(
     assert ended.value.code == 3
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("softfin run: stopped, motor disabled: force ")
-    assert said[-1].endswith("look for what the fin touches")
+    assert said[-1].endswith("check what the fin touches")
     assert "stopped: force_peak: force " in events_of(bag)[-1]
     still(emulated)
 

@@ -259,7 +259,7 @@ def test_no_step_moves_a_fin_whose_drive_is_not_proved(site, number):
     step = commission_step(
         site.file, load_rig(site.file), number, site.operator, site.behind.clock, HOUR_S
     )
-    assert "nobody has proved that its drive stops" in failures(step)["error"]
+    assert "no proof yet that its drive stops" in failures(step)["error"]
     assert site.behind.drive.state is not State.OPERATION_ENABLED
     assert site.operator.asked == []
 
@@ -301,7 +301,7 @@ def test_an_error_in_a_step_is_a_finding_and_the_step_can_be_repeated(site):
 
 def test_a_damaged_form_is_refused_in_one_line(site):
     form_file(site.file).write_text(json.dumps({"attempts": 1}))
-    with pytest.raises(RigError, match=r"rig.commissioning.json: not the form of a commissioning"):
+    with pytest.raises(RigError, match=r"rig.commissioning.json: not a commissioning form"):
         load_form(site.file)
 
 
@@ -325,12 +325,12 @@ class TestCommand:
             main([*command, "--arm"])
         told = capsys.readouterr().err
         assert told.endswith(
-            "step 2: rig check: not as required; correct it, then run this command again\n"
+            "step 2: rig check: requirement not met; fix the cause, then run this command again\n"
         )
         assert load_form(site.file).next_step(site.config) == 2
         site.behind.sensor.status = 0
         main([*command, "--arm", "--step", "2"])
-        assert capsys.readouterr().out.endswith("rig.commissioning.md: step 3 is next\n")
+        assert capsys.readouterr().out.endswith("rig.commissioning.md: next is step 3\n")
         assert load_form(site.file).next_step(site.config) == 3
 
     def test_a_signal_interrupts_a_step_so_that_its_motor_is_stopped(
@@ -353,8 +353,8 @@ class TestCommand:
         ("options", "told"),
         [
             ([], "nothing moves without --arm"),
-            (["--arm", "--yes"], "--yes: a commissioning needs a person; leave it out"),
-            (["--arm", "--step", "9"], "--step 9: no such step; give a number from 1 to 8"),
+            (["--arm", "--yes"], "--yes: commissioning needs an operator; leave out --yes"),
+            (["--arm", "--step", "9"], "--step 9: unknown step; use a number from 1 to 8"),
         ],
     )
     def test_a_wrong_option_is_one_clear_line(self, site, command, capsys, options, told):
@@ -374,13 +374,13 @@ class TestTerminal:
         assert operator.number("How much?") == 2.5
         assert operator.text("Signed by") == "A. Engineer"
         operator.wait("Let go")
-        assert "'much': not a number; write it as 2.5\n" in shown
+        assert "'much': not a number; type a number such as 2.5\n" in shown
 
     def test_the_end_of_its_input_is_one_clear_line(self):
         operator = TerminalOperator(iter([]), lambda _: None)
         for _ in range(2):
             with pytest.raises(
-                RunError, match="input has ended; start it again, it resumes at this step"
+                RunError, match="input has ended; run the command again to resume at this step"
             ):
                 operator.confirm("Is it on?")
 

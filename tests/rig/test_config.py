@@ -42,7 +42,7 @@ def test_a_whole_file_is_read(tmp_path):
         (lambda v: v["drive"].update(node=200), "drive.node.*200"),
         (
             lambda v: v["safety"].clear(),
-            "current_peak_a and current_sustained_a are missing: the motor's data sheet",
+            "current_peak_a and current_sustained_a are missing; set them to the motor's peak",
         ),
         (
             lambda v: v["drive"].update(acceleration_rad_s2=300.0),
@@ -61,7 +61,7 @@ def test_a_file_with_a_mistake_is_one_line_that_names_the_key(change, words, tmp
 def test_a_file_that_is_not_there_or_no_yaml_says_what_to_do(tmp_path):
     for load in (load_rig, load_ros2):
         with pytest.raises(
-            RigError, match=r"No such file or directory.; docs/rig.md has one with comments"
+            RigError, match=r"No such file or directory.; copy the example in docs/rig.md"
         ):
             load(tmp_path / "no.yaml")
     bad = tmp_path / "bad.yaml"

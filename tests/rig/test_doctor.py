@@ -66,7 +66,7 @@ def test_can_interfaces_are_listed_with_what_brings_one_up(net):
     assert results()["CAN"] == CheckResult("CAN", "well", "can0 up")
     net("can1", 280, 0x40080)
     assert results()["CAN"] == CheckResult(
-        "CAN", "note", "can0 up, can1 down; ip link set can1 up type can bitrate 1000000"
+        "CAN", "note", "can0 up, can1 down; run: sudo ip link set can1 up type can bitrate 1000000"
     )
 
 
@@ -88,10 +88,10 @@ def test_an_extra_that_is_not_there_says_how_it_is_added(monkeypatch):
     monkeypatch.setattr(installation, "extra_requirements", lambda extra: wanted.get(extra, []))
     monkeypatch.setattr(doctor, "extra_requirements", installation.extra_requirements)
     # It brings `learn`, and does not work without it.
-    assert results()["[onnx]"].text.startswith("lacks no-such-thing; where you need it: ")
+    assert results()["[onnx]"].text.startswith("lacks no-such-thing; if you need it: ")
     learn = results()["[learn]"]
     assert learn.state == "note"
-    assert learn.text.startswith("lacks no-such-thing; where you need it: ")
+    assert learn.text.startswith("lacks no-such-thing; if you need it: ")
     assert "[learn]" in learn.text
 
 
@@ -144,4 +144,4 @@ def test_without_jax_it_is_a_note():
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S, check=False
     )
-    assert "  note  JAX            not installed: this softfin runs controllers" in done.stdout
+    assert "  note  JAX            not installed: this softfin can run controllers" in done.stdout

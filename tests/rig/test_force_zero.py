@@ -79,7 +79,7 @@ def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, ax
     behind.fin.now = swinging
     with pytest.raises(
         DeviceError,
-        match=r"force varies by \d\.\d\d N \(deviation\): at most .*; let the water rest",
+        match=r"force varies by \d\.\d\d N: at most .*; wait until the water is calm",
     ):
         zero_force(config, 2.0, behind.clock)
     assert not record_file(config.file).exists()

@@ -66,7 +66,7 @@ def test_a_device_of_another_program_is_refused_with_its_number_until_that_progr
     lock = DeviceLock("drive 1", "can0", 1)
     with another_program(folder) as other:
         expected = (
-            r"^drive 1: in use by another program of this computer \(process "
+            r"^drive 1: in use by another program on this computer \(process "
             rf"{other.pid}\); end it first$"
         )
         with pytest.raises(RigError, match=expected):
@@ -107,7 +107,7 @@ def test_a_device_that_cannot_be_locked_is_used_with_a_note(folder):
     lock = DeviceLock("drive 1", "can0", 1)
     lock.acquire(REAL)
     assert lock.note.startswith("drive 1: cannot be locked (")
-    assert lock.note.endswith("see that no other program uses it")
+    assert lock.note.endswith("check that no other program uses it")
     lock.release()
 
 

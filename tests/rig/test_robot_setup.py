@@ -24,7 +24,7 @@ def test_a_controller_of_this_fin_within_its_limits_fits():
 
 def test_a_controller_of_another_fin_is_refused():
     with pytest.raises(
-        RigError, match="c: trained for the fin 'red'; this rig's is 'blue'; train one for it"
+        RigError, match="c: trained for fin 'red', but this rig has fin 'blue'; train one for it"
     ):
         robot().check_fits("c", LIMITS, "red")
 
@@ -34,7 +34,7 @@ def test_a_controller_of_another_fin_is_refused():
     [
         (
             {"angle_max": 1.8},
-            r"an? angle of -1\.5708 \.\. 1\.8 rad; free fin takes -1\.5708 \.\. 1\.5708",
+            r"an? angle of -1\.5708 \.\. 1\.8 rad; free fin accepts -1\.5708 \.\. 1\.5708",
         ),
         ({"angle_min": -1.8}, "angle"),
         ({"velocity_min": 0.5}, "velocity of 0.5"),
@@ -65,6 +65,6 @@ def test_the_file_beside_one_is_the_default(tmp_path, monkeypatch):
 
 def test_another_name_says_what_there_is():
     with pytest.raises(
-        RigError, match="plant tank: not a real fin; give rig or ros2, or one of these with :FILE"
+        RigError, match="plant tank: not a real fin; use rig or ros2, optionally with :FILE"
     ):
         find_robot("tank")

@@ -62,7 +62,7 @@ WIDE = {
 PATIENT = {"heartbeat_s": 1.0, "sync_s": 0.02}
 """Likewise, of the drive."""
 
-BUSY = "0x8130|silent for|ms late|heartbeat is missing|no new angle for|no new force for"
+BUSY = "0x8130|silent for|ms late|heartbeat has been missing|no new angle for|no new force for"
 """What a machine that is too busy for a while is stopped by, before any other fault is seen."""
 
 SESSION_ENDS_S = 20.0
@@ -166,22 +166,25 @@ def clock_jump(at: Scene) -> None:
 
 
 STOPS: dict[str, tuple[Inject, str]] = {
-    "bus off": (bus_off, "no new angle|heartbeat|did not take a target"),
+    "bus off": (bus_off, "no new angle|heartbeat|did not accept a target"),
     "adapter bus-off": (error_frame(0x040), "adapter is bus-off"),
     "adapter error passive": (error_frame(0x004, 0x20), "adapter is error passive"),
     "bus takes no frames": (bus_lost, "takes no frames|angle"),
     "cable of the drive cut": (
         lambda at: at.emulated.drive.go_silent(),
-        "no new angle|heartbeat|did not take",
+        "no new angle|heartbeat|did not accept",
     ),
-    "heartbeat lost": (lambda at: at.emulated.drive.drop_heartbeat(), "heartbeat is missing"),
+    "heartbeat lost": (
+        lambda at: at.emulated.drive.drop_heartbeat(),
+        "heartbeat has been missing",
+    ),
     "emergency frame": (lambda at: at.emulated.drive.fault(0x8611), "0x8611, following error"),
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
     "limit of the drive holds it back": (
         lambda at: setattr(at.emulated.drive, "at_limit", True),
         "its own limits",
     ),
-    "drive starts anew": (lambda at: at.emulated.drive.reboot(), "started anew|state"),
+    "drive starts anew": (lambda at: at.emulated.drive.reboot(), "restarted|state"),
     "blocked fin": (lambda at: block(at.emulated.fin), "following|behind"),
     "over-range": (
         lambda at: setattr(at.emulated.sensor, "status", 0xC0000000),
@@ -191,16 +194,16 @@ STOPS: dict[str, tuple[Inject, str]] = {
         lambda at: setattr(at.emulated.sensor, "status", 0x88000000),
         "force sensor 127.0.0.1",
     ),
-    "sensor silent": (lambda at: at.emulated.sensor.silence(), "nothing new|no new force"),
+    "sensor silent": (lambda at: at.emulated.sensor.silence(), "no new record|no new force"),
     "sensor starts anew": (
         lambda at: at.emulated.sensor.reboot(0.1),
-        "nothing new|no new force|restarted",
+        "no new record|no new force|restarted",
     ),
     "sensor's values stand still": (
         lambda at: setattr(at.emulated.sensor, "are_values_frozen", True),
-        "stand still",
+        "values are frozen",
     ),
-    "all packets lost": (network(drop=1.0), "nothing new|no new force"),
+    "all packets lost": (network(drop=1.0), "no new record|no new force"),
     "disk full": (disk_full, "No space left on device"),
 }
 """Each ends in a safe stop whose reason matches."""

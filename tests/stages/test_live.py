@@ -129,7 +129,7 @@ def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_pa
     with emulated() as (_, robot):
         monkeypatch.setattr(robot.machine, "open", lambda: pytest.fail("opened"))
         monkeypatch.setattr("softfin.stages.live.load_controller", _of_fin("red"))
-        with pytest.raises(RigError, match="trained for the fin 'red'"):
+        with pytest.raises(RigError, match="trained for fin 'red'"):
             evaluate_live(folder, robot, tmp_path / "out", EvaluateConfig(), yes)
 
 

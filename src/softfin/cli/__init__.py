@@ -55,11 +55,11 @@ GROUPS = {
     "Rig": {
         "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),
         "rig zero": Command("rig", "set the angle and the force to zero"),
-        "rig commission": Command("rig", "go through the acceptance steps of a new rig"),
+        "rig commission": Command("rig", "run the acceptance steps of a new rig"),
         "rig stop": Command("rig", "stop the motor and switch it off"),
         "rig emulate": Command("rig", "emulate a rig without hardware"),
         "run": Command("driving", "hold reference forces on the real fin"),
-        "monitor": Command("rig", "watch a recording while it is made"),
+        "monitor": Command("rig", "watch a recording in progress"),
         "ros2": Command("driving", "hold the reference forces of a ROS 2 topic on the real fin"),
     },
     "Robots": {

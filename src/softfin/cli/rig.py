@@ -24,28 +24,27 @@ from softfin.rig.stop import SIGNAL_CHECK_S, interrupted_by_signals
 from softfin.storage.paths import RIG_FILE
 
 PROVING = (
-    "the motor is powered and holds where it stands; softfin then falls silent until the "
+    "the motor is powered and holds its position; softfin then sends no heartbeats until the "
     "drive stops by itself"
 )
-COMMISSIONING = "you will be told before each step what moves"
-ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
+COMMISSIONING = "each step announces what moves before it moves"
+ZEROING = "the motor is powered briefly and holds the fin; its present angle becomes zero"
 
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 
 class RigCheckArguments(Armed, CommandOptions):
-    """Check the bus, the drive, the sensor and the settings of a rig, and print a table; nothing
-    moves.
+    """Check a rig's bus, drive, sensor and settings, and print a table; nothing moves.
 
-    With --prove, only prove that the drive stops by itself when softfin dies.
+    With --prove, only prove that the drive stops by itself if softfin dies.
     """
 
     rig: File = RIG_FILE
-    """File of the rig."""
+    """Rig configuration file."""
     reset_fault: bool = False
-    """First acknowledge the fault of the drive, and print it."""
+    """Print and acknowledge the drive's fault before the checks."""
     prove: bool = False
-    """Prove that the drive stops when softfin dies. The motor is powered at rest; needs --arm."""
+    """Prove that the drive stops if softfin dies. Powers the motor at rest; needs --arm."""
 
     def __call__(self) -> None:
         config = load_rig(self.rig)
@@ -74,7 +73,7 @@ class RigCheckArguments(Armed, CommandOptions):
             raise DeviceError(f"{self.rig}: failed: {', '.join(wrong)}")
 
     def _prove(self, config: RigConfig) -> None:
-        # A closed terminal must not leave the motor powered by a drive that is not proved yet.
+        # If the terminal closes, the motor must not stay powered: its drive is not proved yet.
         with interrupted_by_signals(), contextlib.closing(Rig(config)) as rig:
             rig.drive.open()
             self.confirm(RobotSetup(rig, config.safety), PROVING, proves=True)
@@ -88,10 +87,10 @@ class RigCheckArguments(Armed, CommandOptions):
 
 
 class RigStopArguments(CommandOptions):
-    """Stop the motor and switch it off, whichever program has powered it."""
+    """Stop the motor and switch it off, no matter which program powered it."""
 
     rig: File = RIG_FILE
-    """File of the rig."""
+    """Rig configuration file."""
 
     def __call__(self) -> None:
         with contextlib.closing(Rig(load_rig(self.rig))) as rig:
@@ -100,14 +99,14 @@ class RigStopArguments(CommandOptions):
 
 
 class RigZeroArguments(Armed, CommandOptions):
-    """Set the angle and the force to zero where they are now."""
+    """Zero the angle and the force at their present values."""
 
     rig: File = RIG_FILE
-    """File of the rig."""
+    """Rig configuration file."""
     angle: bool = False
-    """Only the angle. The motor is powered for a moment; needs --arm."""
+    """Zero only the angle. Powers the motor briefly; needs --arm."""
     force: bool = False
-    """Only the force."""
+    """Zero only the force."""
 
     def __call__(self) -> None:
         config = load_rig(self.rig)
@@ -125,11 +124,11 @@ class RigZeroArguments(Armed, CommandOptions):
 
 
 class RigCommissionArguments(Armed, CommandOptions):
-    """Go through the acceptance steps of a new rig (docs/commissioning.md), and record and sign
-    each one."""
+    """Run the acceptance steps of a new rig (docs/commissioning.md), and record and sign each
+    one."""
 
     rig: File = RIG_FILE
-    """File of the rig."""
+    """Rig configuration file."""
     step: int | None = None
     """Number of the step to run (default: the first that has not passed)."""
 
@@ -141,15 +140,15 @@ class RigCommissionArguments(Armed, CommandOptions):
         config = load_rig(self.rig)
         if config.emulation is not None:
             raise ConfigurationError(
-                f"{self.rig}: an emulated rig has no shaft to turn and no cables to pull; the "
-                "steps are for real devices, see docs/commissioning.md"
+                f"{self.rig}: an emulated rig cannot be commissioned, because it has no shaft or "
+                "cables; use the file of a real rig (docs/commissioning.md)"
             )
         if self.step not in (None, *STEP_TITLES):
             raise ConfigurationError(
-                f"--step {self.step}: no such step; give a number from 1 to {len(STEP_TITLES)}"
+                f"--step {self.step}: unknown step; use a number from 1 to {len(STEP_TITLES)}"
             )
         if self.yes:
-            raise ConfigurationError("--yes: a commissioning needs a person; leave it out")
+            raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
         self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
@@ -160,34 +159,33 @@ class RigCommissionArguments(Armed, CommandOptions):
             if not step.passed:
                 failed = next(item.what for item in step.items if not item.passed)
                 raise DeviceError(
-                    f"step {number}: {failed}: not as required; correct it, then run this command "
-                    "again"
+                    f"step {number}: {failed}: requirement not met; fix the cause, then run this "
+                    "command again"
                 )
             number = None if self.step else load_form(self.rig).next_step(config)
         form = form_file(self.rig).with_suffix(".md")
         left = load_form(self.rig).next_step(config)
-        rest = "every step is passed and signed" if left is None else f"step {left} is next"
+        rest = "all steps are passed and signed" if left is None else f"next is step {left}"
         self.tell({"form": str(form), "next_step": left}, f"{form}: {rest}")
 
 
 class RigEmulateArguments(Common):
-    """Write the file of an emulated rig: its drive, sensor and tank run inside each command, as
-    fast as the computer allows."""
+    """Write the file of an emulated rig. Each command emulates its drive, sensor and tank, as fast
+    as the computer allows."""
 
     rig: File = RIG_FILE
-    """File of the rig to write."""
+    """Rig configuration file to write."""
     tank: YamlFile | None = None
-    """YAML file of the tank (default: softfin's own tank)."""
+    """Tank configuration file (default: softfin's own tank)."""
     seed: int = 0
-    """Seed of the noise of the tank."""
+    """Seed of the tank's noise."""
     real_time: bool = False
-    """Instead, emulate a drive and a sensor on sockets of this computer in real time, until
-    Ctrl-C."""
+    """Instead, emulate a drive and a sensor in real time on local sockets, until Ctrl-C."""
 
     def __call__(self) -> None:
         if self.rig.exists() and not self.overwrite:
             raise ConfigurationError(
-                f"{self.rig}: exists; give another --rig, or --overwrite to replace it"
+                f"{self.rig}: already exists; set another --rig, or use --overwrite to replace it"
             )
         from softfin.rig.emulation.rig import EmulatedRig, state_file, write_rig, write_simulated
         from softfin.tank import Tank, TankConfig
@@ -195,7 +193,7 @@ class RigEmulateArguments(Common):
         values = {} if self.tank is None else read_yaml(self.tank)
         tank = Tank(TankConfig.build(values, str(self.tank)))
         if self.real_time:
-            # Ctrl-C is expected from the moment that it is named.
+            # The user may press Ctrl-C as soon as the message mentions it.
             with (
                 contextlib.suppress(KeyboardInterrupt),
                 EmulatedRig(tank, self.seed, clock=REAL) as emulated,
@@ -203,10 +201,10 @@ class RigEmulateArguments(Common):
                 write_rig(
                     self.rig,
                     emulated.values(),
-                    "An emulated rig, while `softfin rig emulate --real-time` runs",
+                    "An emulated rig, available while `softfin rig emulate --real-time` runs",
                 )
                 told = (
-                    f"{self.rig}: written; the emulated fin moves for it until "
+                    f"{self.rig}: written; this emulated rig runs until you press "
                     f"Ctrl-C\n{emulated.description()}\n"
                 )
                 sys.stdout.write(told)
@@ -214,14 +212,14 @@ class RigEmulateArguments(Common):
                 while True:
                     REAL.sleep(SIGNAL_CHECK_S)
             return
-        # A new rig starts without the state of the one that was there.
+        # A new rig must not inherit the state of the rig that it replaces.
         state_file(self.rig).unlink(missing_ok=True)
         write_simulated(self.rig, tank, values, self.seed)
         plant, option = (
             ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
         )
         sys.stdout.write(
-            f"{self.rig}: written; each command emulates this rig itself, in simulated time. Next: "
+            f"{self.rig}: written; each command emulates this rig in simulated time. Next: "
             "softfin rig check"
             f"{option} --prove --arm, then softfin rig zero{option} --arm, then softfin collect "
             f"--plant {plant} --arm\n"
@@ -229,16 +227,16 @@ class RigEmulateArguments(Common):
 
 
 class MonitorArguments(CommandOptions):
-    """Watch a recording while it is made. Ctrl-C ends the monitor, not the recording."""
+    """Watch a recording in progress. Ctrl-C ends the monitor, not the recording."""
 
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]
-    """A bag (.mcap), or a folder of bags; in a folder, the newest bag is followed."""
+    """Bag (.mcap) to watch, or a folder of bags, of which the newest is watched."""
     web: bool = False
     """Serve a page with live traces instead of printing to the terminal."""
     port: int = 8080
     """Port of the page; 0 for any free port."""
     host: str = LOOPBACK
-    """Address of the page. Anybody who can reach the address sees the recording."""
+    """Address of the page. Anyone who can reach it can see the recording."""
 
     def __call__(self) -> None:
         from rich.console import Console
@@ -261,9 +259,9 @@ class MonitorArguments(CommandOptions):
                 with Server(follower, self.host, self.port) as server:
                     if self.host not in (LOOPBACK, "::1", "localhost"):
                         sys.stderr.write(
-                            f"warning: {self.host}: others can watch too; no password\n"
+                            f"warning: {self.host}: the page has no password; others can watch\n"
                         )
-                    sys.stderr.write(f"{server.address} shows the recording; Ctrl-C ends\n")
+                    sys.stderr.write(f"{server.address} shows the recording; press Ctrl-C to end\n")
                     server.serve_forever()
             else:
                 watch(follower, Console(), sleep=time.sleep)

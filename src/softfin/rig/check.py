@@ -1,5 +1,4 @@
-"""Check the rig, one part after the other: disk, sensor, drive, limits and the 100 Hz loop; nothing
-moves."""
+"""Check a rig part by part: disk, drive, sensor, limits and the 100 Hz loop; nothing moves."""
 
 import shutil
 import tempfile
@@ -19,7 +18,7 @@ from softfin.rig.rig import Rig
 from softfin.rig.simulated_clock import SimulatedClock
 
 NEEDED_MB = 500
-"""Free disk for some hours of recording at about 40 kB/s."""
+"""Free disk space for a few hours of recording at about 40 kB/s [MB]."""
 
 
 class CheckResult(NamedTuple):
@@ -33,7 +32,7 @@ class CheckResult(NamedTuple):
 def check_rig(
     config: RigConfig, folder: Path, seconds: float = 3.0, clock: Clock | None = None
 ) -> Iterator[CheckResult]:
-    """Yield the results as they come; the loop runs for so long without moving."""
+    """Yield each result when it is ready; test the loop for `seconds` without moving."""
     drive = config.drive
     rig = Rig(config, clock)
     yield CheckResult(
@@ -75,7 +74,7 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     noise = ", ".join(f"{value:.3f}" for value in deviation[:3])
     is_zero = max(map(abs, mean[:3])) < 0.2
     advice = "" if is_zero else "; with the fin at rest in the water, run: softfin rig zero --force"
-    text = f"({force}) N, noise ({noise}) N a record{advice}"
+    text = f"({force}) N, noise ({noise}) N per record{advice}"
     yield CheckResult("force at rest", "well" if is_zero else "note", text)
     yield _check_force_zero(rig)
     yield from (CheckResult("sensor status", "wrong", line) for line in sensor.complaints())
@@ -91,7 +90,7 @@ def _check_force_zero(rig: Rig) -> CheckResult:
             "never set by softfin; with the fin at rest in the water, run: softfin rig zero --force"
         )
         return CheckResult("force zero", "note", text)
-    return CheckResult("force zero", "well", f"set on {zero.date}, kept since")
+    return CheckResult("force zero", "well", f"set on {zero.date}, still valid")
 
 
 def _check_drive(rig: Rig) -> Iterator[CheckResult]:
@@ -124,8 +123,8 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
 
 
 def check_currents(rig: Rig) -> Iterator[CheckResult]:
-    """Compare the limits of the current with those that the drive keeps itself: beyond these they
-    can never trip."""
+    """Compare the current limits with the drive's own: a limit above the drive's own can never
+    trip."""
     safety = rig.config.safety
     for name, limit_a, entry in (
         ("current_peak_a", safety.current_peak_a, protocol.CURRENT_LIMIT),
@@ -134,19 +133,19 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
         held_ma = procedures.read_optional(rig.drive.connection, entry)
         if held_ma is None or limit_a is None:
             continue
-        # At a peak the drive limits the current to its own limit, so one that equals it is never
-        # exceeded.
+        # The drive clips a peak at its own limit, so the current never exceeds a safety limit that
+        # equals it.
         is_peak = entry is protocol.CURRENT_LIMIT
         if limit_a * 1000 > held_ma or (is_peak and limit_a * 1000 == held_ma):
             text = (
-                f"{name} {limit_a:g} A can never trip: the drive itself keeps to "
+                f"{name} {limit_a:g} A can never trip: the drive itself limits the current to "
                 f"{held_ma / 1000:g} A; lower it"
             )
             yield CheckResult("safety", "note", text)
 
 
 def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
-    """Show whether it was proved that the drive stops when softfin dies."""
+    """Report whether the drive is proved to stop if softfin dies."""
     if rig.config.file is None:
         return
     behaviour = procedures.read_optional(rig.drive.connection, protocol.LOSS_BEHAVIOUR)
@@ -157,8 +156,7 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
         return
     if proof is not None:
         after = (
-            f"{proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat the drive "
-            "had stopped"
+            f"drive stopped {proof.faulted_after_s * 1000:.0f} ms after softfin's last heartbeat"
         )
         yield CheckResult(
             "own stop",
@@ -180,12 +178,12 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
         yield CheckResult(
             "100 Hz loop",
             "note",
-            "in simulated time nothing is late; softfin rig emulate --real-time "
-            "shows what this computer can do",
+            "in simulated time nothing is late; to test this computer, run: softfin rig emulate "
+            "--real-time",
         )
     else:
         in_time = late["late_p99_ms"] <= 2.0 and not late["skipped_ticks"]
-        advice = "" if in_time else "; end other programs, or use a quieter computer"
+        advice = "" if in_time else "; close other programs, or use a less busy computer"
         yield CheckResult(
             "100 Hz loop",
             "well" if in_time else "wrong",
@@ -200,14 +198,14 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
 
 
 def check_disk(folder: Path) -> CheckResult:
-    """Check that a recording finds room in a folder and can be written there."""
+    """Check that a folder is writable and has room for a recording."""
     here = folder if folder.exists() else Path.cwd()
     free = shutil.disk_usage(here).free / 1e6
     try:
         tempfile.TemporaryFile(dir=here).close()
     except OSError as error:
         return CheckResult("disk", "wrong", f"{here}: cannot be written ({error.strerror})")
-    advice = "" if free >= NEEDED_MB else f"; make {NEEDED_MB} MB room"
+    advice = "" if free >= NEEDED_MB else f"; a recording needs {NEEDED_MB} MB"
     return CheckResult(
         "disk", "wrong" if advice else "well", f"{here}: {free:,.0f} MB free{advice}"
     )

@@ -21,27 +21,26 @@ class RealFinConfig(Configuration):
     """The settings that every kind of real fin has."""
 
     fin: str = Field(min_length=1, max_length=100)
-    """Name of this fin; datasets, surrogates and controllers carry it on."""
+    """Name of this fin; datasets, surrogates and controllers inherit it."""
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
-    """Time for which the fin rests before each log or experiment, for the water to come to rest
-    [s]."""
+    """Time that the fin rests before each log or experiment, so that the water calms down [s]."""
 
 
 class EmulationConfig(Configuration):
-    """A rig whose drive and sensor are emulated in simulated time, within each program that uses
-    it."""
+    """Emulation of a rig's drive and sensor in simulated time, inside each program that uses the
+    rig."""
 
     seed: int = 0
     """Seed of the sensor's noise."""
     tank: JsonObject = Field(default_factory=dict)
-    """The tank behind both, where it is not the usual one: as in the file of `softfin rig emulate
-    --tank`."""
+    """Tank around the fin, as in the file for `softfin rig emulate --tank`; empty for the default
+    tank."""
 
 
 class RigConfig(RealFinConfig):
-    """Configuration of one rig; what must not be guessed has no default."""
+    """Configuration of one rig; values that must not be guessed have no default."""
 
     bus: BusConfig
     """The CAN bus."""
@@ -52,21 +51,20 @@ class RigConfig(RealFinConfig):
     safety: SafetyConfig
     """Safety limits; a rig's must include the current."""
     emulation: EmulationConfig | None = None
-    """Simulated time; None for a rig that is reached over its bus and network, be it real or
-    emulated in real time."""
+    """Emulation in simulated time; None for a real rig, or one that is emulated in real time."""
     _file: Path | None = PrivateAttr(default=None)
 
     @property
     def file(self) -> Path | None:
-        """The file that it was read from."""
+        """File that the configuration was read from; None if it was built in Python."""
         return self._file
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigConfig":
         if self.safety.current_peak_a is None:
             raise ValueError(
-                "safety.current_peak_a and current_sustained_a are missing: the motor's data "
-                "sheet has them (the most for a moment, the most that it bears for long) [A]"
+                "safety.current_peak_a and current_sustained_a are missing; set them to the "
+                "motor's peak and maximum continuous current [A], from its data sheet"
             )
         for own, limit in (
             ("acceleration_rad_s2", "acceleration_rad_s2"),
@@ -77,30 +75,30 @@ class RigConfig(RealFinConfig):
             if value > most:
                 raise ValueError(f"drive.{own} = {value:g} is above safety.{limit} = {most:g}")
         delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
-        # After a gap that is too long to be bridged, the filter takes twice its delay to fill, and
-        # the newest force is by its delay older than the gap. Less would stop the fin over a dozen
-        # lost records.
+        # After a gap that is too long to bridge, the filter takes twice its delay to refill, and
+        # the newest force is older than the gap by one delay. A shorter limit would stop the fin
+        # over a dozen lost records.
         needed = 3 * delay + 2 * BRIDGED_S
         if self.safety.force_stale_s < needed:
             least = math.ceil(100 * needed) / 100
             raise ValueError(
-                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force's filter alone "
-                f"takes {delay:.3f} s, and three times that after lost records; use {least:.2f} or "
-                "more, or a higher sensor.cutoff_hz"
+                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force filter alone "
+                f"delays by {delay:.3f} s, and by three times that after lost records; use "
+                f"{least:.2f} or more, or a higher sensor.cutoff_hz"
             )
         return self
 
 
 class Ros2Config(RealFinConfig):
-    """Configuration of a fin that is reached by topics of ROS 2."""
+    """Configuration of a fin behind ROS 2 topics."""
 
     topics: Ros2PlantConfig
-    """The topics by which it is read and commanded."""
+    """Topics that carry the fin's readings and commands."""
 
 
 def load_rig(path: Path | None = None) -> RigConfig:
-    """Read a rig's file, by default rig.yaml; raises RigError naming the key, the value and what is
-    allowed."""
+    """Load a rig's file (default: rig.yaml); raises RigError with the key, its value and the
+    allowed values."""
     file = path or RIG_FILE
     config = _load(file, RigConfig)
     config._file = file.resolve()
@@ -108,7 +106,7 @@ def load_rig(path: Path | None = None) -> RigConfig:
 
 
 def load_ros2(path: Path | None = None) -> Ros2Config:
-    """Read the file of a fin behind ROS 2, by default ros2.yaml; likewise."""
+    """Load the file of a fin behind ROS 2 (default: ros2.yaml); raises RigError like `load_rig`."""
     return _load(path or Path("ros2.yaml"), Ros2Config)
 
 
@@ -116,7 +114,7 @@ def _load(path: Path, kind: type[Config]) -> Config:
     check_readable(
         path,
         RigError,
-        "; docs/rig.md has one with comments, and softfin rig emulate writes one of its own",
+        "; copy the example in docs/rig.md, or run softfin rig emulate for an emulated rig",
     )
     try:
         return kind.build(read_yaml(path), str(path))

@@ -1,8 +1,7 @@
-"""Examine the computer that softfin runs on: installation, devices, disk, and the rig where a file
-names one.
+"""Examine the computer that softfin runs on: installation, devices, disk and, if given, the rig.
 
-Nothing moves, nothing is written but files that are removed at once. The lines are made to be
-pasted into an issue.
+Nothing moves, and the only files written are removed at once. You can paste the output into an
+issue.
 """
 
 import os
@@ -32,13 +31,13 @@ CAN_TYPE = "280"
 """Kind of a CAN interface (ARPHRD_CAN of Linux)."""
 
 NVIDIA = Path("/proc/driver/nvidia/version")
-"""Present where a driver for NVIDIA's GPUs is loaded."""
+"""File that exists if an NVIDIA GPU driver is loaded."""
 
 SPARE_MEMORY_MB = 1300
 """Memory that fitting a surrogate to the paper's amount of data takes (docs/surrogates.md)."""
 
 RIG_SECONDS = 1.0
-"""Time for which the 100 Hz loop is tried [s]."""
+"""Duration of the 100 Hz loop test [s]."""
 
 THREADS = (
     "OMP_NUM_THREADS",
@@ -47,15 +46,15 @@ THREADS = (
     "XLA_FLAGS",
     "JAX_PLATFORMS",
 )
-"""Variables that set how many threads compute, and on what."""
+"""Environment variables that set the number of threads and the device for computing."""
 
 
 def examine(rig: Path | None = None) -> Iterator[CheckResult]:
-    """Yield the results as they come, without the name of the user's home folder."""
+    """Yield each result when it is ready, with the user's home folder shortened to ~."""
     try:
         home = str(Path.home())
     except RuntimeError:
-        # A user without one, as in some containers.
+        # The user has no home folder, as in some containers.
         home = ""
     for result in _examine(rig):
         yield result._replace(text=result.text.replace(home, "~") if len(home) > 1 else result.text)
@@ -77,7 +76,7 @@ def _examine(rig: Path | None) -> Iterator[CheckResult]:
     yield _cache()
     yield check_disk(Path.cwd())
     found = ", ".join(f"{name}={os.environ[name]}" for name in THREADS if name in os.environ)
-    yield CheckResult("threads", "well", found or "as the libraries choose")
+    yield CheckResult("threads", "well", found or "default of each library")
     yield _can()
     if rig is not None:
         yield from _rig(rig)
@@ -85,16 +84,12 @@ def _examine(rig: Path | None) -> Iterator[CheckResult]:
 
 def _softfin() -> CheckResult:
     source = origin()
-    place = (
-        "installed from an index or folder that pip did not note"
-        if source is None
-        else source["url"]
-    )
+    place = "installed from a source that pip did not record" if source is None else source["url"]
     in_place = source is not None and source.get("dir_info", {}).get("editable")
     return CheckResult(
         "softfin",
         "well",
-        f"{installed_version('softfin')}, {place}{', used in place' if in_place else ''}",
+        f"{installed_version('softfin')}, {place}{', editable install' if in_place else ''}",
     )
 
 
@@ -112,7 +107,7 @@ def _processor() -> CheckResult:
     )
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     is_busy = load > cores
-    advice = "; others use it: times and ticks at 100 Hz will suffer" if is_busy else ""
+    advice = "; other programs use it: timings and the 100 Hz loop will suffer" if is_busy else ""
     text = f"{model}, {cores} cores, load {load:.1f}{advice}"
     return CheckResult("processor", "note" if is_busy else "well", text)
 
@@ -127,13 +122,13 @@ def _memory() -> Iterator[CheckResult]:
         for line in lines
         if line.endswith("kB")
     }
-    # Old systems do not tell what programs could get.
+    # Old kernels do not report the memory that programs could get.
     free = sizes.get("MemAvailable", sizes["MemFree"])
     is_enough = free >= SPARE_MEMORY_MB
     advice = (
         ""
         if is_enough
-        else f"; fitting a surrogate takes up to {SPARE_MEMORY_MB} MB: end other programs"
+        else f"; fitting a surrogate takes up to {SPARE_MEMORY_MB} MB: close other programs"
     )
     text = f"{sizes['MemTotal']:,.0f} MB, {free:,.0f} MB available{advice}"
     yield CheckResult("memory", "well" if is_enough else "note", text)
@@ -143,7 +138,7 @@ def _libraries() -> CheckResult:
     missing = missing_from(None)
     if missing:
         return CheckResult(
-            "libraries", "wrong", f"not installed: {', '.join(missing)}; install softfin again"
+            "libraries", "wrong", f"not installed: {', '.join(missing)}; reinstall softfin"
         )
     return CheckResult("libraries", "well", _versions(extra_requirements(None)))
 
@@ -154,12 +149,12 @@ def _extra(extra: str) -> CheckResult:
     names = [name for name in extra_requirements(extra) if name not in shared]
     if not names:
         return CheckResult(
-            f"[{extra}]", "note", "newer than the installation; install softfin again"
+            f"[{extra}]", "note", "newer than the installed package; reinstall softfin"
         )
     if not missing:
         return CheckResult(f"[{extra}]", "well", _versions(names))
     present = "not installed" if set(names) <= set(missing) else f"lacks {', '.join(missing)}"
-    return CheckResult(f"[{extra}]", "note", f"{present}; where you need it: {how_to_add(extra)}")
+    return CheckResult(f"[{extra}]", "note", f"{present}; if you need it: {how_to_add(extra)}")
 
 
 def _versions(names: list[str]) -> str:
@@ -169,26 +164,24 @@ def _versions(names: list[str]) -> str:
 def _devices() -> CheckResult:
     if installed_version("jax") is None:
         return CheckResult(
-            "JAX", "note", "not installed: this softfin runs controllers and does not train them"
+            "JAX", "note", "not installed: this softfin can run controllers but not train them"
         )
     try:
         import jax
 
         devices = jax.devices()
     except Exception as error:
-        # A plug-in of another version, a driver without its device: JAX and its plug-ins raise
-        # anything.
+        # JAX and its plug-ins raise all kinds of errors, such as for a plug-in of another version
+        # or a driver without its device.
         return CheckResult(
             "JAX",
             "wrong",
-            f"finds no device ({one_line(error)}); JAX_PLATFORMS=cpu uses the processor",
+            f"finds no device ({one_line(error)}); set JAX_PLATFORMS=cpu to use the CPU",
         )
     kinds = ", ".join(f"{device.platform}:{device.id} {device.device_kind}" for device in devices)
     kinds += f", jaxlib {installed_version('jaxlib')}"
     if NVIDIA.exists() and devices[0].platform == "cpu" and "JAX_PLATFORMS" not in os.environ:
-        advice = (
-            "; the NVIDIA GPU is not used: pip install 'jax[cuda12]' brings what JAX needs for it"
-        )
+        advice = "; the NVIDIA GPU is not used; to use it, run: pip install 'jax[cuda12]'"
         return CheckResult("JAX", "note", f"{kinds}{advice}")
     return CheckResult("JAX", "well", kinds)
 
@@ -196,7 +189,7 @@ def _devices() -> CheckResult:
 def _cache() -> CheckResult:
     folder = cache_folder()
     if folder is None:
-        advice = f"off: every command compiles anew; {SOFTFIN_VARIABLE}=FOLDER keeps programs"
+        advice = f"off: every command compiles again; set {SOFTFIN_VARIABLE}=FOLDER to use a cache"
         return CheckResult("compile cache", "note", advice)
     try:
         check_writable(folder / "program", f"{SOFTFIN_VARIABLE}=FOLDER")
@@ -208,7 +201,7 @@ def _cache() -> CheckResult:
 def _can() -> CheckResult:
     if not INTERFACES.is_dir():
         return CheckResult(
-            "CAN", "note", f"interfaces are listed on Linux only, this is {platform.system()}"
+            "CAN", "note", f"interfaces are listed only on Linux; this is {platform.system()}"
         )
     states = {
         path.name: int((path / "flags").read_text(), 16) & 1
@@ -219,13 +212,15 @@ def _can() -> CheckResult:
         return CheckResult(
             "CAN",
             "note",
-            "no SocketCAN interface; a rig needs one, or another adapter of python-can",
+            "no SocketCAN interface; a rig needs one, or another adapter that python-can supports",
         )
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
     down = next((name for name, is_up in states.items() if not is_up), None)
     if down is None:
         return CheckResult("CAN", "well", text)
-    return CheckResult("CAN", "note", f"{text}; ip link set {down} up type can bitrate 1000000")
+    return CheckResult(
+        "CAN", "note", f"{text}; run: sudo ip link set {down} up type can bitrate 1000000"
+    )
 
 
 def _rig(path: Path) -> Iterator[CheckResult]:

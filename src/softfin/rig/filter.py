@@ -12,8 +12,8 @@ from jaxtyping import Float
 from softfin.core.quantities import RATE_HZ
 
 ATTENUATION_DB = 46.0
-"""Attenuation of the design; 44 dB are kept from 50 Hz on: less than 1/150 of what is there folds
-into the log."""
+"""Attenuation of the design. It is at least 44 dB above 50 Hz, so less than 1/150 of a signal there
+aliases into the log."""
 
 BRIDGED_S = 0.01
 """Longest gap that is bridged; a signal below 50 Hz is close to straight for as long."""
@@ -33,7 +33,7 @@ def design(rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " taps"]:
 
 
 class AntiAlias:
-    """Streaming: records go in one by one, the output is computed when it is asked for."""
+    """Streaming filter: takes records one by one, and computes its output on request."""
 
     def __init__(self, rate_hz: float, cutoff_hz: float, channels: int = 6) -> None:
         self.taps = design(rate_hz, cutoff_hz)
@@ -47,15 +47,15 @@ class AntiAlias:
         self._held = 0
 
     def clear(self) -> None:
-        """Forget all; what comes next has nothing to do with what came before."""
+        """Forget all records: the next ones are unrelated to them."""
         self._held = 0
 
     def bridges(self, missing: int) -> bool:
-        """Whether a gap of so many records is bridged; else the filter fills anew."""
+        """Whether a gap of this many records is bridged; otherwise the filter refills."""
         return missing <= self._longest
 
     def put(self, values: Float[np.ndarray, " channels"], missing: int = 0) -> None:
-        """Take a record, before which so many are missing: too many, and the filter is empty."""
+        """Take a record after a number of missing ones; too many of them empty the filter."""
         if not self.bridges(missing):
             self._held = 0
         if not self._held:

@@ -1,8 +1,7 @@
-"""The zero of the force sensor: set it and see that it was set, and find out later whether it is
-lost.
+"""The zero of the force sensor: set it, verify it, and detect later whether it was lost.
 
-The sensor forgets its zero with its supply. Its count of samples shows that: `zero_force` keeps the
-count in the rig's record, and whoever opens the rig compares.
+The sensor loses its zero when it loses power. Its count of samples shows that: `zero_force` saves
+the count in the rig's record, and the count is compared each time the rig is opened.
 """
 
 import datetime
@@ -14,7 +13,7 @@ from softfin.rig.config import RigConfig
 from softfin.rig.record import ForceZero, load_record, save_record
 
 MOVING_N = 0.3
-"""Standard deviation of the force beyond which the water, or somebody, still moves the fin [N]."""
+"""Standard deviation of the force above which the fin is not at rest [N]."""
 
 ZERO_N = 0.1
 """Largest mean force after the zero was set, beyond its noise [N]."""
@@ -43,7 +42,7 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
     worst = max(deviation[:3])
     if worst > MOVING_N:
         raise DeviceError(
-            f"force varies by {worst:.2f} N (deviation): at most {MOVING_N:g} N; let the water rest"
+            f"force varies by {worst:.2f} N: at most {MOVING_N:g} N; wait until the water is calm"
         )
     for _ in range(ATTEMPTS):
         sensor.bias()
@@ -58,8 +57,8 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
         force = ", ".join(f"{value:+.2f}" for value in after[:3])
         raise DeviceError(
             f"force is ({force}) N after its zero was set {ATTEMPTS} times: each axis must be "
-            f"within {ZERO_N:g} N and its noise; let the water rest, check the sensor's network "
-            "and that no other program uses it"
+            f"within {ZERO_N:g} N plus its noise; wait until the water is at rest, check the "
+            "sensor's network, and check that no other program uses it"
         )
     zero = ForceZero(
         date=datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC).isoformat(
@@ -88,21 +87,21 @@ def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
             f"{zero.sensor_serial} was zeroed; connect that one, or {fix}"
         )
     watch = sensor.stream.watch
-    # An emulated rig of a file stands still between two commands, and so does its sensor's count.
+    # An emulated rig is paused between two commands, and so is its sensor's count.
     elapsed_s = 0.0 if config.emulation is not None else sensor.clock.wall() - zero.wall_s
     if has_restarted(zero, watch.ft_sequence, elapsed_s, watch.ft_rate_hz):
         raise RigError(
             f"force sensor {config.sensor.address}: restarted since its zero was set "
-            f"({zero.date}), its zero is lost; {fix} (also if this computer's date was wrong)"
+            f"({zero.date}), so its zero is lost; {fix} (also if this computer's date was wrong)"
         )
     return zero
 
 
 def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_hz: float) -> bool:
-    """Whether the sensor's count has fewer samples than the time since its zero brings.
+    """Whether the sensor counted fewer samples than expected in the time since its zero.
 
-    The count rolls over at 2^32, after 6 days at 7.8 kHz. More samples than expected are no
-    restart, but a wrong date.
+    The count rolls over at 2^32, after 6 days at 7.8 kHz. More samples than expected mean a wrong
+    date, not a restart.
     """
     expected = zero.ft_sequence + ft_rate_hz * elapsed_s
     missing = (expected - ft_sequence) % 2**32

@@ -1,5 +1,5 @@
-"""One program at a time uses a device: a lock between the programs of this computer and within each
-of them.
+"""A lock that lets only one program on this computer use a device at a time, and only once in each
+program.
 
 A second program on the same drive or sensor would take the stream away from the first, which then
 stops its fin and blames the cable. The lock is an advisory one (flock) on a file: the kernel
@@ -36,7 +36,7 @@ class DeviceLock:
     def acquire(self, clock: Clock) -> None:
         """Take the lock, if it is not held already; raises RigError if another program has it.
 
-        A device of a simulated clock exists within this process alone, and is not locked.
+        A device on a simulated clock exists only within this process, and is not locked.
         """
         if self._descriptor is not None or isinstance(clock, SimulatedClock):
             return
@@ -70,7 +70,7 @@ class DeviceLock:
             number = os.pread(descriptor, 20, 0).decode(errors="replace").strip()
             process = f" (process {number})" if number.isdecimal() else ""
             raise RigError(
-                f"{self._device}: in use by another program of this computer{process}; end it first"
+                f"{self._device}: in use by another program on this computer{process}; end it first"
             ) from None
         except (ImportError, OSError) as error:
             os.close(descriptor)
@@ -82,8 +82,10 @@ class DeviceLock:
             os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
 
     def _go_without(self, error: Exception) -> None:
-        # A system without locks must not be one without fins, but then a person has to take care.
-        self.note = f"{self._device}: cannot be locked ({error}); see that no other program uses it"
+        # Without locks the fin can still be used, but the user has to avoid conflicts.
+        self.note = (
+            f"{self._device}: cannot be locked ({error}); check that no other program uses it"
+        )
 
 
 def _folder() -> Path:
@@ -91,14 +93,13 @@ def _folder() -> Path:
 
 
 def _open(path: Path) -> int:
-    """Open the file of a lock, which any user may have made, never through a link that somebody put
-    there."""
+    """Open a lock file, which any user may have created, but never through a symbolic link."""
     try:
         # Without O_CREAT: Linux refuses that for files of other users in a shared folder
         # (fs.protected_regular).
         return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     except FileNotFoundError:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        # The process's umask would keep other users from it.
+        # The process's umask would deny other users access to it.
         os.fchmod(descriptor, 0o666)
         return descriptor

@@ -1,7 +1,7 @@
-"""A controller on a machine: three actions a second on the 33/33/34 clock, each on what was
-measured since the last.
+"""Run a controller on a machine: three actions per second on the 33/33/34 clock, each based on the
+readings since the last.
 
-References come live, from a person, a topic, the rows of a file or any function that returns the
+References can come from a person, a topic, the rows of a file or any function that returns the
 newest one.
 """
 
@@ -20,17 +20,16 @@ from softfin.rig.safety import Trip
 from softfin.rig.session import MeasuredForce, Session, in_one_line, mean_force
 
 ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
-"""Function that returns the reference [N] at so many seconds since the start; called at each
-action."""
+"""Function that returns the reference [N] at a time since the start [s]; called at each action."""
 
 ResolveReference = Callable[[MeasuredForce], tuple[MeasuredForce, str | None]]
-"""A reference to the one that is tracked, and a warning where it is another; raises
+"""Function that maps a reference to the tracked one, with a warning if they differ; raises
 CoverageError."""
 
 
 @dataclass(frozen=True)
 class ActionResult:
-    """The command of one action, and the samples while it was held."""
+    """The command of one action, and the samples taken while it was in force."""
 
     reference: MeasuredForce
     target: Target
@@ -44,9 +43,10 @@ def run_controller(
     actions: int | None = None,
     zero: MeasuredForce = (0.0, 0.0),
 ) -> Iterator[ActionResult]:
-    """Act so many times, or until a stop; the session is active and its fin at rest.
+    """Run a number of actions, or until a stop; the session must be active and its fin at rest.
 
-    The controller gets forces less `zero`, which `Session.rest` measured [N].
+    `zero`, as measured by `Session.rest`, is subtracted from the forces that the controller gets
+    [N].
     """
     state = controller.init()
     angle = (session.newest or session.tick()).angle
@@ -69,8 +69,8 @@ def run_controller(
 
 
 class LiveReference:
-    """The newest reference of a person or a topic, set from any thread; one that cannot be tracked
-    changes nothing."""
+    """The newest reference from a person or a topic, set from any thread; one that cannot be
+    tracked is ignored."""
 
     def __init__(
         self, first: MeasuredForce, resolve: ResolveReference, report: Callable[[str], None]
@@ -93,11 +93,11 @@ class LiveReference:
             self._force, warning = self._resolve((x, y))
         except ValueError:
             warning = (
-                f"{text!r}: not a reference; write X,Y in newton, as 2,-1; Enter alone stops the "
-                "fin"
+                f"{text!r}: not a reference; type X,Y in newtons, such as 2,-1; Enter alone stops "
+                "the fin"
             )
         except SoftfinError as error:
-            warning = f"{error}; the reference stays as it is"
+            warning = f"{error}; the reference is unchanged"
         if warning:
             self._report(warning)
 
@@ -108,8 +108,8 @@ def recorded_reference(
     resolve: ResolveReference,
     report: Callable[[str], None],
 ) -> ReferenceSource:
-    """Return references that are the rows of a file, each from its time on; all are resolved before
-    anything moves."""
+    """Return the references in the rows of a file, each valid from its time on; all are resolved
+    before anything moves."""
     resolved = [resolve(each) for each in force]
     warnings = [warning for _, warning in resolved if warning is not None]
     if warnings:

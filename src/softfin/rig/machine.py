@@ -1,8 +1,7 @@
-"""The contract of a real fin that the 100 Hz loop drives: the rig, topics of ROS 2, or a machine of
-one's own.
+"""Contract of a real fin that the 100 Hz loop drives: the rig, ROS 2 topics, or your own machine.
 
-All times are of `time.monotonic` [s], or of the machine's own `clock` where it has one. One thread,
-that of the loop, calls everything but `stop`.
+All times are from `time.monotonic` [s], or from the machine's own `clock` if it has one. Only the
+loop's thread calls a machine, except that any thread may call `stop`.
 """
 
 from collections.abc import Sequence
@@ -28,11 +27,11 @@ class Target(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The newest readings of the drive and of the force sensor, each with the time that it stands
-    for."""
+    """The newest readings of the drive and of the force sensor, each with the time at which it is
+    valid."""
 
     time: float
-    """Time of the angle [s]; older than a tick where no newer reading came."""
+    """Time of the angle [s]; more than a tick old if no newer reading arrived."""
     angle: float
     """Angle of the shaft [rad]."""
     velocity: float
@@ -40,16 +39,16 @@ class Sample(NamedTuple):
     current: float | None
     """Current of the motor [A]; None where it is not measured."""
     following_error: float | None
-    """Angle that the drive demands minus the actual one [rad]; None where it is not measured."""
+    """Angle that the drive demands minus the actual one [rad]; None if it is not measured."""
     force_time: float
     """Time of the filtered force [s]."""
     wrench: Wrench
     """Filtered force and torque [N, N m]."""
     complaints: tuple[str, ...]
-    """Faults that the devices report, each one line that ends in the way out; empty when all is
-    well."""
+    """Faults that the devices report, each one line that ends with a fix; empty if there are
+    none."""
     peak: Wrench | None = None
-    """Largest sizes of the unfiltered wrench since the sample before; None where only `wrench` is
+    """Peak magnitudes of the unfiltered wrench since the previous sample; None if only `wrench` is
     known."""
 
 
@@ -67,39 +66,39 @@ class Machine(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the person beside it before it moves, each one line: how it is connected, what
-        is odd."""
+        """Notes for the operator before it moves, each one line: how it is connected, what is
+        unusual."""
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Reason why the motor may still be on after `stop`, with the way out; None where it is
-        known to be off."""
+        """Reason why the motor may still be on after `stop`, with a fix; None if it is known to be
+        off."""
 
     def open(self) -> None:
-        """Connect and configure, without moving; on failure it is closed again and raises RigError
-        or DeviceError."""
+        """Connect and configure, without moving; on failure, close again and raise RigError or
+        DeviceError."""
 
     def read(self) -> Sample:
         """Return the newest sample; called once a tick, waits a few milliseconds at most."""
 
     def enable(self) -> None:
-        """Power the motor, which holds where it is; raises DeviceError where the drive does not
-        follow."""
+        """Power the motor, which holds its position; raises DeviceError if the drive does not
+        obey."""
 
     def command(self, target: Target) -> None:
-        """Go there from now on; returns at once, raises where it is not enabled since the last
+        """Start to move to a target; returns at once, raises if it was not enabled since the last
         `stop`."""
 
     def stop(self) -> None:
-        """Brake as fast as the drive may, disable the motor; from any thread, any number of times;
-        never raises."""
+        """Brake as fast as the drive allows, and disable the motor; from any thread, any number of
+        times; never raises."""
 
     def close(self) -> None:
         """Stop, and release both devices; any number of times, never raises."""
 
     def counters(self) -> dict[str, int]:
-        """Return what was counted since `open`, by name: packets lost, late, doubled, heartbeats
-        missed .."""
+        """Return the counts since `open` by name, such as packets lost, late or duplicated, and
+        heartbeats missed."""
 
 
 def machine_clock(machine: object) -> Clock:

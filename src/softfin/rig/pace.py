@@ -42,8 +42,8 @@ class Pace:
         return late
 
     def to_dict(self) -> dict[str, int | float]:
-        """Return counts, and the lateness that half and 99% of all ticks do not exceed, to 0.1 ms,
-        for JSON."""
+        """Return the counts and the median, 99th-percentile and maximum lateness, to 0.1 ms, for
+        JSON."""
         reached = np.cumsum(self._late)
         p50, p99 = (
             min(

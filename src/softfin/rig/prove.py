@@ -1,8 +1,8 @@
-"""Proof that the drive stops by itself when softfin dies, tried at the powered motor and kept in
+"""Proof that the drive stops by itself if softfin dies, tested with the motor powered and kept in
 the rig's record.
 
-Nothing else stops a fin whose program is killed or hangs. Whether a drive does depends on its
-settings and its firmware, so no fin of a rig's file moves before it was seen.
+Nothing else stops a fin whose program is killed or hangs. Whether a drive does this depends on its
+settings and firmware, so no rig with a file moves its fin before the proof.
 """
 
 import shlex
@@ -52,12 +52,12 @@ def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None
     settings = (drive_serial, config.drive.heartbeat_s, config.drive.host)
     if proof is not None and (proof.drive_serial, proof.heartbeat_s, proof.host_node) == settings:
         return proof
-    problem = "nobody has proved that its drive stops when softfin dies"
+    problem = "no proof yet that its drive stops if softfin dies"
     if proof is not None:
         problem += " with this drive, heartbeat_s and host_node"
     raise RigError(f"rig of {config.fin}: {problem}; run: {proving_command(config.file)}")
 
 
 def proving_command(file: Path) -> str:
-    """Command that proves the stop of a rig's file."""
+    """Return the command that proves the stop of a rig."""
     return f"softfin rig check --rig {shlex.quote(str(file))} --prove --arm"

@@ -1,8 +1,8 @@
 """The record of a rig, kept as JSON beside its file: rig.yaml has rig.record.json.
 
-The file says how a rig is set up; its record says what was measured on it: whether the drive stops
-by itself when softfin dies, and where the sensor's zero was set. A rig that is built in Python
-without a file has no record.
+The file describes the setup of a rig. Its record contains what was measured on it: whether the
+drive stops by itself if softfin dies, and where the sensor's zero was set. A rig that is built in
+Python without a file has no record.
 """
 
 import json
@@ -46,7 +46,7 @@ class ForceZero(Configuration):
 
 
 class RigRecord(Configuration):
-    """Everything that was found out about one rig."""
+    """Everything that was measured on one rig."""
 
     stop_proof: StopProof | None = None
     """Proof that the drive stops by itself; None if it was never proved."""
@@ -80,7 +80,6 @@ def load_record(rig: Path | None) -> RigRecord:
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:
-    """Save the record of a rig's file; without a file there is nowhere to keep it. Raises
-    RunError."""
+    """Save the record of a rig's file; do nothing if the rig has no file. Raises RunError."""
     if rig is not None:
         artifacts.write_file(record_file(rig), record.model_dump_json(indent=2) + "\n")

@@ -17,7 +17,7 @@ ANSWER_S = 0.006
 more."""
 
 BEAT_TICKS = 4
-"""Ticks between two of our heartbeats: 40 ms, a fifth of what the drive waits for by default."""
+"""Ticks between two of our heartbeats: 40 ms, a fifth of the drive's default timeout."""
 
 
 class Rig:
@@ -64,8 +64,8 @@ class Rig:
 
         Raises RigError if the sensor has lost the zero that softfin set.
         """
-        # The drive first: where another program has it, nothing must take the sensor's stream away
-        # from that program.
+        # The drive first: if another program is using it, that program must not lose the sensor's
+        # stream to this one.
         self.drive.open()
         try:
             self.sensor.open()
@@ -76,7 +76,7 @@ class Rig:
             raise
 
     def read(self) -> Sample:
-        """Have the drive sample now; the force is the newest that has arrived."""
+        """Make the drive sample now; the force is the newest one received."""
         if self._ticks % BEAT_TICKS == 0:
             self.drive.send_heartbeat()
         self._ticks += 1
@@ -94,8 +94,8 @@ class Rig:
 
     def enable(self) -> None:
         """Power the motor, which holds where it is."""
-        # The first tick with power must judge a fresh force, so the sensor's socket must not fill
-        # meanwhile.
+        # The first tick with power must check a fresh force, so keep the sensor's socket from
+        # filling up meanwhile.
         self.drive.enable(meanwhile=self.sensor.keep_up)
 
     def command(self, target: Target) -> None:
@@ -138,7 +138,7 @@ def zero_angle(
     clock: Clock | None = None,
     confirm: Callable[[Rig], object] = lambda rig: None,
 ) -> JsonObject:
-    """Make where the fin stands its angle 0 (or `drive.zero_offset_rad`); the motor is powered,
+    """Set the fin's present angle to 0 (or to `drive.zero_offset_rad`); the motor is powered, but
     nothing moves.
 
     `confirm` is called once the drive is open, before its motor is powered.

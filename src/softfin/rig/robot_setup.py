@@ -1,4 +1,4 @@
-"""Machine that a plant's name stands for, ``rig`` or ``ros2``, with its safety limits and rests."""
+"""Look up a real plant by name, ``rig`` or ``ros2``: its machine, safety limits and rest time."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +24,7 @@ class RobotSetup:
     configuration: JsonObject = field(default_factory=dict)
     """The whole configuration, for JSON."""
     warning: str | None = None
-    """Warning about a machine that nobody has signed for."""
+    """Warning about a machine that is not commissioned."""
 
     def check_ready(self) -> None:
         """Raise RigError where an open machine must not move yet; only a machine that has such a
@@ -38,8 +38,8 @@ class RobotSetup:
         takes."""
         if None not in (fin, self.fin) and fin != self.fin:
             raise RigError(
-                f"{controller}: trained for the fin {fin!r}; this rig's is {self.fin!r}; train one "
-                "for it, or correct 'fin' in the rig's file"
+                f"{controller}: trained for fin {fin!r}, but this rig has fin {self.fin!r}; train "
+                "one for it, or correct 'fin' in the rig's file"
             )
         for quantity, unit in (("angle", "rad"), ("velocity", "rad/s")):
             (low, high), (lowest, highest) = (
@@ -49,8 +49,8 @@ class RobotSetup:
             if low < lowest - 1e-3 or high > highest + 1e-3:
                 raise RigError(
                     f"{controller}: commands a {quantity} of {low:.5g} .. {high:.5g} {unit}; "
-                    f"{self.machine.name} takes {lowest:.5g} .. {highest:.5g}; train it within "
-                    "these, or widen the rig's limits"
+                    f"{self.machine.name} accepts {lowest:.5g} .. {highest:.5g}; train it within "
+                    "these limits, or widen the rig's"
                 )
 
 
@@ -66,11 +66,11 @@ def find_robot(name: str) -> RobotSetup:
         from softfin.rig.rig import Rig
 
         rig = load_rig(path)
-        # A real rig's configuration stays as it was before there were emulated ones.
+        # A real rig's configuration must stay as it was before emulated rigs existed.
         values = rig.model_dump(
             mode="json", exclude={"emulation"} if rig.emulation is None else None
         )
-        # An emulated rig has nothing to sign for.
+        # An emulated rig needs no commissioning.
         warning = (
             None
             if rig.emulation is not None or rig.file is None
@@ -87,6 +87,6 @@ def find_robot(name: str) -> RobotSetup:
             machine, ros2.safety, ros2.fin, ros2.settle_s, ros2.model_dump(mode="json")
         )
     raise RigError(
-        f"plant {name}: not a real fin; give {' or '.join(LIVE)}, or one of these with :FILE; "
-        "softfin evaluate runs a controller on a simulated one"
+        f"plant {name}: not a real fin; use {' or '.join(LIVE)}, optionally with :FILE; "
+        "for a simulated plant, use softfin evaluate"
     )

@@ -1,9 +1,8 @@
-"""Safety limits, checked by the loop at every tick: whatever is beyond them stops the fin; nothing
-is clipped.
+"""Safety limits, checked by the loop at every tick: a violation stops the fin; nothing is clipped.
 
-The guard is pure but for its memory of the last moments: samples and targets go in, a reason to
-stop comes out. The drive has limits of its own below it (position, following error, current,
-heartbeat), and a watchdog stands above.
+The guard's only state is its memory of recent samples: samples and targets go in, a reason to stop
+comes out. Below it, the drive has limits of its own (position, following error, current,
+heartbeat). Above it, a watchdog monitors the loop.
 """
 
 import math
@@ -18,16 +17,16 @@ from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target
 
 OVERSHOOT_RAD = 0.15
-"""Angle beyond the range of commands that a fin may reach when it is stopped in the middle of a
-fast stroke [rad]."""
+"""Angle beyond the command range that a fin may reach when it is stopped during a fast stroke
+[rad]."""
 
 
 class SafetyConfig(Configuration):
-    """Safety limits; the defaults leave room to spare for a fin like the paper's (under 13 N and
+    """Safety limits; the defaults leave a margin for a fin like the paper's (under 13 N and
     7.3 rad/s)."""
 
     angle_margin_rad: float = Field(default=OVERSHOOT_RAD, ge=0)
-    """Overshoot: angle by which the shaft may be beyond the range of commands [rad]."""
+    """Largest overshoot of the shaft beyond the command range [rad]."""
     velocity_rad_s: PositiveFloat = 10.0
     """Highest angular velocity of the shaft [rad/s]."""
     acceleration_rad_s2: PositiveFloat = 200.0
@@ -36,35 +35,35 @@ class SafetyConfig(Configuration):
     force_peak_n: PositiveFloat = 30.0
     """Largest force on any axis at any time [N]."""
     force_sustained_n: PositiveFloat = 15.0
-    """Largest size of the force on average over `sustained_s` [N]."""
+    """Largest mean magnitude of the force over `sustained_s` [N]."""
     torque_peak_nm: PositiveFloat = 5.0
     """Largest torque on any axis at any time [N m]."""
     torque_sustained_nm: PositiveFloat = 3.0
-    """Largest size of the torque on average over `sustained_s` [N m]."""
+    """Largest mean magnitude of the torque over `sustained_s` [N m]."""
     current_peak_a: PositiveFloat | None = None
     """Largest current of the motor at any time [A]; required for a rig, None where the current is
     not measured."""
     current_sustained_a: PositiveFloat | None = None
-    """Largest current of the motor on average over `sustained_s` [A]."""
+    """Largest mean motor current over `sustained_s` [A]."""
     sustained_s: float = Field(default=0.5, ge=0.05, le=10)
     """Time over which sustained values are averaged [s]."""
     stale_s: float = Field(default=0.05, ge=0.02, le=1)
-    """Greatest age of the angle that is acted on [s]."""
+    """Maximum age of the angle reading [s]."""
     force_stale_s: float = Field(default=0.15, ge=0.02, le=1)
-    """Greatest age of the force that is acted on, of which its filter is a part [s]."""
+    """Maximum age of the force reading, including the delay of its filter [s]."""
     following_rad: PositiveFloat = 0.2
-    """Largest following error that may last for `following_s` [rad]; 0.01 in the virtual tank. A
-    fin that is blocked within a stroke of less than twice this shows in the current alone."""
+    """Largest following error that may last longer than `following_s` [rad]; 0.01 in the virtual
+    tank. If a fin is blocked in a stroke of less than twice this, only the current shows it."""
     following_s: float = Field(default=0.1, ge=0.02, le=2)
-    """Longest time for which the following error may be larger [s]."""
+    """Longest time that the following error may exceed `following_rad` [s]."""
     overrun_s: float = Field(default=0.05, ge=0.01, le=1)
-    """Greatest lateness of a tick [s]."""
+    """Maximum lateness of a tick [s]."""
     watchdog_s: float = Field(default=0.15, ge=0.05, le=2)
-    """Longest silence of the loop after which another thread stops the machine [s]."""
+    """Silence of the loop after which the watchdog thread stops the machine [s]."""
     training_margin: float | None = Field(default=0.5, ge=0)
-    """Distance by which angle, velocity and force may leave the surrogate's training range on
-    average over 1 s, in widths of that range; further out the controller is untested. None turns
-    the check off."""
+    """Mean distance over 1 s by which angle, velocity or force may be outside the surrogate's
+    training range, in widths of that range. Further out the controller is untested. None disables
+    the check."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "SafetyConfig":
@@ -73,8 +72,8 @@ class SafetyConfig(Configuration):
             sustained = getattr(self, f"{name}_sustained_{unit}")
             if (peak is None) != (sustained is None) or (peak is not None and sustained > peak):
                 raise ValueError(
-                    f"{name}_sustained_{unit} = {sustained} with {name}_peak_{unit} = {peak}: give "
-                    "both, the sustained one not above the peak"
+                    f"{name}_sustained_{unit} = {sustained} with {name}_peak_{unit} = {peak}: set "
+                    "both, with the sustained value not above the peak"
                 )
         return self
 
@@ -85,7 +84,7 @@ class Trip(NamedTuple):
     cause: str
     """Short name for records, such as ``force_peak``."""
     reason: str
-    """One line for people, which ends in the way out."""
+    """One line for the user, which ends with a fix."""
 
 
 ACCELERATION_TICKS = 3
@@ -100,14 +99,14 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
         if not math.isfinite(value):
             return Trip(
                 "not_a_number",
-                f"commanded {name} {value} {unit}: this fin takes finite numbers; the "
-                "controller's weights or inputs are damaged: evaluate it in a surrogate first",
+                f"commanded {name} {value} {unit}: this fin accepts finite numbers; the "
+                "controller's weights or inputs may be damaged: evaluate it on a surrogate first",
             )
         if not low - 1e-3 <= value <= high + 1e-3:
             return Trip(
                 f"command_{name}",
-                f"commanded {name} {value:.3f} {unit}: this fin takes {low:.3f} to "
-                f"{high:.3f} {unit}; train within them",
+                f"commanded {name} {value:.3f} {unit}: this fin accepts {low:.3f} to "
+                f"{high:.3f} {unit}; train a controller within this range",
             )
     return None
 
@@ -124,7 +123,7 @@ class Guard:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the samples so far: what lasted before a pause of the motor has not lasted through
+        """Forget the samples so far: conditions before a pause of the motor must not count after
         it."""
         self._means = {
             name: _Mean(self.config.sustained_s) for name in ("force", "torque", "current")
@@ -155,8 +154,8 @@ class Guard:
         if late > config.overrun_s:
             return Trip(
                 "overrun",
-                f"the loop came {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms "
-                "(safety.overrun_s); end other programs on this computer",
+                f"the loop was {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms "
+                "(safety.overrun_s); close other programs on this computer",
             )
         for what, age, most, way_out in (
             ("angle", now - sample.time, config.stale_s, "check the drive's cable and supply"),
@@ -167,7 +166,7 @@ class Guard:
                 "check the sensor's cable and network",
             ),
         ):
-            # A time that lies ahead is as bad: it would never grow old.
+            # A time in the future is just as bad: it would never become stale.
             if abs(age) > most:
                 return Trip(
                     f"{what}_stale",
@@ -187,14 +186,15 @@ class Guard:
         if not low <= sample.angle <= high:
             return Trip(
                 "angle",
-                f"the shaft is at {sample.angle:.3f} rad, beyond {low:.3f} to {high:.3f} rad; "
-                "turn it back; is its zero wrong? Turn it to zero and run: softfin rig zero --arm",
+                f"the shaft is at {sample.angle:.3f} rad, outside {low:.3f} to {high:.3f} rad; "
+                "turn it back, or if its zero is wrong, turn it to zero and run: "
+                "softfin rig zero --arm",
             )
         if abs(sample.velocity) > config.velocity_rad_s:
             return Trip(
                 "velocity",
                 f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
-                f"{config.velocity_rad_s:g} (safety.velocity_rad_s); is the gear ratio right?",
+                f"{config.velocity_rad_s:g} (safety.velocity_rad_s); check the gear ratio",
             )
         velocities = self._velocities
         if not velocities or sample.time > velocities[-1][0]:
@@ -206,7 +206,7 @@ class Guard:
             return Trip(
                 "acceleration",
                 f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
-                f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); was it hit?",
+                f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); check what hit it",
             )
         error = sample.following_error
         if error is None or abs(error) <= config.following_rad:
@@ -217,7 +217,7 @@ class Guard:
             return Trip(
                 "following",
                 f"the shaft is {error:.3f} rad behind its profile for {config.following_s:g} s: "
-                f"at most {config.following_rad:g} rad; is it blocked, or the load too high?",
+                f"at most {config.following_rad:g} rad; check for a blocked fin or a high load",
             )
         return None
 
@@ -245,14 +245,14 @@ class Guard:
                 return Trip(
                     f"{name}_peak",
                     f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
-                    "look for what the fin touches",
+                    "check what the fin touches",
                 )
             average = self._means[name].after(now, math.hypot(*values))
             if average > sustained:
                 return Trip(
                     f"{name}_sustained",
                     f"{name} {average:.2f} {unit} on average over "
-                    f"{config.sustained_s:g} s: at most {sustained:g} {unit}; ask for less",
+                    f"{config.sustained_s:g} s: at most {sustained:g} {unit}; reduce the target",
                 )
         return None
 
@@ -276,14 +276,14 @@ class Guard:
         if average > margin:
             return Trip(
                 "beyond_training",
-                f"{channel} was {average:.2f} of its range beyond the surrogate's training "
-                f"data, for 1 s: at most {margin:g} (safety.training_margin); fit anew",
+                f"{channel} was outside the surrogate's training range by {average:.2f} of its "
+                f"width for 1 s: at most {margin:g} (safety.training_margin); fit on wider data",
             )
         return None
 
 
 class _Mean:
-    """Mean over the last seconds; 0 until so many have passed."""
+    """Mean over a window of the last seconds; 0 until the window is full."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds

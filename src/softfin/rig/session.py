@@ -1,8 +1,8 @@
 """One session on a machine: unconfigured, inactive (reads, does not move), active (moves), stopped;
-100 ticks a second.
+100 ticks per second.
 
-At each tick: wait, read, check, record, call the observers. Whatever is wrong, or goes wrong in
-here, stops the machine first and is reported afterwards.
+Each tick waits, reads, checks, records and calls the observers. Any fault of the machine or error
+in this code first stops the machine and is then reported.
 """
 
 import contextlib
@@ -39,23 +39,23 @@ a second."""
 GOOD_TICKS = 10
 """Ticks in a row at which all checks must pass before the motor is powered. One is too few: after a
 pause, the first records are old ones from the socket, a filter that lost its records takes 7 ticks
-to fill, and a fault that comes and goes would be met with the motor on."""
+to fill, and an intermittent fault could return with the motor on."""
 
 STILL_RAD = 0.03
 """Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
 
 SUSPENDED_S = 0.05
-"""Sleep of the computer beyond which an active session is stopped [s]. The monotonic clock stands
-still meanwhile, so no tick is late afterwards and no reading looks old, though the fin went on
-without anybody watching it."""
+"""Time that the computer may be suspended before an active session is stopped [s]. The monotonic
+clock stands still during a suspend, so afterwards no tick is late and no reading looks old,
+although the fin moved unsupervised."""
 
 HOMING_S = 10.0
-"""Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin has twice the time
+"""Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin gets twice the time
 that it needs."""
 
 
 class Session:
-    """A context: whatever happens, the machine is stopped and closed at its end."""
+    """A context manager that always stops and closes the machine at its end."""
 
     def __init__(
         self,
@@ -115,8 +115,7 @@ class Session:
             gc.unfreeze()
             self._until_closed.close()
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
-            # Whatever ended the session, the person beside the fin must learn that it may not be
-            # safe.
+            # Whatever ended the session, the operator must learn that the fin may not be safe.
             reason = (
                 "the session ended"
                 if error is None
@@ -125,12 +124,12 @@ class Session:
             raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
     def stop_on_signals(self) -> None:
-        """Have Ctrl-C and its kin ask for a stop, until the machine is closed."""
+        """Make Ctrl-C and the other stop signals request a stop, until the machine is closed."""
         self._until_closed.enter_context(stopped_by_signals(self.stop_request))
 
     @contextmanager
     def recording(self, path: Path) -> Iterator[BagRecorder]:
-        """Record everything that the session does meanwhile; an interrupted bag is kept under
+        """Record everything that the session does in this context; an existing bag is kept under
         another name."""
         if path.exists():
             names = (
@@ -152,8 +151,8 @@ class Session:
             raise RunError(recorder.failure)
 
     def tick(self) -> Sample:
-        """Wait for the next tick, read and check; raises SafetyStop, the machine stopped
-        already."""
+        """Wait for the next tick, read and check; stops the machine and raises SafetyStop on a
+        fault."""
         late = self.pace.wait()
         try:
             sample = self.machine.read()
@@ -178,7 +177,7 @@ class Session:
         slept_s = self.pace.clock.suspended() - self._suspended_s
         if self.state != "active":
             self._suspended_s += slept_s
-        # A person's stop first: nothing else explains why the fin stopped.
+        # A stop by a person comes first: it is the real reason for everything after it.
         if trip := self.stop_request.trip or self.trip:
             return trip
         if self.recorder is not None and self.recorder.failure is not None:
@@ -188,16 +187,16 @@ class Session:
         # Always called, because it remembers the samples.
         trip = self.guard.check(sample, now, late)
         if slept_s > SUSPENDED_S:
-            # In place of the fault that the drive reports by then, which follows from it.
+            # This replaces the drive fault that the suspend has caused by now.
             return Trip(
                 "suspended",
                 f"the computer was suspended for {slept_s:.1f} s while the fin was active; start "
-                "softfin by: systemd-inhibit --what=sleep:handle-lid-switch softfin ..",
+                "softfin with: systemd-inhibit --what=sleep:handle-lid-switch softfin ..",
             )
         return trip
 
     def _record_sample(self, sample: Sample) -> None:
-        """Record what is newer than the sample before."""
+        """Record the readings that are newer than the previous sample."""
         if self.recorder is None:
             return
         before = self.newest
@@ -210,10 +209,10 @@ class Session:
         """Enable the drive, which holds where it is: from now on it may move."""
         if self.state != "inactive":
             raise SafetyStop(
-                f"activated while {self.state}: only an inactive session can be; begin a new one"
+                f"activated while {self.state}: the session must be inactive; start a new one"
             )
-        # What is there already is not searched for garbage any more: in a process with JAX that
-        # takes 100 ms a time.
+        # Exclude all existing objects from garbage collection: in a process with JAX, one pass over
+        # them takes 100 ms.
         gc.unfreeze()
         gc.collect()
         gc.freeze()
@@ -223,7 +222,7 @@ class Session:
         limits = self.machine.limits
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
-        # Samples read without power are not of the motion that begins here.
+        # Samples read without power are not part of the motion that starts here.
         self.guard.restart()
         self.state = "active"
         self._record_event(f"active: {self.machine.name}")
@@ -234,9 +233,8 @@ class Session:
         self.command(Target(here, limits.velocity_min))
 
     def deactivate(self) -> None:
-        """Stop and disable the motor: slow work may be done now, and `activate` goes on after
-        it."""
-        # A slow brake is no silence of the loop.
+        """Stop and disable the motor, so that slow work can be done before the next `activate`."""
+        # Slow braking must not look like a silent loop.
         self._unwatch()
         self.machine.stop()
         if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
@@ -247,21 +245,23 @@ class Session:
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
-        """Issue a command now; raises SafetyStop where it is beyond this fin's limits or the drive
+        """Issue a command now; raises SafetyStop if it is outside this fin's limits or the drive
         refuses it."""
         trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
             self.abort(trip)
         if self.state != "active":
-            raise SafetyStop(f"commanded while {self.state}: nothing moves before activation")
+            raise SafetyStop(
+                f"commanded while {self.state}: the session must be active; activate it first"
+            )
         try:
             self.machine.command(target)
         except Exception as error:
             self._unwatch()
             self.machine.stop()
-            reason = in_one_line(error, "the machine took no command")
+            reason = in_one_line(error, "the machine refused the command")
             with contextlib.suppress(Exception):
-                # A drive in fault takes no command, and its fault is the better reason.
+                # A drive in fault refuses commands, and its fault is the better reason.
                 reason = next(iter(self.machine.read().complaints), reason)
             self.abort(Trip("device", reason))
         self.target = target
@@ -269,12 +269,12 @@ class Session:
             self.recorder.command(self.pace.clock(), target.angle, target.velocity)
 
     def record_reference(self, reference: tuple[float, float]) -> None:
-        """Record the reference force that holds from now on [N]."""
+        """Record the reference force that applies from now on [N]."""
         if self.recorder is not None:
             self.recorder.reference(self.pace.clock(), reference)
 
     def hold(self, target: Target, ticks: int) -> list[Sample]:
-        """Hold a command for so many ticks; returns the sample of each."""
+        """Hold a command for a number of ticks; returns the sample of each."""
         self.command(target)
         return [self.tick() for _ in range(ticks)]
 
@@ -297,7 +297,7 @@ class Session:
                 Trip(
                     "rest",
                     f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
-                    f"{sample.angle:.3f} rad); is it blocked?",
+                    f"{sample.angle:.3f} rad); check for a blocked fin",
                 )
             )
         samples = [self.tick() for _ in range(round(seconds * RATE_HZ))]
@@ -306,8 +306,8 @@ class Session:
         return zero
 
     def abort(self, trip: Trip) -> NoReturn:
-        """Stop the machine, record why, and raise SafetyStop; the reason is that of the first
-        stop."""
+        """Stop the machine, record the reason, and raise SafetyStop; the first stop's reason
+        counts."""
         trip = self.trip or trip
         self.stop_request.is_obeyed = True
         self.machine.stop()
@@ -323,8 +323,8 @@ class Session:
         raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
 
     def _await_good_ticks(self) -> Sample:
-        """Tick until all checks pass for a while: devices that were not read need a moment to be
-        fresh."""
+        """Tick until all checks pass for a while: after a pause, devices need a moment to deliver
+        fresh readings."""
         good_ticks = 0
         latest_trip: Trip | None = None
         for _ in range(FRESH_TICKS):
@@ -348,7 +348,7 @@ class Session:
             self.trip = Trip(
                 "watchdog",
                 f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, "
-                "or the controller hung; see the last event before",
+                "or the controller hung; see the previous event in the recording",
             )
         self.machine.stop()
 
@@ -358,14 +358,13 @@ class Session:
 
 
 def mean_force(samples: Sequence[Sample]) -> MeasuredForce:
-    """Return the mean force (x, y) of samples [N]; zero of none."""
+    """Return the mean force (x, y) of samples [N]; zero if there are none."""
     count = max(len(samples), 1)
     return sum(s.wrench[0] for s in samples) / count, sum(s.wrench[1] for s in samples) / count
 
 
 def in_one_line(error: BaseException, what: str) -> str:
-    """Describe an error: softfin's own say it all in one line; others need a word of what was going
-    on."""
+    """Describe an error in one line; errors from outside softfin get `what` failed as context."""
     if isinstance(error, SoftfinError):
         return str(error)
     return f"{what} ({type(error).__name__}: {one_line(error)}); see --debug"

@@ -4,12 +4,12 @@ in every run.
 The thread that makes the clock and those that it spawns are its members. Exactly one of them runs,
 until it waits; then the one that has waited for longest goes on, of those that need not wait any
 more. Only when all of them wait does time move on, to the earliest moment that one of them waits
-for. So computing takes no time, nothing is ever late, and nothing depends on how the operating
-system shares the processor out. Any other thread, such as a test's own or one that reads a
-keyboard, may use the clock too, but nobody waits for it.
+for. So computing takes no time, nothing is ever late, and nothing depends on the operating system's
+scheduler. Any other thread, such as a test's own or one that reads a keyboard, may use the clock
+too, but the members do not wait for it.
 
-A member must not wait for another one in any other way, as by `threading.Event`: everybody would
-stand still.
+A member must not wait for another one in any other way, such as by `threading.Event`: all members
+would then wait forever.
 """
 
 import math
@@ -21,10 +21,10 @@ from typing import Any
 from softfin.core.clock import Clock
 
 BEGIN_S = 1000.0
-"""Start of every simulated time [s]; not 0, which stands for "never" in places."""
+"""Start of every simulated time [s]; not 0, which means "never" in some places."""
 
 RECHECK_S = 0.5
-"""Real time between two looks of a waiting thread at whether it is its turn, should a Ctrl-C have
+"""Real time after which a waiting thread checks again whether it is its turn [s], in case Ctrl-C
 lost its signal."""
 
 

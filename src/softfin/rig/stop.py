@@ -1,5 +1,5 @@
 """Ways to stop a moving fin besides the safety limits: signals, a key on the terminal, a watchdog
-above the loop."""
+on the loop."""
 
 import contextlib
 import signal
@@ -14,11 +14,11 @@ from softfin.core.clock import REAL, Clock
 from softfin.rig.safety import Trip
 
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
-"""The signals that stop the fin; the last is Ctrl-Z: a program that sleeps watches over nothing."""
+"""Signals that stop the fin; the last is Ctrl-Z, because a suspended program cannot watch it."""
 
 PATIENCE_S = 2.0
-"""Time within which a second signal must not disturb the stop that the first one began: people
-press Ctrl-C twice [s].
+"""Time within which a second signal must not interrupt the stop that the first one started [s]:
+people press Ctrl-C twice.
 """
 
 
@@ -28,8 +28,8 @@ class StopRequest:
     def __init__(self) -> None:
         self.trip: Trip | None = None
         self.is_obeyed = False
-        """Whether the machine is being stopped, which is bounded in time: no signal must break that
-        off."""
+        """Whether the machine is being stopped. That takes a bounded time, and no signal may
+        interrupt it."""
 
     def ask(self, cause: str, reason: str) -> None:
         """Ask for a stop."""
@@ -39,7 +39,7 @@ class StopRequest:
 
 @contextmanager
 def stopped_by_signals(request: StopRequest) -> Iterator[None]:
-    """Ctrl-C and its kin raise the flag, instead of an exception somewhere in the loop; only in the
+    """Make stop signals raise the flag, instead of an exception somewhere in the loop; only in the
     main thread."""
     asked: list[float] = []
 
@@ -47,8 +47,8 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
         name = signal.Signals(number).name
         asked.append(time.monotonic())
         if asked[-1] - asked[0] > PATIENCE_S and not request.is_obeyed:
-            # The first one was not obeyed, as while figures are drawn: now the program ends as
-            # others do.
+            # The first one was not obeyed, for example because figures are being drawn. Now the
+            # program ends like any other.
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
@@ -58,10 +58,10 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
 
 @contextmanager
 def interrupted_by_signals() -> Iterator[None]:
-    """The first of Ctrl-C and its kin raises KeyboardInterrupt, so that what powers a motor ends by
-    stopping it.
+    """Raise KeyboardInterrupt at the first stop signal, so that code that powers a motor can stop
+    it.
 
-    Later ones are ignored: they would break the stop off, which is bounded in time.
+    Later signals are ignored: they would interrupt the stop, which takes a bounded time.
     """
     is_asked = False
 
@@ -77,13 +77,13 @@ def interrupted_by_signals() -> Iterator[None]:
 
 @contextmanager
 def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Have the signals that stop the fin handled; only in the main thread."""
+    """Install a handler for the stop signals; only in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
-    # Under nohup the end of the terminal is ignored on purpose: a night's collection must survive a
-    # dropped ssh.
+    # nohup ignores SIGHUP on purpose: an overnight collection must survive a dropped ssh
+    # connection.
     numbers = [number for number in numbers if not _is_ignored_hangup(number)]
     before = {number: signal.signal(number, handle) for number in numbers}
     try:
@@ -117,7 +117,7 @@ def listen_to_keyboard(
 
 
 def discard_typed_ahead() -> None:
-    """Discard what was typed before a question was asked, if a terminal is there."""
+    """Discard what was typed before a question, if the input is a terminal."""
     with contextlib.suppress(ImportError, OSError):
         # Imported here: there is none on Windows.
         import termios
@@ -127,18 +127,17 @@ def discard_typed_ahead() -> None:
 
 
 SIGNAL_CHECK_S = 0.2
-"""Longest time for which the main thread waits for a lock [s]. The kernel may give a signal to
-another thread, which does not wake the main thread, where Python handles it."""
+"""Longest time for which the main thread waits for a lock [s]. The kernel may deliver a
+signal to another thread. That does not wake the main thread, in which Python handles signals."""
 
 
 class Watchdog:
-    """A thread that stops the machine when the loop is silent, as where a controller waits for
-    ever.
+    """A thread that stops the machine when the loop is silent, for example because a controller
+    hangs.
 
-    A loop that is stuck in C code which holds the interpreter's lock stops this thread, too. Then
-    the rig's drive stops the motor itself: without the host's heartbeat for `drive.heartbeat_s` it
-    faults (0x8130). Behind ROS 2's topics nothing like it exists: the fin's driver has to notice
-    missing commands.
+    C code that holds the interpreter's lock blocks this thread as well. Then the rig's drive stops
+    the motor by itself: it faults (0x8130) after `drive.heartbeat_s` without the host's heartbeat.
+    ROS 2 topics have no such protection: the fin's driver has to notice missing commands.
     """
 
     def __init__(
@@ -156,7 +155,7 @@ class Watchdog:
         self._fed = now
 
     def end(self) -> None:
-        """Watch no more."""
+        """Stop watching."""
         self._ended.set()
 
     def _watch(self) -> None:

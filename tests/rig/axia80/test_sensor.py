@@ -186,7 +186,7 @@ def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
     sensor.status = OVER_RANGE
     read_until(client, client.complaints)
     assert client.complaints() == (
-        "force sensor 127.0.0.1: force or torque is out of its range; take the load off, look at "
+        "force sensor 127.0.0.1: force or torque is out of its range; remove the load, check "
         "the fin's mount",
     )
     sensor.status = 0
@@ -228,7 +228,7 @@ def test_a_silent_sensor_is_a_complaint_until_it_sends_again(pair):
     before = client.read()
     read_until(client, client.complaints)
     assert re.search(
-        r"nothing new for \d+\.\d s; check its power and cable", client.complaints()[0]
+        r"no new record for \d+\.\d s; check its power and cable", client.complaints()[0]
     )
     after = client.read()
     assert after.force_time == before.force_time
@@ -277,7 +277,7 @@ def test_a_sensor_that_stays_busy_is_refused_in_one_line():
     with emulated() as sensor:
         sensor.busy_s = 1e9
         with pytest.raises(
-            DeviceError, match="busy for more than 10 s; change nothing on its web pages"
+            DeviceError, match="busy for more than 10 s; do not use its web pages"
         ) as refused:
             Axia80(config_of(sensor), sensor.clock).open()
     assert "\n" not in str(refused.value)
@@ -301,9 +301,9 @@ def _be_busy(sensor):
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (_freeze, "its values stand still"),
-        (_freeze_count, "its values stand still"),
-        (_be_busy, "busy for long"),
+        (_freeze, "its values are frozen"),
+        (_freeze_count, "its values are frozen"),
+        (_be_busy, "busy for too long"),
     ],
 )
 @pytest.mark.parametrize("rate_hz", [200.0, 1000.0, 4000.0])
@@ -420,7 +420,7 @@ def test_another_sensor_than_the_file_says_is_refused(key, value):
 def test_a_sensor_at_another_rate_is_refused():
     with (
         emulated(rate_hz=500.0) as sensor,
-        pytest.raises(RigError, match=r"sends \d+ records a second, rate_hz is"),
+        pytest.raises(RigError, match=r"sends \d+ records per second, but rate_hz is"),
     ):
         Axia80(config_of(sensor), sensor.clock).open()
 

@@ -125,7 +125,7 @@ def test_a_state_that_cannot_be_is_refused_in_one_line(tmp_path, tank, change, w
     state_file(file).write_text(change(state))
     with pytest.raises(RigError, match=words) as told:
         kept_rig(load_rig(file))
-    assert "remove it, and the rig begins anew, not zeroed" in str(told.value)
+    assert "remove it, then zero the rig again" in str(told.value)
     assert "\n" not in str(told.value)
 
 

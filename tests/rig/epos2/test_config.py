@@ -60,7 +60,7 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
     ("changes", "words"),
     [
         ({"node": 0}, "node"),
-        ({"node": 127}, "node 127 leaves no number for the host; give host_node"),
+        ({"node": 127}, "node 127 leaves no number for the host; set host_node"),
         ({"host_node": 5}, "node and host_node are both 5"),
         ({"heartbeat_s": 1.1}, "heartbeat_s"),
         ({"following_error_rad": 1.1}, "following_error_rad"),
@@ -74,7 +74,7 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's are finite"),
         ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "less than 1 rpm"),
         ({"direction": 2}, "direction"),
-        ({"quick_stop_rad_s2": 2.0}, r"takes 1.6 s to stop from fastest_rad_s: .* give 6.3"),
+        ({"quick_stop_rad_s2": 2.0}, r"takes 1.6 s to stop from fastest_rad_s: .* use 6.3"),
     ],
 )
 def test_a_configuration_that_cannot_be_is_refused_with_the_reason(

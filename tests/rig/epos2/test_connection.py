@@ -40,14 +40,14 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
         ):
             connection.read(Object(0x2099, 0, "I", "nonesuch"))
         with pytest.raises(
-            DeviceError, match=r"refuses mode .*0x06090030, .* change the value in the rig's file"
+            DeviceError, match=r"refuses mode .*0x06090030, .* set a value in the rig's file"
         ):
             connection.write(protocol.MODE, 8)
         with pytest.raises(
             DeviceError, match=r"controlword .* cannot hold 65536; change the value"
         ):
             connection.write(protocol.CONTROLWORD, 0x10000)
-        with pytest.raises(DeviceError, match="makes no sense"):
+        with pytest.raises(DeviceError, match="is not valid"):
             connection.read(Object(protocol.TARGET.number, 0, "H", "target of another length"))
         made.emulated.go_silent()
         began = made.clock()
@@ -91,6 +91,6 @@ def test_a_bus_that_cannot_be_read_is_counted_and_told_each_time(
         made.clock.sleep(1.0)
         assert made.drive.connection.counters["receiving errors"] == 2
         assert any(
-            "cannot be read (no such device); look at the adapter and cable" in line
+            "cannot be read (no such device); check the adapter and cable" in line
             for line in made.faults
         )

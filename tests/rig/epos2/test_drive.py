@@ -144,7 +144,7 @@ def test_a_command_outside_the_limits_is_refused_and_nothing_moves(
     target: tuple[float, float],
 ) -> None:
     with enabled() as made, Sniffer(made) as sniffer:
-        with pytest.raises(CommandError, match="this fin takes"):
+        with pytest.raises(CommandError, match="this fin accepts"):
             made.drive.command(Target(*target))
         made.until(lambda: True)
         assert 0x003F not in sniffer.controlwords()
@@ -185,7 +185,9 @@ def test_a_bus_that_does_not_exist_is_named_in_one_line() -> None:
 def test_a_drive_that_is_set_up_for_another_encoder_is_refused() -> None:
     with bench() as made:
         made.emulated._node.sdo.download(0x2210, 1, struct.pack("<I", 1024))
-        with pytest.raises(RigError, match=r"is 1024: lines in the drive, encoder_lines 500"):
+        with pytest.raises(
+            RigError, match=r"is 1024: lines in the drive, but encoder_lines is 500"
+        ):
             made.drive.open()
 
 
@@ -268,9 +270,9 @@ def send(made: Bench, cob_id: int, data: bytes) -> None:
     ("inject", "words"),
     [
         (lambda made: block(made.fin), "following error"),
-        (lambda made: made.emulated.drop_heartbeat(), "heartbeat is missing"),
-        (lambda made: made.emulated.go_silent(), "heartbeat is missing"),
-        (lambda made: ignore_targets(made.emulated, 1000), "did not take a target"),
+        (lambda made: made.emulated.drop_heartbeat(), "heartbeat has been missing"),
+        (lambda made: made.emulated.go_silent(), "heartbeat has been missing"),
+        (lambda made: ignore_targets(made.emulated, 1000), "did not accept a target"),
         (
             lambda made: send(made, 0x200 + NODE, bytes(6)),
             "switch on disabled though it was enabled",
@@ -312,7 +314,7 @@ def test_a_host_that_hangs_makes_the_drive_stop_by_itself() -> None:
 def test_a_drive_that_started_anew_is_complained_of_and_takes_no_target() -> None:
     with enabled() as made:
         made.emulated.reboot()
-        assert complaint(made, "started anew")
+        assert complaint(made, "restarted")
         assert made.emulated.state in AT_REST
         angle = made.fin.now().angle
         made.drive.command(Target(1.0, 3.0))
@@ -385,7 +387,7 @@ def test_an_error_that_the_bus_mends_itself_is_counted_and_no_stop(
 def test_an_adapter_that_gives_up_is_told_at_once(classes: int, controller: int, name: str) -> None:
     with enabled() as made:
         made.emulated.send_error_frame(classes, controller)
-        assert complaint(made, f"the adapter is {name}; look at its cable")
+        assert complaint(made, f"the adapter is {name}; check its cable")
         assert name in made.faults[0]
 
 
@@ -399,7 +401,7 @@ def test_a_limit_that_is_touched_for_a_moment_is_no_complaint_and_one_that_lasts
         assert made.until(lambda: made.clock() - began > 0.3)
         assert made.drive.complaints() == ()
         made.emulated.at_limit = True
-        assert complaint(made, "holds back at one of its own limits")
+        assert complaint(made, "is held back by one of its own limits")
 
 
 def test_a_fin_whose_voltage_is_taken_coasts_and_one_that_is_stopped_stands() -> None:
@@ -439,7 +441,7 @@ def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from
 @pytest.mark.parametrize(
     ("entry", "value", "words"),
     [
-        (protocol.MOTOR_TYPE, 3, "motor type .* is 3: no motor that softfin knows"),
+        (protocol.MOTOR_TYPE, 3, "motor type .* is 3: not a motor type that softfin supports"),
         (
             protocol.VELOCITY_NOTATION,
             -3,
@@ -818,7 +820,7 @@ def test_a_host_with_our_number_is_a_complaint_whenever_it_begins_to_send() -> N
         made.drive.command(Target(1.5, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.1)
         send(made, protocol.HEARTBEAT + made.drive.config.host, bytes([protocol.OPERATIONAL]))
-        assert complaint(made, f"has the number {made.drive.config.host} of this one")
+        assert complaint(made, f"uses this program's node number {made.drive.config.host}")
 
 
 def test_a_drive_is_not_enabled_if_its_bus_cannot_be_read_any_more() -> None:

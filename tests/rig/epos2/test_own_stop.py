@@ -84,7 +84,7 @@ def test_a_reaction_that_does_not_stick_is_an_error(monkeypatch: pytest.MonkeyPa
 
         monkeypatch.setattr(made.emulated._node, "set_data", forgetful)
         with pytest.raises(
-            RigError, match=r"abort connection option \(0x6007\.0\) stayed 0 where 1 was written"
+            RigError, match=r"abort connection option \(0x6007\.0\) stayed 0 when 1 was written"
         ):
             made.drive.open()
 

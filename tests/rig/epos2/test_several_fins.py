@@ -124,7 +124,7 @@ def test_a_second_host_with_the_same_number_or_drive_is_refused_before_it_sends_
     with shoal(1) as made:
         made.hosts[0].swim()
         for changes, words in (
-            ({"node": 1}, r"number 126 of this program is in use .* drive\.host_node"),
+            ({"node": 1}, r"node number 126 of this program is in use .* drive\.host_node"),
             ({"node": 7, "host_node": 126}, "number 126 of this program is in use"),
         ):
             bus = open_bus(made.bus, made.clock)
@@ -167,13 +167,13 @@ def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(
         first.swim()
         assert first.drive.sync_id == 0x080
         assert first.drive.notes == (
-            "drive answers everybody's SYNC; give each fin a bus of its own",
+            "drive answers every program's SYNC; give each fin its own bus",
         )
         first.drive.command(Target(0.2, 3.0))
         made.clock.sleep(0.5)
         assert first.fin.now().angle == pytest.approx(0.2, abs=1e-3)
         with pytest.raises(
-            RigError, match="sends the SYNC that this drive answers; give each fin a bus of its own"
+            RigError, match="sends the SYNC that this drive answers; give each fin its own bus"
         ):
             second.drive.open()
 

@@ -64,7 +64,7 @@ def test_a_boot_up_message_is_told_and_frames_of_other_nodes_change_nothing() ->
     for function in (0x080, 0x180, 0x280, 0x380, 0x700):
         assert status.take(function + 6, bytes(8), 0.0) is None
     assert (status.statusword, status.nmt, status.emergency) == (None, None, None)
-    assert "started anew" in str(status.take(0x705, b"\0", 3.0))
+    assert "restarted" in str(status.take(0x705, b"\0", 3.0))
     assert status.rebooted
 
 

@@ -172,7 +172,7 @@ def test_others_are_served_while_slow_clients_hold_connections(server):
 
 
 def test_a_port_that_is_taken_is_said(server):
-    with pytest.raises(ConfigurationError, match="--port 0 takes a free port"):
+    with pytest.raises(ConfigurationError, match="use --port 0 for any free port"):
         web.Server(server._follower, web.LOOPBACK, server.server_address[1])
     with pytest.raises(ConfigurationError, match="0-65535"):
         web.Server(server._follower, web.LOOPBACK, 70000)

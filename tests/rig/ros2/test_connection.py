@@ -147,7 +147,7 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     assert (subscription.received, subscription.refused, subscription.not_newer) == (4, 2, 1)
     assert subscription.refusal is not None
     assert subscription.refusal.startswith(
-        "/joint: refused: 6 bytes that are no sensor_msgs/msg/JointState"
+        "/joint: refused: 6 bytes that are not a valid sensor_msgs/msg/JointState"
     )
     transport.put("/joint", messages.joint(START + 2, "", "fin", 1.0, 2.0), 6.0)
     assert len(subscription.take()) == 1

@@ -167,8 +167,8 @@ def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_
         "exclusive": None,
     }
     assert sorted(line.partition(";")[0] for line in told["told"]) == [
-        "/stop/exclusive: a publisher there cannot be heard, so it cannot stop the fin",
-        "/stop/reference: a publisher there is not heard",
+        "/stop/exclusive: a publisher cannot be received, so it cannot stop the fin",
+        "/stop/reference: a publisher cannot be received",
     ]
 
 
@@ -248,7 +248,7 @@ def test_a_closed_way_is_told_and_nothing_hangs():
         f'{OPEN}\nway = opened()\nway.close()\ntry:\n    way.publish("/x", "std_msgs/msg/Bool")\n'
         "except SoftfinError as error:\n    print(type(error).__name__, error)"
     )
-    assert told == f"{DeviceError.__name__} the way to ROS 2 is closed; open it again"
+    assert told == f"{DeviceError.__name__} the connection to ROS 2 is closed; open it again"
 
 
 @pytest.mark.parametrize("text", ["-1", "233", "abc"])

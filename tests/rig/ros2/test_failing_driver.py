@@ -18,7 +18,7 @@ from tests.rig.ros2.test_plant import CONFIG
 from tests.rig.ros2_memory import MemoryTransport, TopicDriver
 
 NEVER_CONFIRMED = (
-    "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+    "softfin cannot confirm that the motor is off; keep a switch for its supply at hand"
 )
 STILL_TURNS = "the fin still turns; switch off its supply"
 
@@ -104,7 +104,7 @@ def test_a_driver_that_vanishes_is_noticed_at_once_and_nobody_says_that_the_fin_
     reason = tail.swim(lambda: setattr(tail.driver, "is_there", False))
     assert tail.noticed_after() < 0.1
     assert reason.startswith("stopped: no new angle for ")
-    assert reason.endswith("BUT no new /joint show whether the fin stands; switch off its supply")
+    assert reason.endswith("BUT no new /joint, so the fin may still turn; switch off its supply")
 
 
 def test_commands_that_nobody_reads_any_more_are_noticed_at_the_next_tick():
@@ -112,7 +112,7 @@ def test_commands_that_nobody_reads_any_more_are_noticed_at_the_next_tick():
     reason = tail.swim(lambda: tail.transport.readers.update({"/command": 0}))
     assert tail.noticed_after() < 0.03
     assert reason.startswith(
-        "stopped: nobody reads /command any more: commands go nowhere; start the driver again"
+        "stopped: no subscriber on /command any more, so commands are lost; start the driver again"
     )
 
 
@@ -183,7 +183,7 @@ def test_a_stop_is_bounded_in_time_whatever_hangs():
             assert abs(tail.driver.velocity) < 1e-6
         is_seen = hanging in ("commands", "stops")
         assert (
-            "whether the motor" if is_seen else "no new /joint show"
+            "cannot confirm that the motor" if is_seen else "no new /joint,"
         ) in machine.stop_unconfirmed
 
 
@@ -205,7 +205,7 @@ def test_a_computer_that_cannot_start_a_thread_sends_the_stop_all_the_same():
 def test_a_stop_that_failed_is_over_with_the_next_opening():
     tail = Tail()
     tail.swim(lambda: setattr(tail.driver, "is_there", False))
-    assert "no new /joint show" in tail.machine.stop_unconfirmed
+    assert "no new /joint, so the fin" in tail.machine.stop_unconfirmed
     tail.driver.is_there = True
     tail.machine.open()
     assert tail.machine.stop_unconfirmed == NEVER_CONFIRMED

@@ -58,13 +58,13 @@ def test_numbers_in_sequences_and_arrays_are_fields_too():
 )
 def test_a_field_that_is_not_there_is_told_before_anything_is_sent(way):
     with pytest.raises(
-        RigError, match=r"flipper: no own/msg/Flippers can be made .*, as flippers\.2\.amplitude"
+        RigError, match=r"flipper: own/msg/Flippers cannot be built .* flippers\.2\.amplitude"
     ):
         encoded(zero_direction=way, amplitude="pair.0")
 
 
 def test_a_constant_that_a_field_cannot_hold_is_told():
-    with pytest.raises(RigError, match="no own/msg/Flippers can be made"):
+    with pytest.raises(RigError, match="own/msg/Flippers cannot be built"):
         encoded(zero_direction="angles.0", amplitude="pair.0", constants={"header.stamp.sec": 1e30})
 
 
@@ -86,7 +86,7 @@ def test_a_definition_that_is_none_is_told_in_one_line(text):
 def test_a_field_of_an_unknown_type_is_told_before_anything_is_sent(field):
     definitions = {"own/msg/Bad": f"{field}\nfloat64 zero_direction\nfloat64 amplitude\n"}
     with pytest.raises(
-        RigError, match=r"no own/msg/Bad can be made .*\.msg text of each type"
+        RigError, match=r"own/msg/Bad cannot be built .*\.msg text of each type"
     ) as error:
         encoded(type="own/msg/Bad", definitions=definitions)
     assert "\n" not in str(error.value)

@@ -72,9 +72,7 @@ def test_the_newest_reference_counts_and_an_old_one_does_not():
     node.now = 10.6
     assert node.node.reference() is None
     assert node.node.reference() is None
-    assert node.told == [
-        "/fin/reference: no reference for 0.5 s: the last one does not count any more"
-    ]
+    assert node.told == ["/fin/reference: no reference for 0.5 s: the last one has expired"]
     node.ask(3.0, 0.0)
     assert node.node.reference() == (3.0, 0.0)
 
@@ -123,7 +121,7 @@ def test_no_force_that_the_controller_cannot_make_is_refused_at_once():
 
 def test_a_loss_without_an_age_is_refused():
     with pytest.raises(
-        ConfigurationError, match="reference_lost = stop: needs an age; set reference_timeout_s"
+        ConfigurationError, match="reference_lost = stop: needs a timeout; set reference_timeout_s"
     ):
         NodeConfig.build({"reference_lost": "stop", "reference_timeout_s": None})
 
@@ -142,7 +140,7 @@ def test_one_fin_of_a_robot_has_topics_under_its_name_and_stops_without_its_robo
     "name", ["left fin", "/left", "left/", "1", "", "a//b", "schw\u00e4nzchen"]
 )
 def test_a_fin_whose_name_cannot_be_in_a_topic_is_refused(name):
-    with pytest.raises(ConfigurationError, match="cannot be in the name of a topic; use letters"):
+    with pytest.raises(ConfigurationError, match="cannot be part of a topic name; use letters"):
         NodeConfig.of_fin(name)
 
 
@@ -194,7 +192,7 @@ def test_a_stop_is_for_good():
 def test_a_stop_that_cannot_be_read_stops_too():
     node = Node()
     node.transport.put("/fin/stop", b"\x00\x01\x00\x00")
-    assert "no std_msgs/msg/Bool" in node.node.stop_reason()
+    assert "not a valid std_msgs/msg/Bool" in node.node.stop_reason()
     node = Node()
     node.transport.failing = True
     assert "cannot be heard" in node.node.stop_reason()
@@ -229,12 +227,11 @@ def test_a_stop_that_cannot_be_read_counts_once_however_many_readers_it_comes_to
     [
         (
             "/fin/stop",
-            "/fin/stop: a publisher there cannot be heard, so it cannot stop the fin; give it ROS "
-            "2's",
+            "/fin/stop: a publisher cannot be received, so it cannot stop the fin; give it ROS 2's",
         ),
         (
             "/fin/reference",
-            "/fin/reference: a publisher there is not heard; it must be reliable, not best effort",
+            "/fin/reference: a publisher cannot be received; it must be reliable, not best effort",
         ),
     ],
 )
@@ -272,7 +269,7 @@ def test_what_cannot_go_out_is_counted_and_does_not_stop_the_loop():
 
 
 def test_two_topics_of_one_name_are_refused():
-    with pytest.raises(ConfigurationError, match="/fin/wrench is the name of two topics"):
+    with pytest.raises(ConfigurationError, match="/fin/wrench is used for two topics"):
         NodeConfig.build({"reference_topic": "/fin/wrench"})
 
 

@@ -269,8 +269,8 @@ def test_fins_that_are_not_there_at_the_start_are_told_in_one_line():
     error = pool.run(20.0)
     assert isinstance(error, DeviceError)
     assert str(error).startswith(
-        "after 5 s nobody reads /back_left/reference, nobody publishes /front_left/joint_states; "
-        "start"
+        "after 5 s no subscriber on /back_left/reference, "
+        "no publisher on /front_left/joint_states; start"
     )
     assert "\n" not in str(error)
     assert not pool.achieved().size
@@ -352,12 +352,12 @@ def test_fins_that_do_not_stop_are_named():
         ({"max_thrust": None}, "max_thrust: missing"),
         (
             {"max_thrust": {"front_left": 3.0}},
-            "max_thrust is of front_left; U-CAT has the fins front_right, ",
+            "max_thrust is for front_left, but U-CAT has front_right, ",
         ),
         ({"max_thrust": -1.0}, "max_thrust"),
-        ({"stop_topic": "/front_left/stop"}, "/front_left/stop is the name of two topics"),
+        ({"stop_topic": "/front_left/stop"}, "/front_left/stop is used for two topics"),
         ({"fin_prefix": "ucat"}, "fin_prefix"),
-        ({"wrench_topic": "/robot/reference"}, "/robot/reference is the name of two topics"),
+        ({"wrench_topic": "/robot/reference"}, "/robot/reference is used for two topics"),
     ],
 )
 def test_what_cannot_be_configured_is_told(changes, told):
@@ -368,7 +368,7 @@ def test_what_cannot_be_configured_is_told(changes, told):
 def test_a_fin_whose_name_cannot_be_a_topics_is_refused():
     robot = load_robot("ucat")
     fins = {"left fin": next(iter(robot.fins.values()))}
-    with pytest.raises(SoftfinError, match="the fin 'left fin' cannot be in the name of a topic"):
+    with pytest.raises(SoftfinError, match="fin 'left fin' cannot be part of a topic name"):
         RobotNode(
             MemoryTransport(),
             robot.model_copy(update={"fins": fins}),

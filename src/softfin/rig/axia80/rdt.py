@@ -93,20 +93,22 @@ class StatusBit(NamedTuple):
 
 STATUS_BITS = {
     0: StatusBit(
-        "its temperature is out of range", True, "let it reach that of the water, check the cooling"
+        "its temperature is out of range",
+        True,
+        "let it reach the water's temperature, check the cooling",
     ),
-    1: StatusBit(
-        "its supply voltage is out of range", True, "give it 12 to 32 V, look at the cable"
-    ),
+    1: StatusBit("its supply voltage is out of range", True, "supply 12 to 32 V, check the cable"),
     2: StatusBit("a gage is broken", True, "send the sensor to ATI"),
     BUSY_BIT: StatusBit(
-        "it is busy with its settings", False, "wait, change nothing on its web pages"
+        "it is busy with its settings", False, "wait, and do not use its web pages"
     ),
     5: StatusBit(
-        "it reports an unspecified error", True, "switch it off and on, look at its web page"
+        "it reports an unspecified error", True, "switch it off and on, check its web page"
     ),
     7: StatusBit(
-        "its calibration cannot be read", True, "switch it off and on; else send it to ATI"
+        "its calibration cannot be read",
+        True,
+        "switch it off and on; if that fails, send it to ATI",
     ),
     16: StatusBit(
         "one of its own thresholds was passed",
@@ -114,12 +116,12 @@ STATUS_BITS = {
         "clear the monitor conditions on its web page",
     ),
     27: StatusBit(
-        "a gage is out of range", True, "take the load off; if it stays, the sensor is damaged"
+        "a gage is out of range", True, "remove the load; if the error stays, the sensor is damaged"
     ),
     28: StatusBit("its forces are simulated", False, "switch the simulation off on its web page"),
     29: StatusBit("its calibration is damaged (checksum)", True, "send the sensor to ATI"),
     30: StatusBit(
-        "force or torque is out of its range", True, "take the load off, look at the fin's mount"
+        "force or torque is out of its range", True, "remove the load, check the fin's mount"
     ),
 }
 
@@ -134,6 +136,6 @@ def decode_status(status: int) -> tuple[StatusBit, ...]:
     bits = [bit for number, bit in STATUS_BITS.items() if number in numbers]
     is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
     if numbers - set(STATUS_BITS) or (summary and not is_explained):
-        remedy = "look at the sensor's web page, switch it off and on"
+        remedy = "check the sensor's web page, switch it off and on"
         bits.append(StatusBit(f"its status 0x{status:08X} has unspecified bits", summary, remedy))
     return tuple(bits)

@@ -68,7 +68,7 @@ class Axia80:
         return self._stream
 
     def open(self) -> None:
-        """Read its pages, start the stream, measure its rate: half a second where all is well.
+        """Read its pages, start the stream and measure its rate, which takes half a second.
 
         Raises RigError where it is not as the rig's file describes it, DeviceError where it does
         not answer; it is closed then.
@@ -135,8 +135,7 @@ class Axia80:
         stream = self.stream
         if not stream.client.send(RdtCommand.BIAS):
             raise DeviceError(
-                f"{self._name}: the network does not take the request to set its zero; check the "
-                "cable"
+                f"{self._name}: the request to set its zero could not be sent; check the cable"
             )
         # Records on their way still have the old zero.
         self._wait(lambda: False, 0.1)
@@ -167,7 +166,7 @@ class Axia80:
         return rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn))
 
     def complaints(self) -> tuple[str, ...]:
-        """Errors as of the latest read, each one line that ends in the way out."""
+        """Errors as of the latest read, each one line that ends with a fix."""
         stream = self._stream
         if stream is None:
             return ()
@@ -176,8 +175,8 @@ class Axia80:
         silent = self.clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
-                f"nothing new for {silent:.1f} s; check its power and cable, and that no other "
-                "program reads it; if it was off, its zero is lost: softfin rig zero --force"
+                f"no new record for {silent:.1f} s; check its power and cable, and that no other "
+                "program reads it; if it was off, its zero is lost: run softfin rig zero --force"
             )
         return tuple(f"{self._name}: {line}" for line in lines)
 
@@ -232,14 +231,14 @@ class Axia80:
         # A busy computer delivers in bursts, whose mean rate fits in the end.
         if not self._wait(fits, 5.0):
             raise RigError(
-                f"{self._name}: sends {stream.times.rate_hz:.0f} records a second, rate_hz is "
-                f"{config.rate_hz:g}; set the RDT rate on the sensor's communication page, or "
-                "rate_hz to what it sends"
+                f"{self._name}: sends {stream.times.rate_hz:.0f} records per second, but rate_hz "
+                f"is {config.rate_hz:g}; set the RDT rate on the sensor's communication page, or "
+                "change rate_hz to match"
             )
 
         if not self._wait(lambda: not stream.watch.is_busy, BUSY_S):
             raise DeviceError(
-                f"{self._name}: busy for more than {BUSY_S:g} s; change nothing on its web pages, "
+                f"{self._name}: busy for more than {BUSY_S:g} s; do not use its web pages, "
                 "or switch it off and on, then run: softfin rig zero --force"
             )
 

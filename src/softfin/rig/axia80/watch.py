@@ -95,7 +95,7 @@ class StreamWatch:
         self.has_restarted = False
 
     def lines(self) -> list[str]:
-        """Return each fault as a line that ends in the way out."""
+        """Return each fault as a line that ends with a fix."""
         lines = []
         if self.has_restarted:
             # Force limits and controller would work with the load of its mount as an offset.
@@ -103,12 +103,12 @@ class StreamWatch:
                 "restarted, its zero is lost; let the fin rest and run: softfin rig zero --force"
             )
         if max(self._equal_counts, self._equal_samples) >= self._stuck_records:
-            # Force limits and controller would work on a dead number, while its records go on.
+            # Records still arrive, but force limits and controller would use a frozen value.
             lines.append(
-                "its values stand still; switch it off and on, then run: softfin rig zero --force"
+                "its values are frozen; switch it off and on, then run: softfin rig zero --force"
             )
         if self.is_busy:
             lines.append(
-                "it is busy for long, so its values may be old; change nothing on its web pages"
+                "it has been busy for too long, and its values may be old; do not use its web pages"
             )
         return lines

@@ -1,5 +1,5 @@
-"""The procedure: find the next step of a rig, run it, have it signed, keep it; it resumes where it
-was left."""
+"""Run the steps of a rig's commissioning in order, have each one signed, and save it to the
+form."""
 
 from pathlib import Path
 

@@ -1,7 +1,8 @@
-"""The form of a commissioning: what each step found, who signed it, and under which configuration.
+"""The commissioning form: the results of each step, who signed it, and the configuration at the
+time.
 
-It lies beside the rig's file: rig.yaml has rig.commissioning.json, and the same for people in
-rig.commissioning.md. Every attempt is kept; the latest one of a step counts.
+It is stored beside the rig's file: for rig.yaml in rig.commissioning.json, and for people in
+rig.commissioning.md. Every attempt is kept; the latest attempt at a step counts.
 """
 
 import json
@@ -27,7 +28,7 @@ STEP_TITLES = {
 """Titles of the steps by number, in order."""
 
 VOIDING = ("drive", "sensor")
-"""Parts of the rig's file whose change voids the steps that were signed before it."""
+"""Parts of the rig's file that, when changed, void all steps signed so far."""
 
 
 class Item(Configuration):
@@ -118,7 +119,7 @@ def load_form(rig: Path) -> Form:
         return Form.build(json.loads(file.read_bytes()), str(file))
     except (OSError, ValueError, RecursionError, ConfigurationError) as error:
         raise RigError(
-            f"{file}: not the form of a commissioning ({error}); move it away and start again"
+            f"{file}: not a commissioning form ({error}); move it away and start again"
         ) from None
 
 

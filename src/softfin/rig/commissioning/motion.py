@@ -27,11 +27,11 @@ from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
 
 HALF_STROKE_TICKS = 60
-"""Ticks between two commands of a swing; a shorter way is over by then, and the fin waits."""
+"""Minimum ticks between two commands of a swing; after a shorter stroke the fin waits."""
 
 WATCHDOG_S = 2.0
-"""Silence after which softfin's own watchdog stops the fin while a dead host is played: late enough
-for the drive."""
+"""Timeout of softfin's own watchdog while a dead host is emulated [s]: long enough for the drive to
+stop the fin first."""
 
 WATCHED_S = 3.0
 """Longest time for which a drive is watched after its host has died [s]."""
@@ -196,8 +196,8 @@ class DriveWatch:
         return read_fault(self._connection)
 
     def watch(self, died: float, angle: float) -> Death:
-        """Watch until the fin stands without power, `died` [s] being when its host died and `angle`
-        where it was."""
+        """Watch until the fin is at rest without power; its host died at time `died` [s] and angle
+        `angle` [rad]."""
         stood_since = died
         off_since: float | None = None
         before = math.nan
@@ -222,8 +222,8 @@ class DriveWatch:
 
 
 def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> Death:
-    """Play a dead host in simulated time: swing through the rig's range, and at a tick send nothing
-    any more."""
+    """Emulate a dead host in simulated time: swing through the rig's range, and stop sending at a
+    tick."""
     drive = config.drive
     # Softfin's own watchdog would stop the fin first.
     rig = Rig(changed(config, safety={"watchdog_s": WATCHDOG_S}), clock)
@@ -259,7 +259,7 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
         first_line = process.stdout.readline().strip()
         if first_line != "moves":
             reason = first_line or "see the lines above"
-            raise DeviceError(f"rig of {config.fin}: the fin did not begin to move ({reason})")
+            raise DeviceError(f"rig of {config.fin}: the fin did not start to move ({reason})")
         REAL.sleep(wait_s)
         with DriveWatch(config, REAL) as watch:
             angle = watch.angle()

@@ -1,5 +1,5 @@
-"""The person beside the rig, who does what a step asks for and answers; a test plays another
-one."""
+"""The operator beside the rig, who follows a step's instructions and answers its questions; tests
+emulate one."""
 
 import contextlib
 import queue
@@ -77,7 +77,7 @@ class TerminalOperator:
             try:
                 return float(answer)
             except ValueError:
-                self.tell(f"{answer!r}: not a number; write it as 2.5")
+                self.tell(f"{answer!r}: not a number; type a number such as 2.5")
 
     def text(self, question: str) -> str:
         """Ask until the answer is not empty."""
@@ -101,10 +101,10 @@ class TerminalOperator:
         self._write(printable(prompt))
         answer = self._next_line()
         if answer is None:
-            # What was read stays ended: the next question must not wait for ever.
+            # The input stays ended: the next question must not wait forever.
             self._answers.put(None)
             raise RunError(
-                "commissioning: the terminal's input has ended; start it again, it resumes at "
+                "commissioning: the terminal's input has ended; run the command again to resume at "
                 "this step"
             )
         return answer
@@ -132,7 +132,7 @@ class TerminalOperator:
                 elif not line.strip():
                     request.ask("emergency_stop", "stopped by a key")
         except (OSError, ValueError):
-            # Not text, or a terminal that is gone: treated as its end.
+            # Input that is not text, or a closed terminal, is treated as the end of the input.
             pass
         if (request := self._request) is not None:
             request.ask(

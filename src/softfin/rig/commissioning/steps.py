@@ -58,7 +58,7 @@ UNPOWERED_S = 0.5
 """Longest time from the last good reading to the confirmed end of a stop [s]."""
 
 DEADLY_SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
-"""Signals after which nothing of softfin runs any more. A simulated rig plays both by sending
+"""Signals after which softfin no longer runs. A simulated rig emulates both by sending
 nothing."""
 
 REST_MARGIN_S = 0.05
@@ -86,9 +86,9 @@ class Way(NamedTuple):
 
     instruction: str
     causes: frozenset[str]
-    """Reasons for the stop that it must have."""
+    """Accepted reasons for the stop."""
     is_cut: bool = False
-    """Whether softfin cannot reach the drive then, so that what the fin did is judged by eye and
+    """Whether softfin cannot reach the drive then, so that the operator judges the stop by eye and
     hand."""
 
 
@@ -121,7 +121,7 @@ class StepContext:
     clock: Clock
     random: np.random.Generator
     hour_s: float = 3600.0
-    """Duration of the long motion [s]; a shorter one is of no worth outside of tests."""
+    """Duration of the long motion [s]; a shorter one is only for tests."""
 
     @property
     def is_simulated(self) -> bool:
@@ -157,12 +157,12 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
     for what, question, value in (
         (
             "encoder lines",
-            "Lines of the encoder per turn of the motor, by its data sheet",
+            "Lines of the encoder per turn of the motor, from its data sheet",
             drive.encoder_lines,
         ),
         (
             "gear ratio",
-            "Turns of the motor per turn of the fin, by the gear's data sheet",
+            "Turns of the motor per turn of the fin, from the gear's data sheet",
             drive.gear_ratio,
         ),
     ):
@@ -174,7 +174,7 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
             required=f"{value:g}, as in the rig's file",
             passed=passed,
         )
-    nominal = operator.number("Nominal current of the motor [A], by its data sheet")
+    nominal = operator.number("Nominal current of the motor [A], from its data sheet")
     sustained = safety.current_sustained_a or math.inf
     required = "at least safety.current_sustained_a"
     yield measured(
@@ -184,7 +184,7 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
     yield asked(
         operator,
         "switch",
-        "Is a switch of the motor's supply within reach, and did you try it just now?",
+        "Is a switch for the motor's supply within reach, and have you just tried it?",
     )
 
 
@@ -230,8 +230,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
     with DriveWatch(context.config, context.clock) as watch:
         for what, degrees in (("a quarter turn", 90), ("a whole turn", 360)):
             operator.wait(
-                f"Turn the shaft by hand to {degrees} degrees from zero, in the direction of "
-                "positive angles"
+                f"Turn the shaft by hand to {degrees} degrees from zero, in the positive direction"
             )
             angle = watch.angle()
             wanted = math.radians(degrees)
@@ -245,7 +244,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
         weight_n = WEIGHT_KG * WEIGHT_GRAVITY_M_S2
         for number, axis in enumerate("xy"):
             operator.wait(
-                f"Pull with {WEIGHT_KG:g} kg along +{axis} (docs/rig.md, Axes: which way that is)"
+                f"Pull with {WEIGHT_KG:g} kg along +{axis} (for its direction, see docs/rig.md)"
             )
             force = rig.sensor.measured(1.0)[0][:3]
             error = max(
@@ -269,7 +268,7 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     """Step 4: within +-0.3 rad at 1 rad/s, every way to stop, five times each."""
     _require_proof(context)
     operator = context.operator
-    operator.wait("The shaft swings slowly next, again and again; keep your hands away")
+    operator.wait("Next, the shaft swings slowly, again and again; keep your hands away")
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
     for name, way in WAYS_TO_STOP.items():
         stops = []
@@ -277,7 +276,7 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
         for trial in range(TRIALS):
             stops.append(_provoke(context, narrow, f"{name}-{trial + 1}", way.instruction))
             operator.wait(
-                f"After {name}: put everything back, wait until the devices are up again, then "
+                f"After {name}: put everything back, wait until the devices run again, then "
                 "keep your hands away: the shaft may swing next"
             )
             left_on += _reset(context)
@@ -286,7 +285,7 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
         yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
         if way.is_cut:
             question = (
-                f"After each of the {TRIALS} times: did the fin stand within a quarter of a "
+                f"In each of the {TRIALS} trials: did the fin stop within a quarter of a "
                 "second, and could you turn it by hand half a second later?"
             )
             yield asked(operator, f"{name}, by eye and hand", question)
@@ -295,8 +294,8 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     )
     for number in DEADLY_SIGNALS:
         operator.wait(
-            f"The shaft swings {TRIALS} times next, and {number.name} ends softfin each time; no "
-            "key stops it meanwhile, so keep your hands away and the switch within reach"
+            f"Next, the shaft swings {TRIALS} times, and {number.name} ends softfin each time; no "
+            "key stops it then, so keep your hands away and the switch within reach"
         )
         deaths = []
         is_left_on = False
@@ -329,12 +328,12 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     for what, question in (
         (
             "stop topic",
-            "If you use ROS 2: did `true` on the stop topic stop the fin, five times? (yes if you "
-            "do not)",
+            "If you use ROS 2: did `true` on the stop topic stop the fin all five times? (If you "
+            "do not use it, answer yes)",
         ),
         (
             "computer off",
-            "Did the fin stand after the computer was switched off while it moved, five times?",
+            "Did the fin stop all five times when you switched the computer off while it moved?",
         ),
     ):
         yield asked(operator, what, question)
@@ -347,7 +346,7 @@ def move_fully(context: StepContext) -> Iterator[Item]:
     amplitude = min(drive.angle_max_rad, -drive.angle_min_rad)
     ticks = stroke_ticks(amplitude, drive.fastest_rad_s)
     targets = swings(amplitude, drive.fastest_rad_s, STROKES)
-    context.operator.wait("The shaft makes full strokes next; keep your hands away")
+    context.operator.wait("Next, the shaft makes full strokes; keep your hands away")
     request = StopRequest()
     with context.operator.moving(f"The shaft makes {STROKES} full strokes now; keep away", request):
         stopped = move(context.rig(), targets, ticks, request, context.bag("strokes"))
@@ -356,7 +355,7 @@ def move_fully(context: StepContext) -> Iterator[Item]:
         what=f"{STROKES} strokes", value=stopped.reason, required="end by themselves", passed=passed
     )
     if not passed:
-        # Whoever stopped the fin does not expect it to move again.
+        # The operator who stopped the fin does not expect it to move again.
         return
     peaks = stopped.peaks
     passed = peaks.following_rad <= FOLLOWING_RAD
@@ -364,7 +363,7 @@ def move_fully(context: StepContext) -> Iterator[Item]:
         "following error", peaks.following_rad, f"at most {FOLLOWING_RAD} rad", passed, "rad"
     )
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
-    context.operator.wait("Put on a glove; the shaft swings slowly next")
+    context.operator.wait("Put on a glove; next, the shaft swings slowly")
     stopped = _provoke(context, narrow, "held", "hold the shaft with a glove until it stops")
     context.operator.wait("Let go of the shaft")
     _reset(context)
@@ -391,7 +390,7 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
     full = min(drive.angle_max_rad, -drive.angle_min_rad)
     for medium in ("air", "water"):
         context.operator.wait(
-            f"Put the fin on the shaft, in {medium}, at rest at zero, and keep away: it swings next"
+            f"Put the fin on the shaft, in {medium}, at rest at zero, and keep away: it swings now"
         )
         for amplitude in (SMALL_RAD, full / 2, full):
             velocity = SLOW_RAD_S if amplitude == SMALL_RAD else drive.fastest_rad_s
@@ -416,7 +415,7 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
         ("current_peak_a", peaks.current_a, safety.current_peak_a, "A"),
     ):
         if peak < SENSOR_NOISE or limit is None:
-            # A rig that does not feel it, such as an emulated one without torque.
+            # This rig does not measure it, such as an emulated one without torque.
             continue
         required = (
             f"safety.{what} = {limit:g} must be {MIN_MARGIN} to {MAX_MARGIN} times the peak; "
@@ -432,7 +431,9 @@ def move_for_an_hour(context: StepContext) -> Iterator[Item]:
     _require_proof(context)
     rig = context.rig()
     request = StopRequest()
-    context.operator.wait("The fin moves at random for an hour; see that nobody can reach it")
+    context.operator.wait(
+        "Next, the fin moves at random for an hour; make sure that nobody can reach it"
+    )
     before = _force_at_rest(context)
     targets = _random_targets(context)
     with context.operator.moving("The fin moves at random", request):
@@ -458,27 +459,28 @@ def move_for_an_hour(context: StepContext) -> Iterator[Item]:
 def ask_about_robot(context: StepContext) -> Iterator[Item]:
     """Step 8: what only a robot with several fins shows."""
     operator = context.operator
-    if not operator.confirm(
-        "Is this fin one of several on a robot, or operated without a person beside it?"
-    ):
-        yield Item(what="robot", value="one fin, a person beside it", required="-", passed=True)
+    if not operator.confirm("Is this fin one of several on a robot, or does it run unattended?"):
+        yield Item(what="robot", value="one fin, attended", required="-", passed=True)
         return
     for what, question in (
         (
             "buses",
-            "Has each fin a CAN bus of its own, or a drive.host_node of its own that `rig check` "
+            "Does each fin have its own CAN bus, or its own drive.host_node that `rig check` "
             "accepted?",
         ),
         (
             "each fin killed",
-            "Did each fin stop when its softfin was killed in the water, the others going on or "
-            "not?",
+            "Did each fin stop when you killed its softfin in the water, whether the others "
+            "continued or not?",
         ),
         ("radio off", "Did all fins stop when the radio or the network to the operator was cut?"),
-        ("no suspend", "Can the computer not suspend (systemd-inhibit, or sleep targets masked)?"),
+        (
+            "no suspend",
+            "Is suspending the computer disabled (systemd-inhibit, or masked sleep targets)?",
+        ),
         (
             "no restart",
-            "Does nothing restart softfin after exit code 3 (systemd: RestartPreventExitStatus=3)?",
+            "Are restarts after exit code 3 disabled (systemd: RestartPreventExitStatus=3)?",
         ),
     ):
         yield asked(operator, what, question)
@@ -498,7 +500,7 @@ STEP_FUNCTIONS: dict[int, Callable[[StepContext], Iterator[Item]]] = {
 
 
 def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
-    """Run a step to its end, or to the first error, which is a item as well."""
+    """Run a step to its end, or to the first error, which becomes an item as well."""
     items = []
     try:
         for item in STEP_FUNCTIONS[number](context):
@@ -508,7 +510,7 @@ def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
             )
             items.append(item)
     except SafetyStop:
-        # The motor may still be on: nobody should be asked to sign anything now.
+        # The motor may still be on: do not ask the operator to sign anything now.
         raise
     except SoftfinError as error:
         context.operator.tell(f"FAILED  {error}")
@@ -527,7 +529,7 @@ def _settings(context: StepContext) -> Iterator[Item]:
             yield Item(
                 what=str(entry),
                 value="no such object" if value is None else str(value),
-                required=f"{wanted}, or no such object: the proof in step 2 shows what it does",
+                required=f"{wanted}, or no such object: then the proof in step 2 decides",
                 passed=value in (None, wanted),
             )
         useless_limits = [result.text for result in check_currents(rig)]
@@ -602,10 +604,8 @@ def _compare_stops(name: str, way: Way, stops: list[Stopped]) -> Item:
     value = "; ".join(sorted(causes))
     passed = causes <= way.causes
     if way.is_cut:
-        required = (
-            f"{' or '.join(sorted(way.causes))}; softfin says if the drive did not confirm the stop"
-        )
-        # What an unconfirmed stop says ends in what to do about it.
+        required = f"{' or '.join(sorted(way.causes))}; softfin reports an unconfirmed stop"
+        # The reason for an unconfirmed stop ends with what to do about it.
         passed = passed and all(
             stopped.is_confirmed or "; BUT " in stopped.reason for stopped in stops
         )

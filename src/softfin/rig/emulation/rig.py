@@ -103,7 +103,7 @@ def kept_rig(config: RigConfig) -> EmulatedRig:
     RigError."""
     if config.file is None:
         raise RigError(
-            "an emulated rig is described by a file that softfin rig emulate writes; load that"
+            "an emulated rig needs a file; write one with softfin rig emulate, and load it"
         )
     if config.file not in rigs:
         rigs[config.file] = _KeptRig(config, config.file)
@@ -128,8 +128,8 @@ class _KeptRig(EmulatedRig):
             tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
         except ConfigurationError as error:
             raise RigError(str(error)) from None
-        # Two commands at once would begin with the same state, and the last one to end would undo
-        # the other's.
+        # Two commands at once would start from the same state, and the last one to end would
+        # overwrite the state of the other.
         lock = DeviceLock(
             f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16]
         )
@@ -150,7 +150,7 @@ class _KeptRig(EmulatedRig):
             self.close()
             raise RigError(
                 f"{self._state}: not the state of this emulated rig ({one_line(error)}); remove "
-                "it, and the rig begins anew, not zeroed"
+                "it, then zero the rig again"
             ) from None
 
     def save(self) -> None:
@@ -167,14 +167,14 @@ def write_simulated(path: Path, tank: Tank, values: JsonObject, seed: int) -> No
         _drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"}
     )
     rig["emulation"] = {"seed": seed, "tank": values}
-    write_rig(path, rig, "An emulated rig in simulated time, within each command")
+    write_rig(path, rig, "An emulated rig, run by each command in simulated time")
 
 
 def write_rig(path: Path, values: JsonObject, comment: str) -> None:
     """Write a rig's file, with a comment above."""
     # A new rig starts without what was found out about the one that was there.
     record_file(path).unlink(missing_ok=True)
-    text = f"# {comment}; a real one is described in docs/rig.md.\n"
+    text = f"# {comment}; for a real rig, see docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 

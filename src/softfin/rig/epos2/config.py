@@ -10,8 +10,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 
 MAX_BRAKE_S = 0.5
-"""Longest quick stop from the highest velocity; whoever waits for the end of a longer one would
-give it up."""
+"""Longest quick stop from the highest velocity [s]; the wait for a longer one would time out."""
 
 
 class BusConfig(Configuration):
@@ -23,8 +22,8 @@ class BusConfig(Configuration):
     channel: str
     """Channel of the interface, such as can0; no default."""
     bitrate: int = Field(1_000_000, gt=0, le=1_000_000)
-    """Bitrate [bit/s]; an EPOS2 is delivered with 1 Mbit/s. SocketCAN takes the one that ``ip
-    link`` was given."""
+    """Bitrate [bit/s]; the factory setting of an EPOS2 is 1 Mbit/s. SocketCAN uses the bitrate that
+    ``ip link`` set."""
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
     """Further options of the interface, such as host and port of socketcand."""
 
@@ -50,28 +49,26 @@ class Epos2Config(Configuration):
     slowest_rad_s: float = Field(PAPER_LIMITS.velocity_min, gt=0)
     """Lowest profile velocity of a command [rad/s]; the paper's, Sec. III-A."""
     fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
-    """Highest profile velocity, which the drive itself keeps [rad/s]; the paper's, Sec. III-A."""
+    """Highest profile velocity, which the drive enforces [rad/s]; the paper's, Sec. III-A."""
     acceleration_rad_s2: float = Field(gt=0)
     """Acceleration and deceleration of the profile [rad/s2]; no default: it follows from motor,
     gear and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
-    """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount bears."""
+    """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount can take."""
     following_error_rad: float = Field(gt=0, le=1)
-    """Distance from the profile at which the drive faults [rad]; no default: too large and a
-    blocked fin burns."""
+    """Distance from the profile at which the drive faults [rad]; no default: if it is too large, a
+    blocked fin burns out its motor."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
-    """Largest motor current [A]; written to the drive where given, else the drive's own setting
-    stands."""
+    """Maximum motor current, written to the drive [A]; None keeps the drive's own setting."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
-    """Silence after which each side takes the other for dead [s]: a drive whose host hangs stops
-    this much later."""
+    """Silence after which drive and host consider each other dead [s]: if the host hangs, the drive
+    stops this much later."""
     host_node: int | None = Field(None, ge=1, le=127)
-    """Node number of this program's heartbeat and SYNC, which nobody else on the bus has; None
-    means 127 - node."""
+    """Node number of this program's heartbeat and SYNC, unique on the bus; None: 127 - node."""
     sync_s: float = Field(TICK_S, ge=0.001, le=0.1)
     """Period of the loop that reads the drive [s]."""
     zero_needed: bool = True
-    """Refuse to move before the fin was zeroed since the drive's power-up; false only for an
+    """Refuse to move until the fin is zeroed after each power-up of the drive; false only for an
     absolute encoder."""
 
     @property
@@ -93,18 +90,18 @@ class Epos2Config(Configuration):
             raise ValueError(problem)
         if self.host == 0:
             raise ValueError(
-                "node 127 leaves no number for the host; give host_node a number that no device has"
+                "node 127 leaves no number for the host; set host_node to one that no device has"
             )
         if self.node == self.host:
             raise ValueError(
-                f"node and host_node are both {self.node}; give host_node a number that no device "
-                "has"
+                f"node and host_node are both {self.node}; set host_node to a number that no "
+                "device has"
             )
         braking = self.fastest_rad_s / self.quick_stop_rad_s2
         if braking > MAX_BRAKE_S:
             raise ValueError(
                 f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from "
-                f"fastest_rad_s: at most {MAX_BRAKE_S:g} s; give "
+                f"fastest_rad_s: at most {MAX_BRAKE_S:g} s; use "
                 f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
             )
         if Units.of(self).rpm(self.slowest_rad_s) == 0:

@@ -94,7 +94,7 @@ class CanConnection:
             raise RigError(
                 f"{self.name} cannot be opened ({one_line(error)}); check bus.interface, "
                 "bus.channel and bus.options "
-                "of the rig's file, and that the adapter is plugged in and up"
+                "in the rig's file, and that the adapter is plugged in and up"
             ) from None
 
     def close(self) -> None:
@@ -121,14 +121,14 @@ class CanConnection:
         if bus is None:
             raise DeviceError(f"{self.name} is closed; open the drive first")
         if not self._sending.acquire(timeout=2 * SEND_TIMEOUT_S):
-            raise DeviceError(f"{self.name} takes no frames; look at the adapter and its cable")
+            raise DeviceError(f"{self.name} takes no frames; check the adapter and its cable")
         try:
             bus.send(
                 can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S
             )
         except Exception as error:
             raise DeviceError(
-                f"{self.name} takes no frames ({one_line(error)}); look at the adapter, cable, "
+                f"{self.name} takes no frames ({one_line(error)}); check the adapter, cable, "
                 "termination and bitrate"
             ) from None
         finally:
@@ -153,7 +153,7 @@ class CanConnection:
         """The answer to a request, which must begin with one of the allowed commands."""
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
-                f"drive's {entry} cannot be asked for: another request is not answered yet; try "
+                f"drive's {entry} cannot be accessed: another request is still unanswered; try "
                 "again"
             )
         try:
@@ -169,14 +169,14 @@ class CanConnection:
         if not answer:
             raise DeviceError(
                 f"drive {self.node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
-                "look at its supply, the bus's cable and its bitrate"
+                "check its supply, the bus cable and its bitrate"
             )
         if answer[0] == ABORTED:
             code = int.from_bytes(answer[4:], "little")
             raise SdoRefusal(f"drive refuses {entry}: {protocol.abort_line(code)}", code)
         if answer[0] not in allowed:
             raise DeviceError(
-                f"drive's answer for {entry} makes no sense ({answer.hex()}); try again"
+                f"drive's answer for {entry} is not valid ({answer.hex()}); try again"
             )
         return answer
 
@@ -192,7 +192,7 @@ class CanConnection:
                 if self._bus is bus:
                     self.counters["receiving errors"] += 1
                     self._on_problem(
-                        f"{self.name} cannot be read ({one_line(error)}); look at the adapter and "
+                        f"{self.name} cannot be read ({one_line(error)}); check the adapter and "
                         "cable"
                     )
                     # A bus that is gone must not take a whole core.
@@ -231,8 +231,7 @@ class CanConnection:
         for name in names:
             if name in protocol.BUS_FAILURES:
                 self._on_problem(
-                    f"{self.name}: the adapter is {name}; look at its cable, termination and "
-                    "bitrate"
+                    f"{self.name}: the adapter is {name}; check its cable, termination and bitrate"
                 )
 
 

@@ -73,7 +73,7 @@ class Epos2(Exchange):
                     return
                 self.clock.sleep(ANSWER_STEP_S)
             raise DeviceError(
-                "drive sends no process data or no heartbeat; look at the bus's load and other "
+                "drive sends no process data or no heartbeat; check the load of the bus and other "
                 "programs on it"
             )
         except BaseException:
@@ -81,7 +81,7 @@ class Epos2(Exchange):
             raise
 
     def close(self) -> None:
-        """Stop and let go of the bus; any number of times, never raises."""
+        """Stop and release the bus; any number of times, never raises."""
         self.stop()
         self.owned = False
         self.connection.close()
@@ -91,7 +91,7 @@ class Epos2(Exchange):
         """Acknowledge the drive's fault and return its name; None when there was none. Raises
         DeviceError.
 
-        The motor stays without power. The drive must be opened anew before it is enabled.
+        The motor stays without power. The drive must be opened again before it is enabled.
         """
         fault = procedures.read_fault(self.connection)
         if fault is None:
@@ -102,7 +102,7 @@ class Epos2(Exchange):
             self.owned = False
         if procedures.newest_error(self.connection) in protocol.NEEDS_RESET_OF_COMMUNICATION:
             self._reset_communication()
-        # Else it would at once miss the heartbeat of a host that is gone.
+        # Otherwise it would at once miss the heartbeat of a host that is gone.
         self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
@@ -120,18 +120,18 @@ class Epos2(Exchange):
         low_angle, high_angle, slowest, fastest = limits = self.config.limits
         if trip := check_target(target, limits):
             raise CommandError(trip.reason)
-        # What passed by a rounding error is put on the limit, which the drive itself keeps to the
-        # count.
+        # A target beyond the limit by a rounding error is set to the limit, which the drive itself
+        # enforces to the count.
         counts = self.units.counts(min(max(target.angle, low_angle), high_angle))
         rpm = self.units.rpm(min(max(target.velocity, slowest), fastest))
         with self.lock:
             if not self.armed:
-                raise DeviceError("drive is not enabled; enable it before it is asked to move")
+                raise DeviceError("drive is not enabled; enable it before you command it")
             self.handshake.waiting = counts, rpm
             self.carry_on()
 
     def complaints(self) -> tuple[str, ...]:
-        """Describe each problem in one line with the way out; empty when all is well."""
+        """Describe each problem in one line with a fix; empty if there are none."""
         with self.lock:
             status = self.status
             fault = self.status.fault()
@@ -145,8 +145,8 @@ class Epos2(Exchange):
                 (self.trouble != fault, self.trouble),
                 (
                     silence > self.config.heartbeat_s,
-                    f"drive's heartbeat is missing for {silence:.2f} s; look at its supply and the "
-                    "bus's cable",
+                    f"drive's heartbeat has been missing for {silence:.2f} s; check its supply and "
+                    "the bus cable",
                 ),
                 (
                     not status.rebooted and status.nmt != protocol.OPERATIONAL,
@@ -155,21 +155,21 @@ class Epos2(Exchange):
                 ),
                 (
                     enabled and status.state is not State.OPERATION_ENABLED,
-                    f"drive is {status.words} though it was enabled; look at its enable input and "
+                    f"drive is {status.words} although it was enabled; check its enable input and "
                     "other programs",
                 ),
                 (
                     enabled and is_limited,
-                    "drive holds back at one of its own limits; ask for less velocity, "
+                    "drive is held back by one of its own limits; reduce the velocity, "
                     "acceleration or angle",
                 ),
                 (
                     enabled and status.has(Bit.ERROR),
-                    "drive is behind its profile by more than its limit; look for a blocked fin",
+                    "drive is behind its profile by more than its limit; check for a blocked fin",
                 ),
                 (
                     enabled and unanswered >= UNANSWERED,
-                    f"drive did not take a target {unanswered} times; look at the bus and other "
+                    f"drive did not accept a target {unanswered} times; check the bus and other "
                     "programs",
                 ),
             )
@@ -203,12 +203,12 @@ class Epos2(Exchange):
         high = self.config.angle_max_rad
         if self.config.zero_needed and not self.referenced:
             raise RigError(
-                "fin's zero is not known since the drive's power-up; turn the fin to zero and run: "
+                "fin has not been zeroed since the drive's power-up; turn the fin to zero and run: "
                 "softfin rig zero --arm"
             )
         if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
             raise RigError(
-                f"fin stands at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it inside by "
+                f"fin is at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it back by "
                 "hand, or turn it to zero and run: softfin rig zero --arm"
             )
         # A homing that failed must not have left its mode: there a target would be a new zero.
@@ -271,8 +271,8 @@ class Epos2(Exchange):
                     raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def switch_off(self) -> None:
-        """Stop a drive whoever has powered it, with no condition at all; raises DeviceError if its
-        motor stays on."""
+        """Stop a drive unconditionally, no matter which program powered it; raises DeviceError if
+        its motor stays on."""
         self.reset()
         try:
             self.connection.open()
@@ -303,7 +303,7 @@ class Epos2(Exchange):
             else:
                 self._come_to_rest(generation)
         except Exception as error:
-            self.trouble = f"stop of the drive failed ({error}); press the emergency stop"
+            self.trouble = f"stopping the drive failed ({error}); press the emergency stop"
 
     def _new_reading(self) -> DriveStatus:
         """Begin to power the motor up: a stop that comes from now on is not forgotten."""
@@ -318,18 +318,18 @@ class Epos2(Exchange):
         if lines := self.complaints():
             raise DeviceError(lines[0])
         if not is_new:
-            raise DeviceError("drive does not answer; look at its supply and the bus's cable")
+            raise DeviceError("drive does not answer; check its supply and the bus cable")
         return self.status
 
     def _own_sync(self) -> None:
         self.sync_id = procedures.set_sync(self.connection, self.config)
         if self.sync_id != protocol.SYNC:
             return
-        self.notes += ("drive answers everybody's SYNC; give each fin a bus of its own",)
+        self.notes += ("drive answers every program's SYNC; give each fin its own bus",)
         if protocol.SYNC in self.foreign_ids:
             raise RigError(
                 f"{self.connection.name}: another program sends the SYNC that this drive answers; "
-                "give each fin a bus of its own, or end the other program"
+                "give each fin its own bus, or end the other program"
             )
 
     def _reset_communication(self) -> None:

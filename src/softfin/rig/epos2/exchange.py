@@ -95,11 +95,10 @@ class DriveStatus:
             return protocol.fault_line(self.emergency)
         if self.rebooted:
             return (
-                f"drive {self._node} started anew; look at its supply, then zero the fin and "
-                "start again"
+                f"drive {self._node} restarted; check its supply, then zero the fin and start again"
             )
         if self.state in protocol.FAULT_STATES:
-            return "drive is in fault and did not report which; run: softfin rig check"
+            return "drive is in fault but did not report which one; run: softfin rig check"
         return None
 
     def synchronise(self, now: float) -> None:
@@ -253,7 +252,7 @@ class Exchange:
         self.sync_id = protocol.SYNC
         """COB-ID of the SYNC that the drive answers."""
         self.trouble: str | None = None
-        """The newest that went wrong on the bus; it stays until the drive is connected anew."""
+        """The newest problem on the bus; it stays until the drive is connected again."""
         self.owned = False
         """Whether this drive is ours to command."""
         self.armed = False
@@ -362,11 +361,11 @@ class Exchange:
 
     def _take(self, cob_id: int, data: bytes) -> None:
         if self.owned and cob_id in self.own_ids:
-            # Its heartbeats would pass for ours, and keep this fin moving when we are dead. It may
-            # have been silent, as a program that waits for a person is, while we listened.
+            # The drive would take its heartbeats for ours, and this fin would keep moving after our
+            # death. It may have been silent while we listened, for example to wait for a person.
             self._report(
-                f"another program on {self.connection.name} has the number {self.config.host} of "
-                "this one; end it, or give each rig's file a drive.host_node of its own"
+                f"another program on {self.connection.name} uses this program's node number "
+                f"{self.config.host}; end it, or give each rig's file its own drive.host_node"
             )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
@@ -390,4 +389,4 @@ class Exchange:
             if self.on_fault:
                 self.on_fault(line)
         except Exception as error:
-            self.trouble = f"{line} (and what was to be done then failed: {error})"
+            self.trouble = f"{line} (and the reaction to it failed: {error})"

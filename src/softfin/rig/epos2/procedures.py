@@ -55,8 +55,8 @@ def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[i
     foreign_ids = connection.listen(LISTEN_S)
     if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
-            f"{connection.name}: number {config.host} of this program is in use by another program "
-            "or device; give each rig's file a drive.host_node of its own, or end the other "
+            f"{connection.name}: node number {config.host} of this program is in use by another "
+            "program or device; give each rig's file its own drive.host_node, or end the other "
             "program"
         )
     if foreign_ids & {
@@ -77,7 +77,7 @@ def identify_drive(connection: CanConnection) -> None:
     except DeviceError:
         raise RigError(
             f"no drive answers as node {connection.node} on {connection.name}; compare drive.node "
-            "with the drive's switches, look at supply, cable, termination and bus.bitrate"
+            "with the drive's switches, and check supply, cable, termination and bus.bitrate"
         ) from None
 
 
@@ -122,20 +122,20 @@ def settings(config: Epos2Config) -> tuple[Setting, ...]:
             protocol.DEVICE_TYPE,
             # CiA 402: the number of the profile for drives is in the lower half.
             lambda value: value & 0xFFFF == 402,
-            "no drive by CiA 402; correct drive.node",
+            "not a CiA 402 drive; correct drive.node",
         ),
         Setting(
             protocol.MOTOR_TYPE,
             # From memory: 1 is a DC motor, 10 and 11 are brushless ones. All of them take the same
             # commands.
             lambda value: value in (1, 10, 11),
-            "no motor that softfin knows; set the motor's type in EPOS Studio",
+            "not a motor type that softfin supports; set the motor type in EPOS Studio",
         ),
         Setting(
             protocol.ENCODER_LINES,
             lambda value: value == config.encoder_lines,
-            f"lines in the drive, encoder_lines {config.encoder_lines} in the rig's file; correct "
-            "whichever is wrong, or every angle is",
+            f"lines in the drive, but encoder_lines is {config.encoder_lines} in the rig's file; "
+            "correct the wrong one, or every angle will be wrong",
         ),
         Setting(
             protocol.POSITION_NOTATION, lambda value: value == 0, in_epos_studio.format("angle")
@@ -164,7 +164,7 @@ def check_settings(connection: CanConnection, config: Epos2Config) -> tuple[str,
     if state not in protocol.UNPOWERED:
         words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
         raise RigError(
-            f"drive is {words} already; close the program that drives it, or switch it off and on"
+            f"drive is already {words}; close the program that drives it, or switch it off and on"
         )
     notes = []
     for setting in settings(config):
@@ -187,7 +187,7 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
             if refusal.code not in protocol.MISSING:
                 raise
             notes.append(
-                f"drive has no {entry}; only rig check --prove shows that it stops by itself"
+                f"drive has no {entry}; only rig check --prove shows whether it stops by itself"
             )
     return tuple(notes)
 
@@ -267,8 +267,8 @@ def write(
     held = connection.read(shown or entry)
     if (held ^ value) & mask:
         raise RigError(
-            f"drive's {shown or entry} stayed {held} where {value} was written; close EPOS Studio "
-            "and other programs, or change the value in the rig's file to one that the drive takes"
+            f"drive's {shown or entry} stayed {held} when {value} was written; close EPOS Studio "
+            "and other programs, or set a value in the rig's file that the drive accepts"
         )
 
 
@@ -330,7 +330,7 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
             # this drive may take.
             exchange.lock.wait_for(lambda: exchange.stopped, STATE_STEP_S)
     raise DeviceError(
-        f"drive stays {status.words} and does not enable; look at its supply and its enable input"
+        f"drive stays {status.words} and does not enable; check its supply and its enable input"
     )
 
 
@@ -353,7 +353,7 @@ def home(exchange: Exchange) -> None:
         if attained >= 2 and (status.has(Bit.REFERENCED) or not exchange.config.zero_needed):
             return
         exchange.clock.sleep(STATE_STEP_S)
-    raise DeviceError("drive did not take its position as home; hold the fin still and try again")
+    raise DeviceError("drive did not accept its position as home; hold the fin still and try again")
 
 
 def rest(exchange: Exchange) -> bool:
@@ -439,8 +439,8 @@ def time_own_stop(exchange: Exchange) -> float:
         exchange.clock.sleep(STATE_STEP_S)
     raise DeviceError(
         f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so a "
-        f"fin would go on when softfin dies; set {protocol.LOSS_REACTION} to 1 and "
-        f"{protocol.FAULT_REACTION} to 2 in EPOS Studio, and move nothing until this passes"
+        f"fin would keep moving if softfin died; set {protocol.LOSS_REACTION} to 1 and "
+        f"{protocol.FAULT_REACTION} to 2 in EPOS Studio, and move nothing until this test passes"
     )
 
 

@@ -240,7 +240,7 @@ FAULTS = {
     0x8120: ("CAN error passive", "look at the bus: termination, bitrate, cable"),
     0x8130: (
         "heartbeat of the host lost",
-        "find out why the program hung or was killed; look at the bus's cable",
+        "find out why the program hung or was killed; check the bus cable",
     ),
     0x8150: ("CAN message collision", "look for a second drive with the same node number"),
     0x81FD: ("CAN bus off", "look at the bus: termination, bitrate, cable"),
@@ -252,7 +252,7 @@ FAULTS = {
     ),
     0x8611: (
         "following error",
-        "look for a blocked fin; ask for less velocity or acceleration, or tune the drive",
+        "check for a blocked fin; reduce velocity or acceleration, or tune the drive",
     ),
     0xFF01: ("hall sensor error", "look at the hall sensors' cable"),
     0xFF02: ("index processing error", "look at the encoder's index channel"),
@@ -261,13 +261,13 @@ FAULTS = {
         "set the encoder's lines in the drive to those of the encoder",
     ),
     0xFF04: ("hall sensor not found", "look at the hall sensors' cable"),
-    0xFF06: ("negative limit switch", "turn the fin away from its end"),
-    0xFF07: ("positive limit switch", "turn the fin away from its end"),
+    0xFF06: ("negative limit switch", "turn the fin away from the switch"),
+    0xFF07: ("positive limit switch", "turn the fin away from the switch"),
     0xFF08: (
         "hall angle detection error",
         "look at the hall sensors' cable and at the motor's pole pairs",
     ),
-    0xFF09: ("software position limit", "turn the fin inside its limits, or zero it anew"),
+    0xFF09: ("software position limit", "turn the fin back inside its limits, or zero it again"),
     0xFF0A: ("position sensor breach", "look at the encoder and its cable"),
     0xFF0B: ("system overloaded", "look for too many messages on the bus"),
 }
@@ -332,7 +332,7 @@ def abort_line(code: int) -> str:
         "drive off and on"
     )
     if 0x06090030 <= code <= 0x06090036:
-        way_out = "change the value in the rig's file to one that the drive takes"
+        way_out = "set a value in the rig's file that the drive accepts"
     return f"0x{code:08X}, {name}: {way_out}"
 
 

@@ -88,7 +88,7 @@ class Follower:
                 self._read(file)
         except OSError as error:
             self._problem = (
-                f"{self._shown()}: cannot be read ({error.strerror or error}); looking again"
+                f"{self._shown()}: cannot be read ({error.strerror or error}); trying again"
             )
         except (LogError, ArtifactError) as error:
             self._problem = f"{self._shown()}: {error}"
@@ -145,7 +145,7 @@ class Follower:
             magic = file.read(len(MAGIC))
             if not MAGIC.startswith(magic):
                 raise LogError(
-                    "not an MCAP file; give a bag that softfin or ros2 bag has recorded as MCAP"
+                    "not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP"
                 )
             if magic != MAGIC:
                 self._caught_up = True
@@ -163,7 +163,9 @@ class Follower:
             else:
                 self._caught_up = True
         except LogError as error:
-            raise LogError(f"damaged ({error}); softfin bag recover saves what is whole") from None
+            raise LogError(
+                f"damaged ({error}); softfin bag recover saves the intact part"
+            ) from None
         finally:
             # The joint's time counts where there is one: no other topic's wrong stamps empty all
             # traces.

@@ -59,8 +59,8 @@ class Server(socketserver.ThreadingTCPServer):
         except (OSError, OverflowError, UnicodeError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ConfigurationError(
-                f"cannot listen on {host} port {port} ({reason}); --port 0 takes a free port, "
-                f"--host {LOOPBACK} is here"
+                f"cannot listen on {host} port {port} ({reason}); use --port 0 for any free port, "
+                f"or --host {LOOPBACK} for this computer"
             ) from None
 
     def handle_error(self, request: object, client_address: object) -> None:
@@ -119,7 +119,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif match := re.fullmatch(r"(?:since=([0-9]{1,15}))?", query):
             self._answer(self.server.data(int(match[1] or 0)), "application/json")
         else:
-            self.send_error(HTTPStatus.BAD_REQUEST, "since is a whole number")
+            self.send_error(HTTPStatus.BAD_REQUEST, "since must be a whole number")
 
     do_HEAD = do_GET
 

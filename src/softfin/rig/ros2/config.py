@@ -39,11 +39,11 @@ class TransportConfig(Configuration):
     """How to reach other nodes."""
 
     transport: TransportName = "auto"
-    """auto: rclpy where it is installed, else DDS."""
+    """auto: rclpy if it is installed, otherwise DDS."""
     domain: int | None = Field(default=None, ge=0, le=232)
-    """ROS domain; None takes the variable ROS_DOMAIN_ID, else 0."""
+    """ROS domain; None uses the environment variable ROS_DOMAIN_ID, or 0 if it is not set."""
     network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")
-    """Network interface that DDS uses, as eth0; None is this computer alone. rclpy takes ROS's own
+    """Network interface for DDS, such as eth0; None for this computer only. rclpy uses ROS's own
     settings."""
     node: str = Field(default="softfin", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
     """Name of the node, with rclpy."""
@@ -77,19 +77,19 @@ class NodeConfig(Configuration):
     reference_type: Literal["wrench", "vector3"] = "wrench"
     """Type of the message: geometry_msgs/WrenchStamped or geometry_msgs/Vector3Stamped."""
     stop_topic: TopicName = "/fin/stop"
-    """std_msgs/Bool: true stops the fin; false does not take that back."""
+    """std_msgs/Bool: true stops the fin; false does not cancel the stop."""
     joint_name: str = "fin"
     """Name of the joint in the messages."""
     frame: str = "fin_mount"
     """Frame of the forces: +x is thrust that pushes the robot forward."""
     reference_timeout_s: PositiveFloat | None = 1.0
-    """Age beyond which a reference does not count any more [s]; None obeys the newest for ever."""
+    """Age after which a reference expires [s]; None keeps the newest one forever."""
     reference_lost: Literal["keep", "zero", "stop"] = "keep"
-    """Reaction to a reference that came and is too old. keep: --reference holds again; zero: the
-    target is 0 N, for which the fin may beat all the same; stop: the fin is stopped."""
+    """Reaction to an expired reference. keep: go back to --reference; zero: set the target to 0 N,
+    for which the fin may still beat; stop: stop the fin."""
     reference_limit_n: PositiveFloat = Field(default=20.0)
-    """A reference beyond this on either axis is refused [N]: twice what a fin like the paper's can
-    make."""
+    """Largest reference on either axis; others are refused [N]. The default is twice what a fin
+    like the paper's can produce."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """How to reach other nodes."""
@@ -100,7 +100,7 @@ class NodeConfig(Configuration):
         robot's node is lost."""
         if not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
             raise ConfigurationError(
-                f"fin {name!r}: cannot be in the name of a topic; use letters, digits and _, as "
+                f"fin {name!r}: cannot be part of a topic name; use letters, digits and _, such as "
                 "front_left, or ucat/front_left in a namespace"
             )
         connection = TransportConfig(node=name.replace("/", "_"))
@@ -111,7 +111,7 @@ class NodeConfig(Configuration):
         check_names([value for name, value in self if name.endswith("_topic")])
         if self.reference_lost != "keep" and self.reference_timeout_s is None:
             raise ValueError(
-                f"reference_lost = {self.reference_lost}: needs an age; set reference_timeout_s"
+                f"reference_lost = {self.reference_lost}: needs a timeout; set reference_timeout_s"
             )
         return self
 
@@ -124,29 +124,29 @@ class RobotNodeConfig(Configuration):
     """
 
     reference_topic: TopicName = "/robot/reference"
-    """geometry_msgs/WrenchStamped: the wrench that is asked for, force [N] and torque [N m] about
-    the origin."""
+    """geometry_msgs/WrenchStamped: the target wrench, force [N] and torque [N m] about the
+    origin."""
     wrench_topic: TopicName = "/robot/wrench"
     """geometry_msgs/WrenchStamped: the wrench that the fins' references make together."""
     saturated_topic: TopicName = "/robot/saturated"
-    """std_msgs/Bool: some of the wrench that is asked for is beyond the fins."""
+    """std_msgs/Bool: true if a part of the target wrench is beyond the fins' reach."""
     stop_topic: TopicName = "/robot/stop"
-    """std_msgs/Bool: true stops every fin, and this node; false does not take that back."""
+    """std_msgs/Bool: true stops every fin and this node; false does not cancel the stop."""
     vehicle_frame_id: str = "base_link"
     """Frame of both wrenches: x forward, y left, z up (REP 103)."""
     fin_prefix: str = Field(default="", pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")
     """Namespace of the fins, as /ucat: the topics of each are PREFIX/NAME/reference, /joint_states
     and /stop."""
     max_thrust: PositiveFloat | dict[str, PositiveFloat] | None = None
-    """Greatest mean force that a fin makes in every direction [N]: one number, or one for each fin
-    by name. Required: it is of your fins, and of their controllers."""
+    """Maximum mean force that a fin produces in every direction [N]: one number, or one per fin
+    name. Required, because it depends on your fins and their controllers."""
     reference_timeout_s: PositiveFloat = 1.0
-    """Age beyond which a wrench does not count any more [s]."""
+    """Age after which a wrench expires [s]."""
     reference_lost: Literal["zero", "stop"] = "stop"
-    """Reaction to a wrench that came and is too old. zero: the fins are asked for no force; stop:
-    every fin is stopped, and this node."""
+    """Reaction to an expired wrench. zero: set the target force of every fin to 0 N; stop: stop
+    every fin and this node."""
     fin_timeout_s: PositiveFloat = 0.5
-    """Silence of a fin's joint_states beyond which it counts as silent [s]."""
+    """Time without joint_states after which a fin counts as silent [s]."""
     wait_s: PositiveFloat = Field(default=60.0, le=600)
     """Longest wait for all fins at the start [s]."""
     connection: TransportConfig = Field(
@@ -169,7 +169,7 @@ def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
 def check_names(topics: Sequence[str]) -> None:
     """Raise ValueError where two topics have one name."""
     if twice := sorted({name for name in topics if topics.count(name) > 1}):
-        raise ValueError(f"{', '.join(twice)} is the name of two topics; give each its own")
+        raise ValueError(f"{', '.join(twice)} is used for two topics; give each its own name")
 
 
 class FlipperConfig(Configuration):
@@ -208,22 +208,21 @@ class Ros2PlantConfig(Configuration):
     flipper: FlipperConfig | None = None
     """Configuration for robots of the U-CAT family: commands as flipper messages."""
     negate_angle: bool = False
-    """The driver's angles, velocities and commands count the other way round."""
+    """Whether the driver's angles, velocities and commands have the opposite sign."""
     limits: LimitsField
     """The commands that the fin accepts: angle_min_rad, angle_max_rad, velocity_min_rad_s,
     velocity_max_rad_s."""
     stop_topic: TopicName | None = None
-    """std_msgs/Bool that the driver brakes and disables its motor on. None: a stop is a command to
+    """std_msgs/Bool on which the driver brakes and disables its motor. None: a stop is a command to
     hold."""
     stop_release: bool = False
-    """Send false on the stop topic when the fin is enabled: only where that takes back nobody
-    else's stop."""
+    """Send false on the stop topic when the fin is enabled; use it only if that cannot cancel
+    another program's stop."""
     driver_delay_s: float = Field(default=0.15, ge=0, le=1)
-    """Time by which the fin may follow its commands late [s]: the driver's delay, and its ramps:
-    two velocities divided by the acceleration. Only what lags behind for longer is a following
-    error."""
+    """Time by which the fin may lag behind its commands [s]: the driver's delay plus its ramps
+    (twice the velocity divided by the acceleration). Only a longer lag is a following error."""
     best_effort: bool = True
-    """Read joint and wrench as sensor data: it matches every publisher, and a lost reading is not
+    """Read joint and wrench as sensor data: this matches every publisher, and lost readings are not
     sent again."""
     wait_s: PositiveFloat = Field(default=5.0, le=120)
     """Longest wait for the first messages [s]."""
@@ -237,6 +236,5 @@ class Ros2PlantConfig(Configuration):
         for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
             if (topic := getattr(node, name)) in ours:
                 raise RigError(
-                    f"{name} = {topic}: is a topic of the fin's own; give another: --set "
-                    f"{name}=/NAME"
+                    f"{name} = {topic}: already a topic of the fin; use another: --set {name}=/NAME"
                 )

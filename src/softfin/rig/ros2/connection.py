@@ -175,7 +175,9 @@ def decode_ros_message(data: bytes, kind: str) -> Any:
         return type_store().deserialize_cdr(data, kind)
     except Exception as error:
         # Bytes that anybody sent fail at any step of the decoder.
-        raise ValueError(f"{len(data)} bytes that are no {kind} ({one_line(error)})") from None
+        raise ValueError(
+            f"{len(data)} bytes that are not a valid {kind} ({one_line(error)})"
+        ) from None
 
 
 def read_stamp(message: object) -> int:
@@ -196,7 +198,7 @@ def read_joint(message: Any, name: str) -> tuple[float, float | None]:
     if len(message.position) != len(names) or len(message.velocity) not in (0, len(names)):
         raise ValueError(
             f"{len(names)} names, {len(message.position)} positions, {len(message.velocity)} "
-            "velocities; as many of each are needed, or no velocities"
+            "velocities; send as many of each, or no velocities"
         )
     angle = _finite("position", message.position[index])
     return angle, _finite("velocity", message.velocity[index]) if len(message.velocity) else None

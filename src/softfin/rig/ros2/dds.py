@@ -199,7 +199,7 @@ class DdsTransport:
 
     def _topic(self, topic: str, kind: str) -> Any:
         if self._participant is None:
-            raise DeviceError("the way to ROS 2 is closed; open it again")
+            raise DeviceError("the connection to ROS 2 is closed; open it again")
         return Topic(
             self._participant,
             f"rt{topic}",

@@ -59,7 +59,7 @@ class NewestReference(Generic[InputValue]):
         if self.subscription.mismatched():
             topic = self.subscription.topic
             self._once(
-                f"{topic}: a publisher there is not heard; it must be reliable, not best effort"
+                f"{topic}: a publisher cannot be received; it must be reliable, not best effort"
             )
         newest = self._newest
         timeout = self._timeout
@@ -68,9 +68,7 @@ class NewestReference(Generic[InputValue]):
         if newest is not None and self.is_lost:
             self._newest = newest = None
             topic = self.subscription.topic
-            self._once.report(
-                f"{topic}: no reference for {timeout:g} s: the last one does not count any more"
-            )
+            self._once.report(f"{topic}: no reference for {timeout:g} s: the last one has expired")
         return None if newest is None else newest[1]
 
 
@@ -112,7 +110,7 @@ class EmergencyStop:
                 # The other readers do not match every publisher, and need not: this one asks for
                 # the least.
                 if self._subscriptions["best_effort"].mismatched():
-                    problem = "a publisher there cannot be heard, so it cannot stop the fin"
+                    problem = "a publisher cannot be received, so it cannot stop the fin"
                     self._once(
                         f"{self._topic}: {problem}; give it ROS 2's default quality of service"
                     )

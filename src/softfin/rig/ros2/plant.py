@@ -83,9 +83,9 @@ def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> byt
         # own.
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise RigError(
-            f"flipper: no {config.type} can be made ({reason}); give the .msg text of each type "
-            "that ROS 2 lacks in flipper.definitions, and fields as paths of names and indices, "
-            "as flippers.2.amplitude"
+            f"flipper: {config.type} cannot be built ({reason}); put the .msg text of each type "
+            "that ROS 2 lacks into flipper.definitions, and write fields as paths of names and "
+            "indices, such as flippers.2.amplitude"
         ) from None
 
 
@@ -100,7 +100,7 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
     except Exception as error:
         # The parser and the registration fail in ways of their own.
         raise RigError(
-            f"message {kind}: its definition cannot be used ({one_line(error)}); give that of its "
+            f"message {kind}: its definition cannot be used ({one_line(error)}); copy it from its "
             ".msg file"
         ) from None
     return types
@@ -177,10 +177,10 @@ class _Topics(NamedTuple):
 class Ros2Machine:
     """Meets the Machine contract.
 
-    What a stop does lies with the driver. A command holds the angle that was last measured, so that
-    the fin brakes as its driver brakes; with a `stop_topic`, `true` goes there as well. Both are
-    repeated until the fin is at rest. The motor may stay on, and a driver that does not listen goes
-    on, which is reported. Keep a switch of the motor's supply at hand.
+    The driver determines how a stop works. `stop` commands the fin to hold its last measured angle,
+    so that the driver brakes it. With a `stop_topic`, it also sends `true` there. It repeats both
+    until the fin is at rest. The motor may stay on. A driver that ignores the messages does not
+    stop, which is reported. Keep a switch for the motor's supply at hand.
     """
 
     name = "ros2"
@@ -223,7 +223,7 @@ class Ros2Machine:
         still turns."""
         return (
             self._stop_failure
-            or "whether the motor is off lies with its driver; keep a switch of its supply at hand"
+            or "softfin cannot confirm that the motor is off; keep a switch for its supply at hand"
         )
 
     def open(self) -> None:
@@ -298,8 +298,8 @@ class Ros2Machine:
                 if not topics.commands.publisher.readers():
                     topic = self.config.command_topic
                     complaints.append(
-                        f"nobody reads {topic} any more: commands go nowhere; start the driver "
-                        "again"
+                        f"no subscriber on {topic} any more, so commands are lost; start the "
+                        "driver again"
                     )
         return Sample(*self._joint, None, following_error, *self._force, tuple(complaints))
 
@@ -311,13 +311,13 @@ class Ros2Machine:
         angle = self._joint[1]
         if not limits.angle_min - 1e-3 <= angle <= limits.angle_max + 1e-3:
             raise DeviceError(
-                f"the fin is at {angle:.3f} rad, beyond {limits.angle_min:.3f} to "
-                f"{limits.angle_max:.3f} rad; bring it back by its own driver"
+                f"the fin is at {angle:.3f} rad, outside {limits.angle_min:.3f} to "
+                f"{limits.angle_max:.3f} rad; move it back with its own driver"
             )
         if not topics.commands.publisher.readers():
             raise DeviceError(
-                f"nobody reads {self.config.command_topic}: commands would go nowhere; start the "
-                "driver, and check the topic's type"
+                f"no subscriber on {self.config.command_topic}, so commands would be lost; "
+                "start the driver, and check the topic's type"
             )
         with self._lock:
             if self.config.stop_release and topics.stop is not None:
@@ -335,7 +335,7 @@ class Ros2Machine:
             raise CommandError(trip.reason)
         with self._lock:
             if not self._enabled or self._topics is None or self._joint is None:
-                raise DeviceError("the fin is not enabled; enable it before it is commanded")
+                raise DeviceError("the fin is not enabled; enable it before you command it")
             self._send(self._topics.commands.send, target, self._joint[1])
 
     def stop(self) -> None:
@@ -384,7 +384,7 @@ class Ros2Machine:
             self._stop_failure = "the fin still turns; switch off its supply"
         else:
             self._stop_failure = (
-                f"no new {self.config.joint_topic} show whether the fin stands; "
+                f"no new {self.config.joint_topic}, so the fin may still turn; "
                 "switch off its supply"
             )
 
@@ -424,9 +424,9 @@ class Ros2Machine:
                 there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
                 raise DeviceError(
                     awaited.refusal
-                    or f"{awaited.topic}: no {awaited.kind} in {self.config.wait_s:g} s; there is "
-                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, correct the topic, "
-                    "or the domain (ROS_DOMAIN_ID) and the network"
+                    or f"{awaited.topic}: no {awaited.kind} in {self.config.wait_s:g} s; found "
+                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, or correct the "
+                    "topic, the domain (ROS_DOMAIN_ID) or the network"
                 )
 
     def _take(self) -> _Topics:

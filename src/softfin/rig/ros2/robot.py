@@ -73,10 +73,10 @@ class FinTopics:
 
     def missing(self) -> list[str]:
         """Topics without a node at their other end, each in words."""
-        found = [] if self.last_s is not None else [f"nobody publishes {self.joint_topic}"]
+        found = [] if self.last_s is not None else [f"no publisher on {self.joint_topic}"]
         topics = ((self.reference_topic, self.reference), (self.stop_topic, self.stop))
         return found + [
-            f"nobody reads {topic}" for topic, publisher in topics if not publisher.readers()
+            f"no subscriber on {topic}" for topic, publisher in topics if not publisher.readers()
         ]
 
 
@@ -147,8 +147,8 @@ class RobotNode:
             if action.given_up.any():
                 axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
                 self._once(
-                    f"{self.config.reference_topic}: beyond the fins' reach in {axes}: the fins "
-                    f"make what they can, see {self.config.wrench_topic}"
+                    f"{self.config.reference_topic}: beyond the fins' reach in {axes}; for the "
+                    f"wrench that they produce, see {self.config.wrench_topic}"
                 )
         self._forces = action.forces
         for number, (fin, (x, y)) in enumerate(zip(self.fins, action.forces.tolist(), strict=True)):
@@ -223,7 +223,7 @@ class RobotNode:
         if len(self._allocation.dead) == len(self.fins):
             raise SafetyStop(f"{reason}; no fin is left")
         self._once.report(
-            f"{reason}: declared dead until this node is started again; the others go on"
+            f"{reason}: declared dead until this node is restarted; the others continue"
         )
 
     def _stop_fins(self, pace: Pace) -> None:
@@ -282,15 +282,15 @@ def fin_reach(robot: RobotConfig, config: RobotNodeConfig) -> list[float]:
     names = list(robot.fins)
     if thrust is None:
         raise ConfigurationError(
-            "max_thrust: missing; give the greatest mean force that each fin makes in every "
-            "direction with its controller [N], as --set max_thrust=3"
+            "max_thrust: missing; set the maximum mean force that each fin can produce in every "
+            "direction with its controller [N], such as --set max_thrust=3"
         )
     if not isinstance(thrust, dict):
         return [thrust] * len(names)
     if set(thrust) != set(names):
         raise ConfigurationError(
-            f"max_thrust is of {', '.join(thrust)}; {robot.name} has the fins {', '.join(names)}: "
-            "give one number, or one for each of them"
+            f"max_thrust is for {', '.join(thrust)}, but {robot.name} has {', '.join(names)}; "
+            "set one number, or one for each fin"
         )
     return [thrust[name] for name in names]
 
@@ -300,12 +300,12 @@ def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:
             raise RigError(
-                f"{robot.name}: {name} turns within a range; wrenches are shared among fins that "
-                "push in every direction: leave range_rad out if it does"
+                f"{robot.name}: {name} has a limited range, but this node needs fins that push in "
+                "every direction; if it does, leave out range_rad"
             )
         if not (name.isascii() and name.isidentifier()):
             raise RigError(
-                f"{robot.name}: the fin {name!r} cannot be in the name of a topic; use letters, "
+                f"{robot.name}: fin {name!r} cannot be part of a topic name; use letters, "
                 "digits and _"
             )
     own = [value for name, value in config if name.endswith("_topic")]
