@@ -30,6 +30,18 @@ class SetClock(Clock):
         return time.time() + self.ahead_s
 
 
+class BusyClock(Clock):
+    """The real one, in a process that is held up now and then while it reads the date."""
+
+    interruptions = 0
+
+    def wall(self) -> float:
+        if self.interruptions:
+            self.interruptions -= 1
+            time.sleep(4 * stream.DATE_STEP_S)
+        return time.time()
+
+
 class Pair:
     """A client with a receive buffer of so many bytes, and a socket in the sensor's place."""
 
@@ -102,6 +114,41 @@ def test_a_full_buffer_keeps_the_oldest_and_a_drain_is_bounded(pair):
     # sensor come 1 ms apart.
     times = np.array([arrival.time for arrival in first + rest])
     assert np.diff(times).min() > -1e-4
+
+
+@pytest.mark.skipif(not HAS_STAMPS, reason="the kernel's stamps are used on Linux alone")
+def test_a_busy_computer_does_not_look_like_a_date_that_was_set():
+    clock = BusyClock()
+    pair = Pair(212_992, clock)
+    try:
+        assert pair.client.drain() == []
+        # Without their stamps the records would count as this much older.
+        time.sleep(0.1)
+        pair.send(20)
+        clock.interruptions = 2
+        arrivals = pair.client.drain()
+        assert clock.interruptions == 0
+        assert len(arrivals) == 20
+        for record, arrived in arrivals:
+            before, after = pair.sent_at[record.rdt_sequence]
+            assert before - 0.05 <= arrived <= after + 0.05
+    finally:
+        pair.close()
+
+
+def test_readings_that_are_never_close_together_make_records_older_not_newer():
+    clock = BusyClock()
+    pair = Pair(212_992, clock)
+    try:
+        assert pair.client.drain() == []
+        empty_by = time.monotonic()
+        pair.send(20)
+        clock.interruptions = stream.OFFSET_TRIES
+        arrivals = pair.client.drain()
+        assert clock.interruptions == 0
+        assert all(arrival.time <= empty_by for arrival in arrivals)
+    finally:
+        pair.close()
 
 
 @pytest.mark.parametrize("step_s", [-1e6, -1.0, 1.0, 1e6])

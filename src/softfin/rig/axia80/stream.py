@@ -47,6 +47,9 @@ DATE_STEP_S = 0.005
 """Change of the date against the monotonic clock, between two drains, from which on the date was
 set. NTP slews it by 0.5 ms/s at most."""
 
+OFFSET_TRIES = 10
+"""Attempts to read the date and the monotonic clock without a delay in between."""
+
 # Linux's own number, which Python's socket module does not name; the same on x86 and ARM.
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")
@@ -85,7 +88,7 @@ class RdtClient:
             simulated.connect((host, port))
             self._socket = simulated
             self._date = simulated.date
-            self._date_offset = self._date() - clock()
+            self._date_offset, _ = self._measure_offset()
             return
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -106,7 +109,7 @@ class RdtClient:
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
                 self._has_stamps = True
-        self._date_offset = self._date() - clock()
+        self._date_offset, _ = self._measure_offset()
 
     @property
     def closed(self) -> bool:
@@ -142,10 +145,7 @@ class RdtClient:
                 self.refused += 1
             else:
                 received.append((record, stamp))
-        now = self._clock()
-        # In this order: if the process is held up in between, records look older than they are,
-        # never newer.
-        offset = self._date() - now
+        offset, now = self._measure_offset()
         # A stamp is of the date, which a person or NTP may set, and which jumps after a suspend.
         # Then the stamps of this drain are worth nothing.
         is_date_set = abs(offset - self._date_offset) > DATE_STEP_S
@@ -166,6 +166,22 @@ class RdtClient:
     def close(self) -> None:
         """Close the socket; any number of times."""
         self._socket.close()
+
+    def _measure_offset(self) -> tuple[float, float]:
+        """Return the offset of the date from the monotonic clock, and the time of that clock [s].
+
+        On a busy computer the process may be held up between the two readings, which would look
+        like a date that was set; so they are repeated until they are close together.
+        """
+        for _ in range(OFFSET_TRIES):
+            before = self._clock()
+            date = self._date()
+            after = self._clock()
+            if after - before < DATE_STEP_S / 10:
+                break
+        # If no pair is close together, this order makes records look older than they are, never
+        # newer.
+        return date - before, before
 
     def _receive(self) -> tuple[bytes, float | None]:
         """A datagram and the date at which the kernel received it [s]; None on platforms without
