@@ -128,7 +128,7 @@ def test_lines_that_nobody_reads_any_more_stop_the_fin(controller, monkeypatch):
     driving._follow(session, load_controller(controller), lambda at: (1.0, 0.0), (0.0, 0.0), 1)
     assert session.stop_request.trip == (
         "emergency_stop",
-        "nobody reads its lines any more (Broken pipe)",
+        "nobody reads the output any more (Broken pipe)",
     )
 
 

@@ -221,7 +221,7 @@ class Armed(Configuration):
             sys.stderr.write(f"warning: {printable(robot.warning)}\n")
         if not self.arm:
             told = "answers, and " if motion is None else ""
-            raise ConfigurationError(f"{name}: {told}does not move; add --arm to let it move")
+            raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")
         if not proves:
             robot.check_ready()
         if self.yes:

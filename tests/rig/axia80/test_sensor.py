@@ -257,7 +257,7 @@ def test_a_sensor_that_restarts_for_seconds_is_silent_first(pair):
     read_for(client, 1.0)
     sensor.reboot(3.0)
     read_for(client, 2.0)
-    assert "if it was off, its zero is lost: softfin rig zero --force" in client.complaints()[0]
+    assert "if it was off, its zero is lost: run softfin rig zero --force" in client.complaints()[0]
     read_for(client, 2.0)
     assert any("restarted, its zero is lost" in line for line in client.complaints())
 

@@ -225,7 +225,7 @@ def test_a_drive_that_another_program_has_enabled_is_left_alone() -> None:
         made.drive.command(Target(1.0, 1.0))
         assert made.until(lambda: made.fin.now().angle > 0.1)
         other = Epos2(made.bus, drive_config(host_node=126), made.clock)
-        with swimming(made), pytest.raises(RigError, match="operation enabled already"):
+        with swimming(made), pytest.raises(RigError, match="already operation enabled"):
             other.open()
         assert made.until(lambda: made.fin.now().angle > 0.9)
 
@@ -275,7 +275,7 @@ def send(made: Bench, cob_id: int, data: bytes) -> None:
         (lambda made: ignore_targets(made.emulated, 1000), "did not accept a target"),
         (
             lambda made: send(made, 0x200 + NODE, bytes(6)),
-            "switch on disabled though it was enabled",
+            "switch on disabled although it was enabled",
         ),
         (lambda made: send(made, 0x000, bytes([0x80, NODE])), "left the operational state"),
     ],

@@ -318,7 +318,7 @@ def test_a_stop_is_passed_on_to_every_fin(waiting):
 def test_a_stop_that_cannot_be_read_stops_too():
     pool = Pool()
     pool.at(1.0, lambda: pool.transport.put("/robot/stop", b"\x00\x01\x00\x00"))
-    assert "no std_msgs/msg/Bool" in str(pool.run())
+    assert "not a valid std_msgs/msg/Bool" in str(pool.run())
 
 
 def test_a_transport_that_ends_is_a_stop():
