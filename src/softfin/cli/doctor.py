@@ -1,12 +1,8 @@
 """``doctor`` examines the computer and the installation: what is well, what is not, and what to do
 about it."""
 
-import sys
-
 from softfin.cli.common import CommandOptions, YamlFile
-from softfin.cli.rig import MARKS
 from softfin.core.errors import RunError
-from softfin.core.printable import printable
 from softfin.rig.doctor import examine
 
 
@@ -18,16 +14,5 @@ class DoctorArguments(CommandOptions):
     """File of a rig whose drive and sensor are checked, too, as by softfin rig check."""
 
     def __call__(self) -> None:
-        results = []
-        for result in examine(self.rig):
-            results.append(result)
-            if not self.json_:
-                sys.stdout.write(
-                    f"{MARKS[result.state]:>6}  {result.what:14} {printable(result.text)}\n"
-                )
-                sys.stdout.flush()
-        if self.json_:
-            self.tell([result._asdict() for result in results], "")
-        wrong = [result.what for result in results if result.state == "wrong"]
-        if wrong:
-            raise RunError(f"not well: {', '.join(wrong)}")
+        if wrong := self.tell_findings(examine(self.rig)):
+            raise RunError(f"not well: {wrong}")

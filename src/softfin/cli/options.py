@@ -49,6 +49,8 @@ class Option:
     check: Callable[[Any, Any], object] | None = None
     """Function of the value and its command that raises a SoftfinError where what the value names
     does not exist."""
+    former_name: str | None = None
+    """The name that the option had before it was renamed, which is answered with the new one."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +216,9 @@ def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tupl
     field = named.get(written.replace("_", "-"))
     if field is None:
         nearest = _nearest(written, named, "; --help lists the options")
+        for other in named.values():
+            if other.option.former_name == written:
+                nearest = f"; did you mean {other.name}?"
         raise ConfigurationError(f"{written}: unknown option{nearest}")
     if field.kind is bool:
         if sign:

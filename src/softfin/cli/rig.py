@@ -30,8 +30,6 @@ PROVING = (
 COMMISSIONING = "you will be told before each step what moves"
 ZEROING = "the motor is powered for a moment and holds where the fin stands, which becomes its zero"
 
-MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
-
 
 class RigCheckArguments(Armed, CommandOptions):
     """Check the bus, the drive, the sensor and the settings of a rig, and print a table; nothing
@@ -59,19 +57,8 @@ class RigCheckArguments(Armed, CommandOptions):
         if self.prove:
             self._prove(config)
             return
-        findings = []
-        for finding in check_rig(config, self.rig.absolute().parent):
-            findings.append(finding)
-            if not self.json_:
-                sys.stdout.write(
-                    f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n"
-                )
-                sys.stdout.flush()
-        if self.json_:
-            self.tell([finding._asdict() for finding in findings], "")
-        wrong = [finding.what for finding in findings if finding.state == "wrong"]
-        if wrong:
-            raise DeviceError(f"{self.rig}: not well: {', '.join(wrong)}")
+        if wrong := self.tell_findings(check_rig(config, self.rig.absolute().parent)):
+            raise DeviceError(f"{self.rig}: not well: {wrong}")
 
     def _prove(self, config: RigConfig) -> None:
         # A closed terminal must not leave the motor powered by a drive that is not proved yet.

@@ -169,6 +169,7 @@ def draw_references(
     Cells of no area, single references or lines, are drawn from with equal probability if no other
     has any.
     """
+    # Rejection sampling: a cell by its area, a force uniform in it, kept if the fin can make it.
     low, high = (
         np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high")
     )
