@@ -234,8 +234,8 @@ class Picture:
         of it faint, where that is known; `start` is its first tick."""
 
         def values() -> Any:
-            drawn = operator.attrgetter(series)(self.footage)
-            return drawn if column is None else drawn[:, column]
+            chosen = operator.attrgetter(series)(self.footage)
+            return chosen if column is None else chosen[:, column]
 
         def times(series: Any) -> Any:
             return (np.arange(len(series)) + start + 1) * TICK_S
