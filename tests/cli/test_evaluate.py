@@ -26,15 +26,13 @@ TANK = Tank(TankConfig(fin=FinConfig(plates=2)))
 
 
 class Loaded(Covering):
+    kind = "single"
     limits = PAPER_LIMITS
 
 
 @pytest.fixture
 def controller(monkeypatch, tmp_path):
     monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Loaded())
-    monkeypatch.setattr(
-        "softfin.storage.artifact.load_description", lambda folder, kind: {"controller": "single"}
-    )
     (tmp_path / "controller").mkdir()
     (tmp_path / "controller" / "controller.json").touch()
     return str(tmp_path / "controller")

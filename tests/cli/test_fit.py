@@ -106,12 +106,10 @@ def faulty(index):
     return log._replace(reading=log.reading._replace(angle=np.degrees(log.reading.angle)))
 
 
-@pytest.mark.parametrize("key", ["ignore_errors", "accepted"])
-def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, asked, key):
+def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, asked):
     for accepted in (False, True):
-        write_dataset(
-            tmp_path / "d", [faulty(1), faulty(2)], [], {key: accepted}, overwrite=accepted
-        )
+        metadata = {"ignore_errors": accepted}
+        write_dataset(tmp_path / "d", [faulty(1), faulty(2)], [], metadata, overwrite=accepted)
         words = ["fit", str(tmp_path / "d"), "--out", str(tmp_path / "s")]
         if accepted:
             main(words)

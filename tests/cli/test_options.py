@@ -100,6 +100,21 @@ def test_a_mistake_is_one_line_with_the_way_out(words: list[str], line: str) -> 
     assert str(refused.value) == line
 
 
+class Renamed(Configuration):
+    """A command whose option had another name."""
+
+    repeats: Annotated[int, Option(former_name="--seeds")] = 1
+    """How often."""
+    seed: int = 0
+    """Which numbers."""
+
+
+def test_the_former_name_of_an_option_is_answered_with_the_new_one() -> None:
+    with pytest.raises(ConfigurationError) as refused:
+        parse(Renamed, ["--seeds=3"])
+    assert str(refused.value) == "--seeds: unknown option; did you mean --repeats?"
+
+
 class Checked(Configuration):
     """A command whose paths must be there."""
 

@@ -4,16 +4,17 @@ on stdout; no JAX."""
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TextIO, TypeAlias, TypeVar
 
 from softfin.cli import options
 from softfin.cli.options import Option
-from softfin.core.choices import SEEDS
+from softfin.core.choices import SEEDS, TransportName
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.data.importing.importing import ImportConfig
 from softfin.rig.stop import discard_typed_ahead
@@ -24,13 +25,15 @@ from softfin.storage.registry import is_live, resolve_plant
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
+    from softfin.rig.check import CheckResult
     from softfin.rig.robot_setup import RobotSetup
 
 StageConfig = TypeVar("StageConfig", bound=Configuration)
-Result = TypeVar("Result")
 
 PACE_S = 10.0
 """Time between two lines of progress [s]."""
+
+MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 WORD = "move"
 """Word that a person types to let the fin move."""
@@ -101,6 +104,9 @@ ForcePair: TypeAlias = Annotated[
 ]
 
 
+Repeats: TypeAlias = Annotated[int, Option(former_name="--seeds")]
+
+
 class CommandOptions(Configuration):
     """Options of every command; calling it runs the command."""
 
@@ -121,6 +127,19 @@ class CommandOptions(Configuration):
             )
         options.check_values(self)
 
+    def tell_findings(self, findings: "Iterable[CheckResult]") -> str:
+        """Print each finding as soon as it is known; returns what is wrong, with commas between."""
+        results = []
+        for finding in findings:
+            results.append(finding)
+            if not self.json_:
+                mark = MARKS[finding.state]
+                sys.stdout.write(f"{mark:>6}  {finding.what:14} {printable(finding.text)}\n")
+                sys.stdout.flush()
+        if self.json_:
+            self.tell([finding._asdict() for finding in results], "")
+        return ", ".join(finding.what for finding in results if finding.state == "wrong")
+
     def tell(self, result: object, text: str) -> None:
         """Print the result: as JSON, or as text for people."""
         sys.stdout.write(
@@ -135,11 +154,6 @@ class Common(CommandOptions):
 
     overwrite: bool = False
     """Replace existing output, and discard an unfinished run."""
-
-    def stage(self, stage: Callable[..., Result], *arguments: object, **given: object) -> Result:
-        """Run a stage and show its progress."""
-        with progress() as report:
-            return stage(*arguments, **given, overwrite=self.overwrite, progress=report)
 
 
 class Configured(Common):
@@ -162,14 +176,32 @@ class Configured(Common):
         config = (
             base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
         )
-        own = {
-            name: getattr(self, name)
-            for name, option in type(self).model_fields.items()
-            if name in type(base).model_fields and option.default in (None, ())
-        }
-        own = {name: value for name, value in own.items() if not isinstance(value, str)} | given
-        changes = {name: value for name, value in own.items() if value not in (None, ())}
+        for name, option in type(self).model_fields.items():
+            value = getattr(self, name)
+            is_changed = option.default in (None, ()) and value not in (None, ())
+            # A text is read by the command, which gives what it stands for.
+            if name in type(base).model_fields and is_changed and not isinstance(value, str):
+                given.setdefault(name, value)
+        changes = {name: value for name, value in given.items() if value not in (None, ())}
         return config.changed(self.set).merged(changes, "options")
+
+
+class NodeOptions(Configured):
+    """Options of every command that runs as a ROS 2 node."""
+
+    transport: TransportName | None = None
+    """rclpy of ROS 2, or dds without ROS 2 (default: auto, rclpy if it is installed)."""
+    domain: int | None = None
+    """ROS domain (default: ROS_DOMAIN_ID, or 0)."""
+    network: str | None = None
+    """With dds: network interface, such as eth0, whose hosts may read and write the topics
+    (default: this computer alone)."""
+
+    @property
+    def connection(self) -> JsonObject | None:
+        """The options that were given, as the node's `connection`; None without any."""
+        names = {"transport", "domain", "network"}
+        return self.model_dump(include=names, exclude_none=True) or None
 
 
 class LogOptions(ImportConfig):

@@ -3,7 +3,16 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from softfin.cli.common import Common, Configured, ControllerFolder, File, Out, folder_option, plant
+from softfin.cli.common import (
+    Common,
+    Configured,
+    ControllerFolder,
+    File,
+    Out,
+    folder_option,
+    plant,
+    progress,
+)
 from softfin.cli.options import Option
 from softfin.core.choices import SEEDS, AlgorithmOption, ControllerKind, EngineName
 from softfin.core.errors import ConfigurationError
@@ -32,7 +41,10 @@ class MapArguments(Configured):
         from softfin.stages.controllers import map_forces
 
         config = self.configured(MapConfig())
-        summary = self.stage(map_forces, self.plant, self.out, config)
+        with progress() as report:
+            summary = map_forces(
+                self.plant, self.out, config, overwrite=self.overwrite, progress=report
+            )
         # Adding 0 turns -0.0 into 0.
         (x0, y0), (x1, y1) = (
             tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"]
@@ -120,7 +132,15 @@ class TrainArguments(Configured):
             given = (
                 None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             )
-            self.stage(find_gaits, self.surrogate, self.out, given, force_map=self.map)
+            with progress() as report:
+                find_gaits(
+                    self.surrogate,
+                    self.out,
+                    given,
+                    force_map=self.map,
+                    overwrite=self.overwrite,
+                    progress=report,
+                )
             return self._tell((0,))
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, cells=cells)
@@ -129,18 +149,20 @@ class TrainArguments(Configured):
                 f"algorithm = {config.algorithm}: its other settings depend on it; give "
                 f"--algorithm {config.algorithm}"
             )
-        self.stage(
-            train,
-            self.surrogate,
-            self.out,
-            config,
-            force_map=self.map,
-            seeds=seeds,
-            engine=self.engine,
-            cluster=self.cluster,
-            reason=reason,
-            resume=self.resume,
-        )
+        with progress() as report:
+            train(
+                self.surrogate,
+                self.out,
+                config,
+                force_map=self.map,
+                seeds=seeds,
+                engine=self.engine,
+                cluster=self.cluster,
+                reason=reason,
+                resume=self.resume,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         return self._tell(seeds)
 
     def _tell(self, seeds: tuple[int, ...]) -> None:

@@ -5,7 +5,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from softfin.cli.common import AnyPlant, Armed, Common, Configured, File, LogOptions, Logs, Out
+from softfin.cli.common import (
+    AnyPlant,
+    Armed,
+    Common,
+    Configured,
+    File,
+    LogOptions,
+    Logs,
+    Out,
+    progress,
+)
 from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
 from softfin.data.issues import counted
@@ -53,18 +63,23 @@ class CollectArguments(Armed, Configured):
         if is_live(self.plant):
             robot = find_robot(self.plant)
             keys = KeyboardStop(self.confirm)
-            data = self.stage(
-                collect_live,
-                robot,
-                self.out,
-                config,
-                keys.confirm,
-                resume=self.resume,
-                stop=keys.stop,
-                warn=say,
-            )
+            with progress() as report:
+                data = collect_live(
+                    robot,
+                    self.out,
+                    config,
+                    keys.confirm,
+                    resume=self.resume,
+                    stop=keys.stop,
+                    warn=say,
+                    overwrite=self.overwrite,
+                    progress=report,
+                )
         else:
-            data = self.stage(collect, self.plant, self.out, config)
+            with progress() as report:
+                data = collect(
+                    self.plant, self.out, config, overwrite=self.overwrite, progress=report
+                )
         counts = {"logs": len(data.train), "test_logs": len(data.test), "rows": config.rows}
         self.tell(
             {"dataset": str(self.out), **counts, "data_hash": data.data_hash},
@@ -83,24 +98,22 @@ class InspectArguments(LogOptions, Common):
     def __call__(self) -> None:
         from softfin.stages.logs import inspect_logs
 
-        result = self.stage(inspect_logs, self.logs, self.out, self.recordings)
+        with progress() as report:
+            result = inspect_logs(
+                self.logs, self.out, self.recordings, overwrite=self.overwrite, progress=report
+            )
         self.tell(result, inspection_table(result))
 
 
 def inspection_table(result: Mapping[str, Any]) -> str:
     """Return one line about the logs, and a few about each issue."""
     summary = result["summary"]
-    counts = result["summary"]["counts"]
-    lags = {
-        name: "not known"
-        if (lag := summary[f"{name}_lag_ms"]) is None
-        else f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
-        for name in ("command", "force")
-    }
+    counts = summary["counts"]
     lines = [
         f"{summary['logs']} + {summary['test_logs']} logs, {summary['rows']:,} rows at 100 Hz, "
         f"{summary['rows'] / 6000:.1f} minutes",
-        f"command to angle {lags['command']}; angle to force {lags['force']}",
+        f"command to angle {_lag(summary['command_lag_ms'])}; "
+        f"angle to force {_lag(summary['force_lag_ms'])}",
     ]
     if (frames := summary["frames"]) is not None:
         best = max(frames, key=frames.__getitem__)
@@ -115,13 +128,25 @@ def inspection_table(result: Mapping[str, Any]) -> str:
         lines.append(
             f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"
         )
-        for text in (issue["message"], f"-> {issue['fix']}" if issue["fix"] else ""):
-            wrapped = textwrap.wrap(text, 101, break_long_words=False, break_on_hyphens=False)
-            lines += [" " * 9 + line for line in wrapped]
+        for text in (issue["message"], issue["fix"] and f"-> {issue['fix']}"):
+            lines += textwrap.wrap(
+                text or "",
+                110,
+                initial_indent=" " * 9,
+                subsequent_indent=" " * 9,
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
     lines.append(issue_counts(counts))
     if counts["error"]:
         lines.append("errors stop fit and import-logs, unless you add --ignore-errors")
     return "\n".join(lines)
+
+
+def _lag(lag: Mapping[str, float] | None) -> str:
+    if lag is None:
+        return "not known"
+    return f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
 
 
 def issue_counts(counts: Mapping[str, int]) -> str:
@@ -142,9 +167,15 @@ class ImportLogsArguments(LogOptions, Common):
     def __call__(self) -> None:
         from softfin.stages.logs import import_logs
 
-        data, inspection = self.stage(
-            import_logs, self.logs, self.out, self.recordings, ignore_errors=self.ignore_errors
-        )
+        with progress() as report:
+            data, inspection = import_logs(
+                self.logs,
+                self.out,
+                self.recordings,
+                ignore_errors=self.ignore_errors,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         summary = inspection.summary()
         self.tell(
             {"dataset": str(self.out), **summary, "data_hash": data.data_hash},

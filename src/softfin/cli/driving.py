@@ -12,11 +12,11 @@ from pathlib import Path
 from softfin.cli.common import (
     Armed,
     Common,
-    Configured,
     ControllerFolder,
     File,
     ForcePair,
     LivePlant,
+    NodeOptions,
     ReferenceFile,
     on_terminal,
 )
@@ -25,7 +25,6 @@ from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
-from softfin.core.choices import TransportName
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
@@ -256,7 +255,7 @@ class RunArguments(Driving):
         self.tell_errors(result)
 
 
-class Ros2Arguments(Driving, Configured):
+class Ros2Arguments(NodeOptions, Driving):
     """Run as a ROS 2 node: hold the reference force of a topic on the real fin, and publish every
     sample. Enter or a topic stops the fin.
 
@@ -269,13 +268,6 @@ class Ros2Arguments(Driving, Configured):
     fin: str | None = None
     """Name of one fin of a robot. Its topics are /NAME/joint_states, /NAME/reference and so on, and
     it stops when no more references arrive."""
-    transport: TransportName | None = None
-    """rclpy of ROS 2, or dds without ROS 2 (default: auto, rclpy if it is installed)."""
-    domain: int | None = None
-    """ROS domain (default: ROS_DOMAIN_ID, or 0)."""
-    network: str | None = None
-    """With dds: network interface, such as eth0, whose hosts may read and write the topics
-    (default: this computer alone)."""
 
     def __call__(self) -> None:
         from softfin.rig.machine import machine_clock
@@ -284,10 +276,8 @@ class Ros2Arguments(Driving, Configured):
         from softfin.rig.ros2.plant import Ros2Machine, open_transport
         from softfin.rig.simulated_clock import SimulatedClock
 
-        options = {"transport": self.transport, "domain": self.domain, "network": self.network}
-        given = {name: value for name, value in options.items() if value is not None}
         defaults = NodeConfig() if self.fin is None else NodeConfig.of_fin(self.fin)
-        topics = self.configured(defaults, connection=given or None)
+        topics = self.configured(defaults, connection=self.connection)
         controller, robot = self.parties()
         if isinstance(machine_clock(robot.machine), SimulatedClock):
             raise RigError(

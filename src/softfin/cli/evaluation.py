@@ -15,7 +15,9 @@ from softfin.cli.common import (
     Out,
     PlantName,
     ReferenceFile,
+    Repeats,
     folder_option,
+    progress,
 )
 from softfin.core.choices import MovingReference
 from softfin.core.errors import ConfigurationError
@@ -40,7 +42,7 @@ class EvaluateArguments(Armed, Configured):
     """Reference force in newtons, such as --reference=1,-0.5 (default: the paper's six)."""
     seconds: int | None = None
     """Length of each experiment [s] (default: 30)."""
-    repeats: int | None = None
+    repeats: Repeats | None = None
     """Repetitions of each experiment (default: 5)."""
     seed: int | None = None
     """Seed of the plant's noise (default: 0)."""
@@ -104,15 +106,17 @@ class EvaluateArguments(Armed, Configured):
         if is_live(self.plant):
             robot = find_robot(self.plant)
             keys = KeyboardStop(self.confirm)
-            summary = self.stage(
-                evaluate_live,
-                self.controller,
-                robot,
-                self.out,
-                config,
-                keys.confirm,
-                stop=keys.stop,
-            )
+            with progress() as report:
+                summary = evaluate_live(
+                    self.controller,
+                    robot,
+                    self.out,
+                    config,
+                    keys.confirm,
+                    stop=keys.stop,
+                    overwrite=self.overwrite,
+                    progress=report,
+                )
         else:
             summary = evaluate(
                 self.controller,
@@ -195,7 +199,7 @@ class BaselinesArguments(Configured):
     fin itself)."""
     seconds: int | None = None
     """Length of each experiment [s] (default: 30)."""
-    repeats: int | None = None
+    repeats: Repeats | None = None
     """Repetitions of each experiment (default: 5)."""
     seed: int | None = None
     """Seed of the plant's noise and of the random gaits (default: 0)."""
@@ -205,7 +209,15 @@ class BaselinesArguments(Configured):
         from softfin.stages.evaluation import baselines
 
         config = self.configured(BaselinesConfig(), seeds=self.repeats)
-        result = self.stage(baselines, self.plant, self.out, config, surrogate=self.surrogate)
+        with progress() as report:
+            result = baselines(
+                self.plant,
+                self.out,
+                config,
+                surrogate=self.surrogate,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         self.tell(result, baselines_table(result["baselines"], result["left_out"]))
 
 
@@ -266,9 +278,16 @@ class ViewArguments(Configured):
             random=self.excitation or None,
             next_references=self.next_reference,
         )
-        summary = self.stage(
-            view, self.plant, self.out, config, controller=self.controller, reference=self.reference
-        )
+        with progress() as report:
+            summary = view(
+                self.plant,
+                self.out,
+                config,
+                controller=self.controller,
+                reference=self.reference,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         x, y = summary["mean_force_n"]
         frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
         force = "true force" if summary["force"] == "true force" else "force"

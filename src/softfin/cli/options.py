@@ -47,6 +47,8 @@ class Option:
     check: Callable[[Any, Any], object] | None = None
     """Function that checks the value, given its command; raises a SoftfinError if something that it
     names does not exist."""
+    former_name: str | None = None
+    """Name that the option had before it was renamed; the error for it suggests the new name."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +213,9 @@ def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tupl
     field = named.get(written.replace("_", "-"))
     if field is None:
         nearest = _nearest(written, named, "; --help lists the options")
+        for other in named.values():
+            if other.option.former_name == written:
+                nearest = f"; did you mean {other.name}?"
         raise ConfigurationError(f"{written}: unknown option{nearest}")
     if field.kind is bool:
         if sign:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from softfin.cli.common import Configured, Out, PlantName
+from softfin.cli.common import Configured, Out, PlantName, progress
 from softfin.core.choices import ReproducePreset
 
 
@@ -55,9 +55,16 @@ def _run_stages(
     from softfin.stages.reproduce_config import PRESETS
 
     config = command.configured(PRESETS[preset])
-    results = command.stage(
-        reproduce, plant, command.out, config, seed=command.seed, resume=command.resume
-    )
+    with progress() as report:
+        results = reproduce(
+            plant,
+            command.out,
+            config,
+            seed=command.seed,
+            resume=command.resume,
+            overwrite=command.overwrite,
+            progress=report,
+        )
     parts = (
         [] if results["surrogate"] is None else [format_table_one(results["surrogate"]["scores"])]
     )

@@ -30,8 +30,6 @@ PROVING = (
 COMMISSIONING = "each step announces what moves before it moves"
 ZEROING = "the motor is powered briefly and holds the fin; its present angle becomes zero"
 
-MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
-
 
 class RigCheckArguments(Armed, CommandOptions):
     """Check a rig's bus, drive, sensor and settings, and print a table; nothing moves.
@@ -58,19 +56,8 @@ class RigCheckArguments(Armed, CommandOptions):
         if self.prove:
             self._prove(config)
             return
-        findings = []
-        for finding in check_rig(config, self.rig.absolute().parent):
-            findings.append(finding)
-            if not self.json_:
-                sys.stdout.write(
-                    f"{MARKS[finding.state]:>6}  {finding.what:14} {printable(finding.text)}\n"
-                )
-                sys.stdout.flush()
-        if self.json_:
-            self.tell([finding._asdict() for finding in findings], "")
-        wrong = [finding.what for finding in findings if finding.state == "wrong"]
-        if wrong:
-            raise DeviceError(f"{self.rig}: failed: {', '.join(wrong)}")
+        if wrong := self.tell_findings(check_rig(config, self.rig.absolute().parent)):
+            raise DeviceError(f"{self.rig}: failed: {wrong}")
 
     def _prove(self, config: RigConfig) -> None:
         # If the terminal closes, the motor must not stay powered: its drive is not proved yet.

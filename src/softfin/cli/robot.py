@@ -4,9 +4,18 @@ import sys
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
-from softfin.cli.common import CommandOptions, Configured, File, Out, on_terminal
+from softfin.cli.common import (
+    CommandOptions,
+    Configured,
+    File,
+    NodeOptions,
+    Out,
+    Repeats,
+    on_terminal,
+    progress,
+)
 from softfin.cli.options import Option
-from softfin.core.choices import RobotTask, TransportName, ViewedTask
+from softfin.core.choices import RobotTask, ViewedTask
 from softfin.core.json_object import JsonObject
 
 Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
@@ -65,7 +74,7 @@ class RobotEvaluateArguments(Configured):
     """A fin fails at a random moment; each fin in turn."""
     baselines: bool = False
     """Evaluate simpler controllers, too."""
-    repeats: int | None = None
+    repeats: Repeats | None = None
     """Repetitions of each trial (default: 5)."""
     seed: int | None = None
     """Seed of noise and disturbances (default: 0)."""
@@ -81,7 +90,10 @@ class RobotEvaluateArguments(Configured):
             baselines=self.baselines or None,
             seeds=self.repeats,
         )
-        found = self.stage(evaluate, self.robot, self.out, config)
+        with progress() as report:
+            found = evaluate(
+                self.robot, self.out, config, overwrite=self.overwrite, progress=report
+            )
         self.tell(found, "\n".join([*_table(found), f"{self.out}: pages, figures and robot.json"]))
 
 
@@ -105,7 +117,8 @@ class RobotViewArguments(Configured):
 
         tasks = () if self.task is None else (self.task,)
         config = self.configured(VIEWED, tasks=tasks, dead=self.dead or None)
-        row = self.stage(view, self.robot, self.out, config)
+        with progress() as report:
+            row = view(self.robot, self.out, config, overwrite=self.overwrite, progress=report)
         self.tell(
             row,
             f"{self.out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open "
@@ -113,7 +126,7 @@ class RobotViewArguments(Configured):
         )
 
 
-class RobotRos2Arguments(Configured):
+class RobotRos2Arguments(NodeOptions):
     """Share the wrenches of a topic among the fins of a robot, as a ROS 2 node.
 
     The node publishes a reference force for each fin's own node (softfin ros2 --fin NAME) and moves
@@ -122,13 +135,6 @@ class RobotRos2Arguments(Configured):
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
-    transport: TransportName | None = None
-    """rclpy of ROS 2, or dds without ROS 2 (default: auto, rclpy if it is installed)."""
-    domain: int | None = None
-    """ROS domain (default: ROS_DOMAIN_ID, or 0)."""
-    network: str | None = None
-    """With dds: network interface, such as eth0, whose hosts may read and write the topics
-    (default: this computer alone)."""
 
     def __call__(self) -> None:
         from softfin.cli.driving import say, typed
@@ -138,9 +144,7 @@ class RobotRos2Arguments(Configured):
         from softfin.rig.stop import StopRequest, listen_to_keyboard, stopped_by_signals
         from softfin.robot.description import load_robot
 
-        options = {"transport": self.transport, "domain": self.domain, "network": self.network}
-        given = {name: value for name, value in options.items() if value is not None}
-        config = self.configured(RobotNodeConfig(), connection=given or None)
+        config = self.configured(RobotNodeConfig(), connection=self.connection)
         robot = load_robot(self.robot)
         transport = open_transport(config.connection)
         request = StopRequest()

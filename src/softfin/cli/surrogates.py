@@ -17,6 +17,7 @@ from softfin.cli.common import (
     PlantName,
     folder_option,
     numbers,
+    progress,
 )
 from softfin.cli.options import Option
 from softfin.core.choices import CalibratePreset, ModelName
@@ -66,16 +67,19 @@ class FitArguments(LogOptions, Configured):
         from softfin.cli.tables import format_table_one
         from softfin.stages.surrogates import fit
 
-        result = self.stage(
-            fit,
-            self.dataset,
-            self.out,
-            self.configured(defaults(self.model)),
-            logs=self.recordings,
-            ignore_errors=self.ignore_errors,
-            seed=self.seed,
-            resume=self.resume,
-        )
+        config = self.configured(defaults(self.model))
+        with progress() as report:
+            result = fit(
+                self.dataset,
+                self.out,
+                config,
+                logs=self.recordings,
+                ignore_errors=self.ignore_errors,
+                seed=self.seed,
+                resume=self.resume,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
         sys.stderr.write(printable(notes, "\n"))
         parts = [format_table_one(result["table_i"])]
@@ -157,9 +161,16 @@ class CompareArguments(Configured):
         from softfin.surrogate.compare.compare import CompareConfig
 
         config = self.configured(CompareConfig(), horizons_s=self.horizons)
-        result = self.stage(
-            compare, self.surrogates, self.dataset, self.out, config, noise_floor=self.noise_floor
-        )
+        with progress() as report:
+            result = compare(
+                self.surrogates,
+                self.dataset,
+                self.out,
+                config,
+                noise_floor=self.noise_floor,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         self.tell({"comparison": str(self.out), **result}, comparison_tables(result))
 
 
@@ -278,9 +289,16 @@ class CalibrateArguments(Configured):
         from softfin.tank.calibration.config import CALIBRATE_PRESETS
 
         config = self.configured(CALIBRATE_PRESETS[self.preset], velocity_rad_s=self.velocity)
-        result = self.stage(
-            calibrate, self.data, self.out, config, seed=self.seed, resume=self.resume
-        )
+        with progress() as report:
+            result = calibrate(
+                self.data,
+                self.out,
+                config,
+                seed=self.seed,
+                resume=self.resume,
+                overwrite=self.overwrite,
+                progress=report,
+            )
         self.tell({"calibration": str(self.out), **result}, calibration_tables(result))
 
 

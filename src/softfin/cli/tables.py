@@ -15,13 +15,14 @@ from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
     """Return one line for each row, with columns as wide as necessary; those in `left` are
     left-aligned."""
-    columns = list(zip_longest(*([str(cell) for cell in row] for row in rows), fillvalue=""))
-    widths = [max(map(len, column)) for column in columns]
-    padded = [
-        [cell.ljust(width) if index in left else cell.rjust(width) for cell in column]
-        for index, (column, width) in enumerate(zip(columns, widths, strict=True))
-    ]
-    return ["  ".join(cells).rstrip() for cells in zip(*padded, strict=True)]
+    widths = [max(len(str(cell)) for cell in column) for column in zip_longest(*rows, fillvalue="")]
+    lines = []
+    for row in rows:
+        line = ""
+        for index, cell in enumerate(row):
+            line += f"{cell!s:{'<' if index in left else '>'}{widths[index]}}  "
+        lines.append(line.rstrip())
+    return lines
 
 
 def format_table_one(scores: JsonObject | None) -> str:
@@ -34,19 +35,13 @@ def format_table_one(scores: JsonObject | None) -> str:
         titles = [what, row["window"] or "-", f"{row['parameters']:,}"]
         for unit, label in (("physical", titles), ("scaled", ["", "", ""])):
             measure = in_unit if unit == "physical" else "scaled"
-            rows.append(
-                [*label, measure, *(f"{row[unit][key]:.4f}" for key in ("rmse", "mae", "dtw_mae"))]
-            )
-    rows += [
-        [
-            f"the paper, {name}",
-            row["window"],
-            f"{row['parameters']:,}",
-            "no unit",
-            *(row[key] for key in ("rmse", "mae", "dtw")),
-        ]
-        for name, row in PAPER_TABLE_I.items()
-    ]
+            errors = row[unit]
+            scored = (errors["rmse"], errors["mae"], errors["dtw_mae"])
+            rows.append([*label, measure, *map("{:.4f}".format, scored)])
+    for name, row in PAPER_TABLE_I.items():
+        size = f"{row['parameters']:,}"
+        scaled = [row["rmse"], row["mae"], row["dtw"]]
+        rows.append([f"the paper, {name}", row["window"], size, "no unit", *scaled])
     return "\n".join(aligned(rows))
 
 

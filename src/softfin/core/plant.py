@@ -136,8 +136,9 @@ def _tick(plant: Plant, state: State, command: Command) -> tuple[State, Reading]
 def _tick_with_true_force(
     plant: Plant, state: State, command: Command
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    state, reading = _tick(plant, state, command)
-    return state, (reading, plant.true_force(state) if isinstance(plant, TrueForcePlant) else None)
+    state, reading = plant.advance(state, command, 1)
+    true_force = plant.true_force(state) if isinstance(plant, TrueForcePlant) else None
+    return state, (jax.tree.map(lambda x: x[0], reading), true_force)
 
 
 def rest_command(limits: Limits) -> Command:
@@ -158,7 +159,7 @@ def hold_action(
     if own is not None:
         held: tuple[State, Reading] = own(state, command, ticks)
         return held
-    return repeat(lambda state: _tick(plant, state, command), state, ticks)
+    return repeat(partial(_tick, plant, command=command), state, ticks)
 
 
 def hold_action_with_true_force(
@@ -169,7 +170,7 @@ def hold_action_with_true_force(
     if not isinstance(plant, TrueForcePlant):
         state, reading = hold_action(plant, state, command, ticks)
         return state, (reading, None)
-    return repeat(lambda state: _tick_with_true_force(plant, state, command), state, ticks)
+    return repeat(partial(_tick_with_true_force, plant, command=command), state, ticks)
 
 
 def repeat(

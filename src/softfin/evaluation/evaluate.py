@@ -4,7 +4,7 @@ as one folder."""
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +18,10 @@ from softfin.control.references import resolve_reference
 from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.core.randomness import named_key
-from softfin.core.window import CONFIDENCE, interval
+from softfin.core.window import CONFIDENCE
 from softfin.evaluation.experiment import (
     MIN_SECONDS,
     EvaluationTarget,
@@ -29,7 +30,12 @@ from softfin.evaluation.experiment import (
     run_together,
 )
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
-from softfin.evaluation.moving_references import MovingScores, moving_together, plan_moving
+from softfin.evaluation.moving_references import (
+    MovingPlan,
+    MovingScores,
+    moving_together,
+    plan_moving,
+)
 from softfin.evaluation.range_errors import MAX_RANDOM, ErrorMap, map_errors, random_errors
 from softfin.evaluation.results import (
     AxisScores,
@@ -37,7 +43,7 @@ from softfin.evaluation.results import (
     MeanScores,
     RandomErrors,
     ReferenceScores,
-    add_reading_error,
+    score_keys,
 )
 from softfin.evaluation.scores import (
     STILL_RAD_S,
@@ -125,10 +131,8 @@ class Evaluation:
         """Return conditions, scores by reference and their mean; the first part of what
         `write_evaluation` writes."""
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
-        head = artifacts.head("evaluation")
-        summary: EvaluationSummary = {
-            "kind": head["kind"],
-            "format": head["format"],
+        summary = cast(EvaluationSummary, artifacts.head("evaluation"))
+        summary |= {
             "conditions": {
                 "duration_s": self.config.seconds,
                 "seeds": self.repetitions,
@@ -146,7 +150,7 @@ class Evaluation:
                 self._reference_scores(index) for index in range(len(self.config.references))
             ],
             "mean": mean_scores(jax.tree.map(lambda field: field.mean(axis=0), self.scores)),
-            "warning": "; ".join([*self.warnings, *([uncertain] if uncertain else [])]) or None,
+            "warning": "; ".join(filter(None, (*self.warnings, uncertain))) or None,
         }
         if self.moving:
             summary["moving"] = [row for moving in self.moving for row in moving.rows]
@@ -184,23 +188,11 @@ def mean_scores(scores: Scores) -> MeanScores:
 
 
 def _axis_scores(scores: Scores, axis: int) -> AxisScores:
-    error = scores.error[:, axis]
-    std = scores.std[:, axis]
-    raw_std = scores.raw_std[:, axis]
-    row: AxisScores = {
-        "error_n": float(error.mean()),
-        "error_interval_n": interval(error),
-        "error_seeds_n": error.tolist(),
-        "std_n": float(std.mean()),
-        "std_interval_n": interval(std),
-        "std_seeds_n": std.tolist(),
-        "raw_std_n": float(raw_std.mean()),
-        "raw_std_interval_n": interval(raw_std),
-        "raw_std_seeds_n": raw_std.tolist(),
-    }
-    if scores.reading_error is not None:
-        add_reading_error(row, scores.reading_error[:, axis])
-    return row
+    row: JsonObject = {}
+    for name in ("error", "std", "raw_std", "reading_error"):
+        values = getattr(scores, name)
+        row |= score_keys(name, None if values is None else values[:, axis])
+    return cast(AxisScores, row)
 
 
 def score_controller(
@@ -224,18 +216,19 @@ def score_controller(
     constant, *moving = run_together(controller, plant, experiments, keys)
     evaluation = score_experiments(constant, plant, config)
     warnings = [warning for _, warning in resolved if warning is not None]
-    points = config.error_map
-    count = config.random
+    for plan in plans:
+        warnings += plan.warnings
+    error_map = random = None
+    if config.error_map is not None:
+        error_map = map_errors(controller, plant, config.error_map, seconds, keys[0])
+    if config.random is not None:
+        random = random_errors(controller, plant, config.random, config.seed, seconds, keys[0])
     return dataclasses.replace(
         evaluation,
-        warnings=(*warnings, *(warning for plan in plans for warning in plan.warnings)),
-        moving=tuple(plan.score(recording) for plan, recording in zip(plans, moving, strict=True)),
-        error_map=None
-        if points is None
-        else map_errors(controller, plant, points, seconds, keys[0]),
-        random=None
-        if count is None
-        else random_errors(controller, plant, count, config.seed, seconds, keys[0]),
+        warnings=tuple(warnings),
+        moving=tuple(map(MovingPlan.score, plans, moving)),
+        error_map=error_map,
+        random=random,
     )
 
 
@@ -255,15 +248,12 @@ def together(each: Sequence[Evaluation]) -> Evaluation:
     means = [jax.tree.map(lambda field: field.mean(axis=1), e.scores) for e in each]
     scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
     estimates = [e.uncertainty for e in each if e.uncertainty is not None]
-    uncertainty = (
-        SurrogateUncertainty(
-            np.mean([estimate.out_of_distribution_fraction for estimate in estimates], axis=0),
-            np.max([estimate.furthest for estimate in estimates], axis=0),
-            np.mean([estimate.half_width for estimate in estimates], axis=0),
+    uncertainty = None
+    if estimates:
+        outside, furthest, half_width = map(np.stack, zip(*estimates, strict=True))
+        uncertainty = SurrogateUncertainty(
+            outside.mean(axis=0), furthest.max(axis=0), half_width.mean(axis=0)
         )
-        if estimates
-        else None
-    )
     warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
     moving = tuple(map(moving_together, zip(*(e.moving for e in each), strict=True)))
     return Evaluation(
@@ -287,14 +277,12 @@ def write_evaluation(
     summary = evaluation.summary()
     config = evaluation.config
     summary["conditions"] |= dict(metadata or {})
-    summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"}) | {
-        "recorded": None
+    recorded = config.recorded and {
+        "rows": len(config.recorded.time_s),
+        "seconds": config.recorded.seconds,
     }
-    if config.recorded is not None:
-        summary["configuration"]["recorded"] = {
-            "rows": len(config.recorded.time_s),
-            "seconds": config.recorded.seconds,
-        }
+    summary["configuration"] = config.model_dump(mode="json", exclude={"recorded"})
+    summary["configuration"]["recorded"] = recorded
     summary["provenance"] = artifacts.provenance(seed=config.seed)
 
     def write(folder: Path) -> None:

@@ -95,47 +95,39 @@ def run(
     A reference is one force, or one per tick, of which the controller observes that of the tick at
     which it acts.
     """
-    asked = np.asarray(references, np.float32)
-    if isinstance(plant, RealTime):
-        return plant.experiments(asked, seconds, len(keys))
-    series = np.broadcast_to(
-        asked[:, None] if asked.ndim == 2 else asked, (len(asked), seconds * RATE_HZ, 2)
-    )
-    starts = np.cumsum([0, *action_ticks(seconds * len(ACTION_TICKS))])[:-1]
-    recorded = _program((controller, jit_argument(plant)), jnp.asarray(series[:, starts]), keys)
-    return ExperimentRecording(references, *recorded)
+    return run_together(controller, plant, [(references, seconds)], keys)[0]
 
 
 def run_together(
     controller: Controller,
     plant: EvaluationTarget,
-    experiments: Sequence[tuple[np.ndarray, int]],
+    experiments: Sequence[tuple[AnyArray, int]],
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
     """Run several sets of references, each with its own duration; in a simulated plant all in one
     program."""
-    if isinstance(plant, RealTime) or len(experiments) == 1:
-        return [
-            run(controller, plant, references, seconds, keys) for references, seconds in experiments
-        ]
-    ticks = max(seconds for _, seconds in experiments) * RATE_HZ
-    asked_series = []
-    for references, _ in experiments:
-        asked = np.asarray(references, np.float32)
+    series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
+    if isinstance(plant, RealTime):
+        return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
+    actions = max(seconds for _, seconds in series) * len(ACTION_TICKS)
+    # Tick at which each action begins, and at which the controller observes the reference.
+    starts = np.cumsum([0, *action_ticks(actions)])[:-1]
+    observed = []
+    for asked, _ in series:
         asked = asked[:, None] if asked.ndim == 2 else asked
-        # After its end the last force is held, and the result is left out below.
-        asked_series.append(
-            np.pad(asked, ((0, 0), (0, ticks - asked.shape[1]), (0, 0)), mode="edge")
-        )
-    whole = run(controller, plant, np.concatenate(asked_series), ticks // RATE_HZ, keys)
+        # Beyond its end the last force is held, and what comes of it is left out below.
+        observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
+    parties = (controller, jit_argument(plant))
+    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)
+    if len(experiments) == 1:
+        return [ExperimentRecording(experiments[0][0], *recorded)]
+    # Each set has its own rows of the references, and the ticks of its own seconds.
     first = 0
     recordings = []
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
-        series = jax.tree.map(
-            lambda x, part=part: x[part], (whole.command, whole.reading, whole.true_force)
-        )
-        recordings.append(ExperimentRecording(references, *series))
+        own = jax.tree.map(lambda x, part=part: x[part], recorded)
+        recordings.append(ExperimentRecording(references, *own))
         first += len(references)
     return recordings
 

@@ -1,12 +1,13 @@
 """Figures of experiments: recordings and errors go in, Matplotlib figures come out."""
 
 import math
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
@@ -45,9 +46,22 @@ def experiments_figure(recording: ExperimentRecording) -> Figure:
         panels = figure.subfigures(rows, columns, squeeze=False).flat
         for index in range(count):
             _draw_experiment(panels[index], recording, index, np.stack([low, high], axis=1))
-        handles, labels = figure.get_axes()[1].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        add_legend(figure, figure.get_axes()[1:2], "outside lower center")
     return figure
+
+
+def add_legend(
+    figure: Figure,
+    panels: Iterable[Axes],
+    place: Literal["outside lower center", "outside upper center"],
+    columns: int | None = None,
+) -> None:
+    """Add one legend for all panels: each label once, all in one row unless `columns` are given."""
+    shown: dict[str, Any] = {}
+    for axes in panels:
+        handles, labels = axes.get_legend_handles_labels()
+        shown |= dict(zip(labels, handles, strict=True))
+    figure.legend(shown.values(), shown.keys(), loc=place, ncols=columns or len(shown))
 
 
 def _draw_experiment(
@@ -98,6 +112,7 @@ def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
     """Draw the angle in the axes of the force: at angle 0 the fin points to the left (-x), at
     positive angles up (+y)."""
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
+    # 90 degrees on both sides, or as much more as is shown, in sectors of 15 degrees.
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
     axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
     axes.set_thetagrids(range(-90, 91, 30))
@@ -115,19 +130,11 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
     rows = math.ceil(len(each) / columns)
     with styled():
         figure = new_figure(6.6 * columns, 0.5 + 5.2 * rows)
-        for panel, (moving, index) in zip(
-            figure.subfigures(rows, columns, squeeze=False).flat, each, strict=False
-        ):
+        panels = figure.subfigures(rows, columns, squeeze=False).flat
+        for panel, (moving, index) in zip(panels, each, strict=False):
             _draw_moving(panel, moving, index)
-        labelled = {
-            label: handle
-            for axes in figure.get_axes()[:3]
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-        }
-        # As many columns as fit the width of one panel.
-        figure.legend(
-            labelled.values(), labelled.keys(), loc="outside lower center", ncols=3 * columns
-        )
+        # As many side by side as one panel is wide for.
+        add_legend(figure, figure.get_axes()[:3], "outside lower center", 3 * columns)
     return figure
 
 
@@ -260,15 +267,14 @@ def error_map_figure(errors: ErrorMap) -> Figure:
         figure.colorbar(
             image, ax=panels, label="mean |moving average \N{MINUS SIGN} reference| [N]", shrink=0.9
         )
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        add_legend(figure, panels[:1], "outside lower center")
     return figure
 
 
 def held_figure(recording: ExperimentRecording) -> Figure:
     """Draw the moving average with each reference, at the first seed: both axes in one panel."""
     count = len(recording.reference)
-    columns = min(len(recording.reference), 2)
+    columns = min(count, 2)
     rows = math.ceil(count / columns)
     with styled():
         figure = new_figure(3.1 * columns, 0.6 + 1.3 * rows)
@@ -301,7 +307,5 @@ def held_figure(recording: ExperimentRecording) -> Figure:
             axes.set_xlabel("time [s]")
         for axes in panels[:, 0]:
             axes.set_ylabel("mean [N]")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        shown = dict(zip(labels, handles, strict=True))
-        figure.legend(shown.values(), shown.keys(), loc="outside upper center", ncols=len(shown))
+        add_legend(figure, panels[0, :1], "outside upper center")
     return figure

@@ -7,7 +7,7 @@ come out.
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -18,10 +18,10 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.core.window import interval, moving_error
+from softfin.core.window import moving_error
 from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, independent
 from softfin.evaluation.range_errors import controller_range
-from softfin.evaluation.results import MovingRow, TrackingErrors, add_reading_error
+from softfin.evaluation.results import MovingRow, TrackingErrors, score_keys
 from softfin.evaluation.scores import score, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import (
@@ -204,15 +204,8 @@ def _errors(
     instantaneous_error: float,
     reading_error: Float[np.ndarray, " seeds"] | None,
 ) -> TrackingErrors:
-    row: TrackingErrors = {
-        "error_n": float(error.mean()),
-        "error_interval_n": interval(error),
-        "error_seeds_n": error.tolist(),
-        "instantaneous_error_n": instantaneous_error,
-    }
-    if reading_error is not None:
-        add_reading_error(row, reading_error)
-    return row
+    row = score_keys("error", error) | {"instantaneous_error_n": instantaneous_error}
+    return cast(TrackingErrors, row | score_keys("reading_error", reading_error))
 
 
 def _resolve_signal(

@@ -169,6 +169,7 @@ def draw_references(
     If no cell has an area, because all are single references or lines, they are drawn from with
     equal probability.
     """
+    # Rejection sampling: a cell by its area, a force uniform in it, kept if the fin can make it.
     low, high = (
         np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high")
     )

@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from softfin.core.quantities import AXES, RATE_HZ, Axis
+from softfin.evaluation.figures import add_legend
 from softfin.evaluation.headline import headline, over_seeds
 from softfin.evaluation.paper import (
     PAPER_PRINTED_MEANS,
@@ -196,34 +197,28 @@ def _std_cell(scores: AxisScores) -> Cell:
 def _overview(results: RunResults) -> list[OverviewRow]:
     """Return a row for each controller: mean errors in the plant, with force feedback, and in the
     surrogate; settling times."""
-    parts = [
-        results.get("controllers") or {},
-        results.get("trimmed") or {},
-        results.get("in_surrogate") or {},
-    ]
     rows = []
-    for name in parts[0]:
-        summaries = [part.get(name) for part in parts]
-        errors = [
-            None if summary is None else [_error_cell(summary["mean"][axis]) for axis in AXES]
-            for summary in summaries
-        ]
-        settling = [
-            None if summary is None else _settling(summary.get("moving", []))
-            for summary in summaries[:2]
-        ]
-        rows.append(OverviewRow(name, errors, settling))
+    parts = (results.get("controllers"), results.get("trimmed"), results.get("in_surrogate"))
+    for name in parts[0] or {}:
+        errors: list[list[Cell] | None] = []
+        settling = []
+        for part in parts:
+            summary = (part or {}).get(name)
+            mean = summary and summary["mean"]
+            errors.append(mean and [_error_cell(mean["x"]), _error_cell(mean["y"])])
+            settling.append(summary and _settling(summary.get("moving", [])))
+        rows.append(OverviewRow(name, errors, settling[:2]))
     return rows
 
 
 def _settling(rows: Iterable[MovingRow]) -> str | None:
     """Return the longest settling time of a step at any seed, or that one never settles; None
     without steps."""
-    stepped = [row for row in rows if row["settles"] is not None]
-    if not stepped:
+    times = [row["longest_settling_s"] for row in rows if row["settles"] is not None]
+    if not times:
         return None
-    times = [time for row in stepped if (time := row["longest_settling_s"]) is not None]
-    return "never" if len(times) < len(stepped) else f"{max(times):.1f} s"
+    settled = [time for time in times if time is not None]
+    return f"{max(settled):.1f} s" if settled == times else "never"
 
 
 def _force(reference: Iterable[float | int]) -> str:
@@ -306,8 +301,7 @@ def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
             axes.set_ylabel(f"error {axis} [N]")
         axes.set_xticks(places, [*map(_force, references), "mean"])
         axes.set_xlabel("reference force (x, y) [N]")
-        handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+        add_legend(figure, [axes], "outside upper center")
     return figure
 
 
@@ -320,16 +314,14 @@ def prediction_figure(
     time = start_s + np.arange(len(measured)) / RATE_HZ
     with styled():
         figure = new_figure(9, 4.2)
-        for index, (axes, axis) in enumerate(
-            zip(figure.subplots(2, 1, sharex=True), AXES, strict=True)
-        ):
+        panels = figure.subplots(2, 1, sharex=True)
+        for index, axes in enumerate(panels):
             axes.plot(time, measured[:, index], color="#BBBBBB", linewidth=2.6, label="measured")
             for (name, force), (line, colour) in zip(
                 predicted.items(), (("-", BLUE), ("--", BLACK)), strict=False
             ):
                 axes.plot(time, force[:, index], line, color=colour, label=name, linewidth=1.1)
-            axes.set_ylabel(f"force {axis} [N]")
+            axes.set_ylabel(f"force {AXES[index]} [N]")
         axes.set(xlabel="time [s]", xlim=(time[0], time[-1]))
-        handles, labels = axes.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+        add_legend(figure, [axes], "outside upper center")
     return figure

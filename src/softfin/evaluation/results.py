@@ -203,10 +203,13 @@ class RunResults(TypedDict, total=False):
     provenance: JsonObject
 
 
-def add_reading_error(
-    row: AxisScores | TrackingErrors, errors: Float[np.ndarray, " repetitions"]
-) -> None:
-    """Add the error of the sensor's reading to the scores on one axis [N]."""
-    row["reading_error_n"] = float(errors.mean())
-    row["reading_error_interval_n"] = interval(errors)
-    row["reading_error_seeds_n"] = errors.tolist()
+def score_keys(name: str, values: Float[np.ndarray, " repetitions"] | None) -> JsonObject:
+    """Return the keys of one score on one axis [N]: mean, interval and values; none for a score
+    that there is not."""
+    if values is None:
+        return {}
+    return {
+        f"{name}_n": float(values.mean()),
+        f"{name}_interval_n": interval(values),
+        f"{name}_seeds_n": values.tolist(),
+    }

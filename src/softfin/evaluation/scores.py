@@ -97,8 +97,10 @@ def judged_force(recording: ExperimentRecording) -> str:
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
-    """Return the path length per second [rad/s], sampled at the ends of actions, so that sensor
-    noise does not add to it."""
+    """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds
+    to it."""
+    # The path between the ends of actions, divided by the time between the first and the last of
+    # them.
     ends = np.cumsum(action_ticks(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
@@ -107,6 +109,8 @@ def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batc
 def list_steps(reference: ForceSeries) -> list[tuple[int, int]]:
     """(first tick, one past the last) after each step between two forces that are both held for 2 s
     or more."""
+    # A step is the boundary between two stretches that are each constant for a whole window: only
+    # then does the moving average start and end at the references themselves.
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
     held = [
         (start, stop)
@@ -142,10 +146,12 @@ def _response(
     rise_s: list[float | None] = [None, None]
     overshoot: list[float | None] = [None, None]
     for i in np.flatnonzero(start != to).tolist():
+        # 0 at the reference before the step, 1 at the one after it, whichever way it goes.
         part = (after[:, i] - start[i]) / (to[i] - start[i])
         low, high = (np.flatnonzero(part >= level) for level in (0.1, 0.9))
         rise_s[i] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
         overshoot[i] = 100 * max(float(part.max()) - 1, 0.0)
+    # Window k ends k + 1 ticks after the step; settled is the one after the last outside.
     outside = np.flatnonzero(np.abs(after - to).max(axis=1) > SETTLED_N)
     settled = 0 if not outside.size else int(outside[-1]) + 2
     return {
@@ -202,6 +208,7 @@ def score_uncertainty(
         np.asarray(part)
         for part in _run_members(cast(EnsemblePlant, jit_argument(plant)), commands)
     )
+    # (members, references, windows, 2): the interval is on the mean force over one window.
     means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
     half_width = np.asarray(plant.interval.half_width(means))
     return SurrogateUncertainty(

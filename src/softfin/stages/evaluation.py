@@ -18,7 +18,6 @@ from softfin.evaluation.baselines.baselines import (
 )
 from softfin.evaluation.evaluate import (
     EvaluateConfig,
-    Evaluation,
     score_controller,
     write_evaluation,
 )
@@ -62,26 +61,18 @@ def evaluate(
             )
         # At 0 the sensor's noise is also the tank's own.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)
-    evaluation = evaluate_controller(controller, moving, config or EvaluateConfig(), str(plant))
+    loaded = load_controller(controller)
+    check_limits(loaded.limits, moving.limits, controller, str(plant))
+    evaluation = score_controller(loaded, moving, config or EvaluateConfig())
     if out is None:
         return evaluation.summary()
-    kind = artifacts.load_description(controller, "controller")["controller"]
     metadata = {
         "controller": str(controller),
-        "kind": kind,
+        "kind": loaded.kind,
         "plant": str(plant),
         "randomization": None if widths is None else widths.model_dump(mode="json"),
     }
     return write_evaluation(evaluation, out, metadata, overwrite)
-
-
-def evaluate_controller(
-    controller: Path, plant: EvaluationTarget, config: EvaluateConfig, named: str
-) -> Evaluation:
-    """A controller's experiments on a plant, not yet written."""
-    holding = load_controller(controller)
-    check_limits(holding.limits, Limits(*plant.limits), controller, named)
-    return score_controller(holding, plant, config)
 
 
 def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> None:
@@ -141,24 +132,26 @@ def view(
     config = config or ViewConfig()
     check_view(out, overwrite)
     moving = find_plant(plant)
-    holding = None if controller is None else load_controller(controller)
-    if (holding is None) != (reference is None):
+    if (controller is None) != (reference is None):
         raise ConfigurationError("a controller and a reference belong together; give both or none")
     warnings: list[str] = []
-    if controller is not None and holding is not None and reference is not None:
+    loaded = None
+    if controller is not None and reference is not None:
         if config.random:
             raise ConfigurationError("random commands and a controller at once; give one of them")
-        pairs = [
-            resolve_reference(holding, asked, strict=False)
-            for asked in (reference, *config.next_references)
-        ]
-        reference, *following = (force for force, _ in pairs)
+        loaded = load_controller(controller)
+        forces = []
+        for asked in (reference, *config.next_references):
+            force, warning = resolve_reference(loaded, asked, strict=False)
+            forces.append(force)
+            if warning is not None:
+                warnings.append(warning)
+        reference, *following = forces
         config = config.merged({"next_references": following}, "view")
-        warnings = [warning for _, warning in pairs if warning is not None]
-        check_limits(holding.limits, Limits(*moving.limits), controller, plant_name(plant))
+        check_limits(loaded.limits, moving.limits, controller, plant_name(plant))
     title = view_title(plant_name(plant), config, reference)
     progress("view", 0.0, "")
-    footage = record_footage(moving, config, holding, reference)
+    footage = record_footage(moving, config, loaded, reference)
     draw(footage, out, title, config, lambda done: progress("view", done, ""))
     return {
         "view": str(out),

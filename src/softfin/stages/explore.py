@@ -9,7 +9,6 @@ from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
-from softfin.core.quantities import Limits
 from softfin.explorer.contents import controller_data, outline, plant_data
 from softfin.explorer.page import write_explorer_page
 from softfin.stages.evaluation import check_limits
@@ -45,12 +44,9 @@ def explore(
     data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
     for path, controller in holding.items():
         for name, plant in moving.items():
-            check_limits(controller.limits, Limits(*plant.limits), Path(path), name)
+            check_limits(controller.limits, plant.limits, Path(path), name)
     # A surrogate does not know its fin's size.
     tank = next((plant for plant in moving.values() if isinstance(plant, Tank)), None) or Tank()
-    outlines = {
-        name: outline(plant if isinstance(plant, Tank) else tank) for name, plant in moving.items()
-    }
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
     write_explorer_page(
@@ -61,8 +57,12 @@ def explore(
             for path, controller in holding.items()
         ],
         [
-            {"name": names[name], "outline": outlines[name], **data}
-            for name, data in data_of_plants.items()
+            {
+                "name": names[name],
+                "outline": outline(plant if isinstance(plant, Tank) else tank),
+                **data_of_plants[name],
+            }
+            for name, plant in moving.items()
         ],
     )
     return {

@@ -104,7 +104,7 @@ def collect_live(
         for i in range(count)
     ]
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
-    _check_claim(bags, claim, resume, is_complete=not missing)
+    _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
         # The recordings next to it belong to this collection; the dataset is written when they are
         # complete.
@@ -342,15 +342,13 @@ def _sensor_file(bags: Path, name: str) -> Path:
 
 
 def _sensor_states(bags: Path, names: Sequence[str]) -> JsonObject:
-    """Return the sensor's state at each recorded log; older collections have none."""
+    """Return the sensor's state at each recorded log."""
     files = {name: _sensor_file(bags, name) for name in names}
     return {name: artifacts.read_json(file) for name, file in files.items() if file.exists()}
 
 
 def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
     """Return a warning if the force at rest before a log differs from that before the first log."""
-    if name not in sensor_states:
-        return None
     first_name = next(iter(sensor_states))
     first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
     drift = float(np.linalg.norm(now_n - first_n))
@@ -363,7 +361,7 @@ def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
     )
 
 
-def _check_claim(bags: Path, claim: JsonObject, resume: bool, is_complete: bool) -> None:
+def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> None:
     """Raise ArtifactError if the folder contains other recordings, or finished ones without
     `resume`."""
     state = bags / STATE
@@ -380,15 +378,6 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool, is_complete: bool)
             )
         before = artifacts.read_json(state)
         now = json.loads(artifacts.dump_json(claim))
-        if "sensor" in now["rig"] and "sensor" not in before.get("rig", {}):
-            # Older versions left the sensor out, so nobody can tell whether its axes are still the
-            # same.
-            if not is_complete:
-                raise ArtifactError(
-                    f"{bags}: begun by an older softfin, which did not keep how the sensor was set "
-                    "up; finish it with that version, or give another --out"
-                )
-            del now["rig"]["sensor"]
         check_same(bags, before, now, "give the same options and rig, or another --out")
 
 

@@ -6,7 +6,9 @@ import resource
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import TypeAlias
 
@@ -14,21 +16,22 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
+from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant
 from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ
-from softfin.evaluation.evaluate import Evaluation, together, write_evaluation
+from softfin.evaluation.evaluate import Evaluation, score_controller, together, write_evaluation
 from softfin.evaluation.figures import experiments_figure, held_figure, moving_figure
 from softfin.evaluation.headline import headline
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
-from softfin.learning.controllers import learning_figure
+from softfin.learning.controllers import Curve, learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.controllers import find_gaits, map_forces, train
-from softfin.stages.evaluation import evaluate_controller
+from softfin.stages.evaluation import check_limits
 from softfin.stages.explore import explore, is_shown
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
 from softfin.stages.surrogates import fit
@@ -163,11 +166,8 @@ class _Reproduction:
         metadata = {"plant": plant, "seed": self.seed, "configuration": configuration}
         if resume and artifacts.is_kind(self.out, REPRODUCTION_KIND):
             try:
-                before = {
-                    name: artifacts.load_description(self.out, REPRODUCTION_KIND).get(name)
-                    for name in metadata
-                }
-                check_same(self.out, before, metadata)
+                before = artifacts.load_description(self.out, REPRODUCTION_KIND)
+                check_same(self.out, {name: before.get(name) for name in metadata}, metadata)
             except ArtifactError:
                 if not overwrite:
                     raise
@@ -197,16 +197,20 @@ class _Reproduction:
     ) -> None:
         """Do the work unless its result already exists; `what` describes the result."""
         if not result.exists():
-            start = time.perf_counter(), time.process_time()
-            work(*given, **options, progress=self.begin(name))
-            self.end(name, what, start)
+            with self.timed(name, what):
+                work(*given, **options, progress=self.begin(name))
         else:
             self.stages.append({"stage": name, "what": what, "wall_s": None, "processor_s": None})
 
-    def end(self, name: str, what: str, start: tuple[float, float]) -> None:
-        """Record what a stage made, and its wall time and processor time since `start`."""
-        wall_s = time.perf_counter() - start[0]
-        processor_s = time.process_time() - start[1]
+    @contextmanager
+    def timed(self, name: str, what: str) -> Iterator[None]:
+        """Take down at the end of a stage what it made, and its seconds on the wall and of the
+        processor."""
+        start_s = time.perf_counter()
+        start_processor_s = time.process_time()
+        yield
+        wall_s = time.perf_counter() - start_s
+        processor_s = time.process_time() - start_processor_s
         self.stages.append(
             {"stage": name, "what": what, "wall_s": wall_s, "processor_s": processor_s}
         )
@@ -221,15 +225,16 @@ class _Reproduction:
     @property
     def count(self) -> int:
         """Number of stages."""
-        config = self.config
-        before = 0 if is_surrogate(self.plant) else 3
-        return (
-            before
-            + 2 * (config.gaits is not None)
-            + len(config.policies)
-            + (config.evaluate.trim is not None)
-            + 1
-        )
+        count = 1 + len(self.config.policies)
+        if not is_surrogate(self.plant):
+            # Collect, fit, and evaluate in the surrogate.
+            count += 3
+        if self.config.gaits is not None:
+            # The map, and its gaits as a controller.
+            count += 2
+        if self.config.evaluate.trim is not None:
+            count += 1
+        return count
 
     def learn_surrogate(self) -> JsonObject | None:
         """Collect and fit; Table I."""
@@ -292,11 +297,9 @@ class _Reproduction:
 
     def controller(self, kind: str, seed: int) -> Path:
         """Return the folder of the controller trained from a seed; there is only one for gaits."""
-        return (
-            self.out / kind / f"seed-{seed}"
-            if kind != "gaits" and len(self.seeds) > 1
-            else self.out / kind
-        )
+        if kind == "gaits" or len(self.seeds) == 1:
+            return self.out / kind
+        return self.out / kind / f"seed-{seed}"
 
     def make_page(self) -> None:
         """Write the page to try the controllers of the first seed, if it can simulate a plant of
@@ -306,14 +309,10 @@ class _Reproduction:
         plants = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
         if not plants:
             return
-        start = time.perf_counter(), time.process_time()
+        what = "a page to drag the target force and watch these controllers follow it"
         controllers = [self.controller(kind, self.seed) for kind in self.config.kinds]
-        explore(controllers, self.out / PAGE, plants, overwrite=True)
-        self.end(
-            "explore",
-            "a page to drag the target force and watch these controllers follow it",
-            start,
-        )
+        with self.timed("explore", what):
+            explore(controllers, self.out / PAGE, plants, overwrite=True)
         self.stages[-1]["page"] = PAGE
 
     def evaluate(
@@ -321,34 +320,38 @@ class _Reproduction:
     ) -> Evaluated:
         """Evaluate the controllers of each kind and all seeds on a plant, as one evaluation over
         the seeds."""
-        start = time.perf_counter(), time.process_time()
-        evaluated = Evaluated()
-        target = find_plant(plant)
-        progress = self.begin(folder)
-        changes: JsonObject = {} if trim else {"trim": None}
-        changes |= {} if moving else {"moving": (), "recorded": None}
-        for place, kind in enumerate(self.config.kinds, start=1):
-            each = []
-            for seed in self.seeds:
-                path = self.controller(kind, seed)
-                config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
-                each.append(evaluate_controller(path, target, config, plant))
-            # Not after every seed: the first one takes long, and the others share its program.
-            progress(folder, place / len(self.config.kinds), kind)
-            whole = together(each)
-            repetitions = (
-                "of the plant's noise"
-                if kind == "gaits"
-                else "controllers trained from different seeds"
-            )
-            metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
-            evaluated[kind] = (
-                write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True),
-                whole,
-            )
         where = {str(self.surrogate): "the surrogate", "tank": "the virtual tank"}.get(plant, plant)
         what = f"these controllers tried in {where}"
-        self.end(folder, what + (", with force feedback (--trim)" if trim else ""), start)
+        if trim:
+            what += ", with force feedback (--trim)"
+        evaluated = Evaluated()
+        changes: JsonObject = {} if trim else {"trim": None}
+        if not moving:
+            changes |= {"moving": (), "recorded": None}
+        with self.timed(folder, what):
+            target = find_plant(plant)
+            progress = self.begin(folder)
+            for place, kind in enumerate(self.config.kinds, start=1):
+                each = []
+                for seed in self.seeds:
+                    path = self.controller(kind, seed)
+                    config = self.config.evaluate.model_copy(update=changes | {"seed": seed})
+                    controller = load_controller(path)
+                    check_limits(controller.limits, target.limits, path, plant)
+                    each.append(score_controller(controller, target, config))
+                # Not after every seed: the first one is waited for, the others share its program.
+                progress(folder, place / len(self.config.kinds), kind)
+                whole = together(each)
+                repetitions = (
+                    "of the plant's noise"
+                    if kind == "gaits"
+                    else "controllers trained from different seeds"
+                )
+                metadata = {"controller": kind, "plant": plant, "repetitions": repetitions}
+                evaluated[kind] = (
+                    write_evaluation(whole, self.out / folder / kind, metadata, overwrite=True),
+                    whole,
+                )
         return evaluated
 
     def learning_figures(self) -> dict[str, Figure]:
@@ -360,15 +363,14 @@ class _Reproduction:
         if not logs:
             return {}
 
-        def curve(log: list[JsonObject], keys: list[str]) -> tuple[list[int], list[float]]:
-            entries = [entry for entry in log if keys[0] in entry]
-            return [e["step"] for e in entries], [
-                float(np.mean([e[key] for key in keys])) for e in entries
-            ]
-
-        def curves(*names: str) -> dict[str, list[tuple[list[int], list[float]]]]:
-            keys = [[f"seed{seed}/{name}" for name in names] for seed in self.seeds]
-            return {kind: [curve(log, each) for each in keys] for kind, log in logs.items()}
+        def curves(*names: str) -> dict[str, list[Curve]]:
+            found: dict[str, list[Curve]] = {kind: [] for kind in logs}
+            for kind, seed in product(logs, self.seeds):
+                keys = [f"seed{seed}/{name}" for name in names]
+                entries = [entry for entry in logs[kind] if keys[0] in entry]
+                values = [float(np.mean([entry[key] for key in keys])) for entry in entries]
+                found[kind].append(([entry["step"] for entry in entries], values))
+            return found
 
         return {
             "Mean reward a step while exploring": learning_figure(

@@ -65,8 +65,7 @@ def fit(
     )
     opened = open_logs(dataset, logs, progress)
     opened.check_train(str(dataset))
-    # Datasets of softfin before 0.2 have "accepted" in place of "ignore_errors".
-    were_ignored = True in (description.get("ignore_errors"), description.get("accepted"))
+    were_ignored = description.get("ignore_errors") is True
     opened.check_issues(str(dataset), ignore_errors or were_ignored)
     metadata = {
         "configuration": config.model_dump(mode="json"),

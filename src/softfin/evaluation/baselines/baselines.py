@@ -84,23 +84,18 @@ def evaluate_baselines(
     left_out: dict[str, str] = {}
     nothing: list[JsonObject] = [{} for _ in references]
 
-    def add(name: str, evaluation: Evaluation, commanded: list[JsonObject]) -> None:
-        summaries[name] = evaluation.summary()
+    def add_commands(name: str, commands: Command, commanded: list[JsonObject]) -> None:
+        summaries[name] = evaluate_commands(plant, commands, config.experiments).summary()
         for row, words in zip(summaries[name]["references"], commanded, strict=True):
             row["commanded"] = words
-
-    def add_commands(name: str, commands: Command, commanded: list[JsonObject]) -> None:
-        add(name, evaluate_commands(plant, commands, config.experiments), commanded)
 
     def add_sines(name: str, sine: ShaftSine, more: list[JsonObject]) -> None:
         command, *clipped = sine.commands(limits, seconds * RATE_HZ)
         keys = ("centre_rad", "amplitude_rad", "frequency_hz", "angle_clipped", "velocity_clipped")
-        rows = zip(zip(*sine, *clipped, strict=True), more, strict=True)
-        add_commands(
-            name,
-            command,
-            [dict(zip(keys, _rounded(values), strict=True)) | row for values, row in rows],
-        )
+        rows = []
+        for values, row in zip(zip(*sine, *clipped, strict=True), more, strict=True):
+            rows.append(dict(zip(keys, _rounded(values), strict=True)) | row)
+        add_commands(name, command, rows)
 
     report(0.0, "still fin")
     rest = Command(

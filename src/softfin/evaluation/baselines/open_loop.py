@@ -71,6 +71,7 @@ class ShaftSine(NamedTuple):
         # The command of a tick affects the reading at its end.
         turn = 2 * jnp.pi * frequency * (jnp.arange(ticks) + 1) * TICK_S
         angle = centre + amplitude * jnp.sin(turn)
+        # |d angle / dt| = 2 pi f A |cos(2 pi f t)|, at most 2 pi f A.
         fastest = 2 * jnp.pi * frequency * amplitude
         outside = (angle < limits.angle_min - ROUNDING) | (angle > limits.angle_max + ROUNDING)
         too_fast = fastest * jnp.abs(jnp.cos(turn)) > limits.velocity_max + ROUNDING
@@ -210,6 +211,8 @@ class OpenLoopSearch(NamedTuple):
         low, high = np.array(
             [(self.limits.angle_min, 0.0), (self.limits.angle_max, config.amplitude_max_rad)]
         )
+        # Distance of neighbours in the lattice of centres and amplitudes, whose amplitudes leave
+        # out 0, at which all sines are one.
         step = (high - low) / [config.centres - 1, config.amplitudes]
         centres = np.linspace(low[0], high[0], config.centres)
         amplitudes = np.linspace(low[1], high[1], config.amplitudes + 1)[1:]
@@ -220,12 +223,15 @@ class OpenLoopSearch(NamedTuple):
         for _ in range(config.refinements):
             step = step / 2
             near = []
+            # The best sines of each reference, each with its 5 x 5 neighbours, whose frequency is
+            # its own.
             for points, error in tried:
                 best = points[np.argsort(error)[: config.kept]].repeat(len(OFFSETS), axis=0)
                 best[:, :2] = np.clip(
                     best[:, :2] + np.tile(OFFSETS * step, (len(best) // len(OFFSETS), 1)), low, high
                 )
                 near.append(best)
+            # All references in one call, so that one program serves them.
             forces = np.split(
                 self.forces_of_sines(np.concatenate(near)),
                 np.cumsum([len(new) for new in near])[:-1],
@@ -265,6 +271,7 @@ class OpenLoopSearch(NamedTuple):
         )
         # At angle 0 thrust is along x. The first window shows how the fin starts.
         force = forces[:, 2 * RATE_HZ :, 0].mean(axis=1, dtype=np.float64)
+        # F = K f^2 (1 - cos A) (`softfin.gaits.inverse_model`): K by least squares.
         unit = frequency**2 * (1 - np.cos(amplitude))
         constant = float(unit @ force / (unit @ unit))
         if not constant > 0:

@@ -100,13 +100,11 @@ def develop(
     reading, shape, true_force = shots
     name = type(plant).__name__
     fin = TankConfig().fin
-    series = {f"reading.{field}": values for field, values in reading._asdict().items()}
-    if true_force is not None:
-        series["true_force"] = true_force
-    for field, values in series.items():
-        if not np.isfinite(values).all():
+    for field, values in [*reading._asdict().items(), ("true_force", true_force)]:
+        if values is not None and not np.isfinite(values).all():
+            read = field if values is true_force else f"reading.{field}"
             raise PlantError(
-                f"{name}: {field} is not finite; softfin.testing.check_plant says where"
+                f"{name}: {read} is not finite; softfin.testing.check_plant says where"
             )
     has_shape = shape is not None
     if has_shape and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
@@ -120,6 +118,7 @@ def develop(
         tip = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
         shape = np.stack([np.zeros_like(tip), tip], axis=1)
     length = float(np.linalg.norm(np.diff(shape[0], axis=0), axis=1).sum())
+    # That of the default fin, in proportion to the length.
     thickness = fin.thickness(np.linspace(0, fin.length_m, shape.shape[1])) * length / fin.length_m
     return Footage(
         command=command,
@@ -186,6 +185,8 @@ def choose_scale(
         # At least half a newton, so that the noise of a fin at rest is not magnified.
         force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
         mean_n = force_n if footage.reference is None else max(mean_n, 0.25)
+    # The longest arrow is a fixed part of the fin's length. Means are drawn longer than forces,
+    # never shorter.
     per_newton = LONGEST * length / force_n
     per_mean_newton = max(MEAN_LONGEST * length / mean_n, per_newton)
     seen = np.array([[-length, -length], [LONGEST * length, length]])

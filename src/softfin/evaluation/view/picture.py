@@ -5,6 +5,7 @@ Footage goes in, images of ``(height, width, 3)`` bytes come out; `files` writes
 EpisodeFilm draws an episode of the Gymnasium environment while it runs.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, cast
@@ -123,35 +124,33 @@ class Picture:
         def mean(tick: int) -> Any:
             return self.footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
 
-        def arrow(
-            vector: Callable[[int], Any], metres: float, width: float, tick: int
-        ) -> OutlinePoints:
-            return arrow_outline(np.asarray(vector(tick) * metres, float), width * ARROW * length)
+        def add_arrow(
+            colour: str,
+            vector: Callable[[int], Any],
+            metres: float,
+            width: float = 1.0,
+            alpha: float = 1.0,
+        ) -> Polygon:
+            def outline(tick: int) -> OutlinePoints:
+                arrow = np.asarray(vector(tick) * metres, float)
+                return arrow_outline(arrow, width * ARROW * length)
 
-        for ago, alpha in zip(
-            (*TRAIL_TICKS, 0), (*np.linspace(0.16, 0.04, len(TRAIL_TICKS)), 1.0), strict=True
-        ):
+            return self._add_polygon(axes, colour, outline, alpha)
+
+        # The longer ago, the fainter; the fin itself last, over them.
+        for ago, alpha in zip(TRAIL_TICKS, np.linspace(0.16, 0.04, len(TRAIL_TICKS)), strict=True):
             self._add_polygon(axes, FIN, partial(fin, ago), float(alpha))
-        per_newton = scale.metres_per_newton
+        self._add_polygon(axes, FIN, partial(fin, 0))
         per_mean = scale.metres_per_mean_newton
-        arrows = {
-            "asked": (
-                ORANGE,
-                1.0,
-                partial(arrow, lambda tick: self.footage.reference[tick], per_mean, 1.0),
-            ),
-            "force": (
-                BLUE,
-                0.9,
-                partial(arrow, lambda tick: self.footage.force[tick], per_newton, 1.0),
-            ),
-            "mean": (BLACK, 1.0, partial(arrow, mean, per_mean, 0.5)),
-        }
-        self.arrows = {
-            name: self._add_polygon(axes, colour, outline, alpha)
-            for name, (colour, alpha, outline) in arrows.items()
-            if name != "asked" or footage.reference is not None
-        }
+        self.arrows = {}
+        if footage.reference is not None:
+            self.arrows["asked"] = add_arrow(
+                ORANGE, lambda tick: self.footage.reference[tick], per_mean
+            )
+        self.arrows["force"] = add_arrow(
+            BLUE, lambda tick: self.footage.force[tick], scale.metres_per_newton, alpha=0.9
+        )
+        self.arrows["mean"] = add_arrow(BLACK, mean, per_mean, width=0.5)
         shaft = Circle((0, 0), 0.025 * length, facecolor="white", edgecolor=BLACK, linewidth=1.4)
         self._moving.append((axes.add_patch(shaft), lambda tick: None))
         corner: dict[str, Any] = {"transform": axes.transAxes, "fontsize": 10}
@@ -190,24 +189,19 @@ class Picture:
     def _draw_traces(self, panels: Sequence[Axes]) -> None:
         for axes in panels:
             cursor = axes.axvline(0, color=BLACK, linewidth=0.9)
-            self._moving.append(
-                (cursor, partial(lambda line, tick: line.set_xdata([(tick + 1) * TICK_S]), cursor))
-            )
+            self._moving.append((cursor, partial(_move_cursor, cursor)))
         angle, *forces = panels
-        self._trace(angle, lambda footage: footage.command.angle, ORANGE, 1.3, style="steps-pre")
-        self._trace(angle, lambda footage: footage.reading.angle, BLUE, 1.3)
+        self._trace(angle, ORANGE, 1.3, "command.angle", style="steps-pre")
+        self._trace(angle, BLUE, 1.3, "reading.angle")
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
         # A true force is not a measurement.
         is_read = self.footage.true_force is None
         force, blue = ("force", "measured") if is_read else ("true force", "angle, true force")
         for i, axes in enumerate(forces):
             if self.footage.reference is not None:
-                asked = partial(lambda i, footage: footage.reference[:, i], i)
-                self._trace(axes, asked, ORANGE, 1.6, style="steps-pre")
-            self._trace(axes, partial(lambda i, footage: footage.force[:, i], i), BLUE, 0.9)
-            self._trace(
-                axes, partial(lambda i, footage: footage.average[:, i], i), BLACK, 1.8, WINDOW - 1
-            )
+                self._trace(axes, ORANGE, 1.6, "reference", i, style="steps-pre")
+            self._trace(axes, BLUE, 0.9, "force", i)
+            self._trace(axes, BLACK, 1.8, "average", i, start=WINDOW - 1)
             axes.set(ylabel=f"{force} {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, self._seconds)
@@ -231,25 +225,29 @@ class Picture:
     def _trace(
         self,
         axes: Axes,
-        values: Callable[[Footage], Any],
         colour: str,
         width: float,
+        series: str,
+        column: int | None = None,
         start: int = 0,
-        *,
         style: str = "default",
     ) -> None:
-        """Draw the past of a series, and all of it in a lighter colour if it is known; `start` is
-        its first tick."""
+        """Draw a series of the footage, or a column of one: what has passed in full, and the whole
+        of it faint, where that is known; `start` is its first tick."""
+
+        def values() -> Any:
+            chosen = operator.attrgetter(series)(self.footage)
+            return chosen if column is None else chosen[:, column]
 
         def times(series: Any) -> Any:
             return (np.arange(len(series)) + start + 1) * TICK_S
 
         def update(tick: int) -> None:
-            passed = values(self.footage)[: max(tick + 1 - start, 0)]
+            passed = values()[: max(tick + 1 - start, 0)]
             line.set_data(times(passed), passed)
 
         if not self._growing:
-            whole = values(self.footage)
+            whole = values()
             axes.plot(
                 times(whole), whole, color=colour, linewidth=width, alpha=0.25, drawstyle=style
             )
@@ -318,6 +316,10 @@ class EpisodeFilm:
         return self._picture.frame(-1)
 
 
+def _move_cursor(cursor: Line2D, tick: int) -> None:
+    cursor.set_xdata([(tick + 1) * TICK_S])
+
+
 def _filling(x: AxisRange, y: AxisRange) -> tuple[AxisRange, AxisRange]:
     """Return both ranges; the one that is too short for the shape of the panel is extended at both
     ends."""
@@ -330,6 +332,7 @@ def _filling(x: AxisRange, y: AxisRange) -> tuple[AxisRange, AxisRange]:
 
 def smooth(points: OutlinePoints) -> Float[np.ndarray, "pieces 2"]:
     """Return a curve through the points (Catmull and Rom 1974)."""
+    # A cubic through each point whose slope there is that between its neighbours.
     places = np.arange(len(points))
     curve = CubicHermiteSpline(places, points, np.gradient(points, axis=0))
     return np.asarray(curve(np.linspace(0, places[-1], places[-1] * PIECES + 1)))
@@ -342,10 +345,13 @@ def fin_outline(
     a rounded tip."""
     line = smooth(middle)
     half = np.interp(np.linspace(0, 1, len(line)), np.linspace(0, 1, len(thickness)), thickness) / 2
+    # Unit tangents, and normals a quarter turn to the left of them.
     along = np.gradient(line, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
     offset = half[:, None] * normal
+    # Half a circle from the left edge round the tip to the right one, without its two ends, which
+    # the edges have.
     turn = np.linspace(np.pi / 2, -np.pi / 2, 9)[1:-1, None]
     tip = line[-1] + half[-1] * (np.sin(turn) * normal[-1] + np.cos(turn) * along[-1])
     return np.concatenate([line + offset, tip, (line - offset)[::-1]])
@@ -357,6 +363,7 @@ def arrow_outline(vector: Float[np.ndarray, "2"], width_m: float) -> Float[np.nd
     length = float(np.linalg.norm(vector))
     along = vector / length if length > 0 else np.zeros(2)
     head = min(3.2 * width_m, 0.6 * length)
+    # One side from the shaft to the tip, along and across; the other side is its mirror image.
     far, wide = np.array([(0, 0.5), (length - head, 0.5), (length - head, 1.5), (length, 0)]).T[
         :, :, None
     ]
