@@ -115,7 +115,7 @@ def run_together(
     observed = []
     for asked, _ in series:
         asked = asked[:, None] if asked.ndim == 2 else asked
-        # Beyond its end the last force is held, and what comes of it is left out below.
+        # After its end the last force is held, and the result is left out below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     parties = (controller, jit_argument(plant))
     recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)

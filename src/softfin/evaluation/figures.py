@@ -133,7 +133,7 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
         panels = figure.subfigures(rows, columns, squeeze=False).flat
         for panel, (moving, index) in zip(panels, each, strict=False):
             _draw_moving(panel, moving, index)
-        # As many side by side as one panel is wide for.
+        # As many columns as fit the width of one panel.
         add_legend(figure, figure.get_axes()[:3], "outside lower center", 3 * columns)
     return figure
 

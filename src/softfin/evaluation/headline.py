@@ -83,7 +83,7 @@ def greatest_error(row: MeanScores) -> float:
 
 def within(error_n: float) -> str:
     """Return a bound with two decimals that the error does not exceed."""
-    # Rounded first, so that 0.07 N, which is 7.000000000000001 hundredths, is not called 0.08.
+    # Rounded first, so that 0.07 N, which is 7.000000000000001 hundredths, does not become 0.08.
     return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
 
 

@@ -97,10 +97,8 @@ def judged_force(recording: ExperimentRecording) -> str:
 
 
 def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
-    """Path length a second [rad/s], from one action's end to the next, so that no sensor noise adds
-    to it."""
-    # The path between the ends of actions, divided by the time between the first and the last of
-    # them.
+    """Return the path length per second [rad/s], sampled at the ends of actions, so that sensor
+    noise does not add to it."""
     ends = np.cumsum(action_ticks(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))

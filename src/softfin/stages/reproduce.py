@@ -339,7 +339,7 @@ class _Reproduction:
                     controller = load_controller(path)
                     check_limits(controller.limits, target.limits, path, plant)
                     each.append(score_controller(controller, target, config))
-                # Not after every seed: the first one is waited for, the others share its program.
+                # Not after every seed: the first one takes long, and the others share its program.
                 progress(folder, place / len(self.config.kinds), kind)
                 whole = together(each)
                 repetitions = (
