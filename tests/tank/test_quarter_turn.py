@@ -1,5 +1,5 @@
 """The bend of the fin with the greatest thrust lags a quarter turn, as Park et al. (2012) measured
-(docs/tank.md)."""
+(docs/appendix/tank.md)."""
 
 import runpy
 

@@ -28,8 +28,8 @@ class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.
 
     Velocity, acceleration, dead time and lag come from a calibration against the published fin
-    (docs/tank.md); motor and gearbox are catalogue values for a reduction of 111:1, which is
-    assumed.
+    (docs/appendix/tank.md); motor and gearbox are catalogue values for a reduction of 111:1, which
+    is assumed.
     """
 
     slowest_rad_s: float = Field(1.0, gt=0)

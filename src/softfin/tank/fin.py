@@ -5,7 +5,7 @@ The first joint holds the fin on the shaft and transmits its load. One time step
 structural damping, the water's resistance and the shaft by the implicit midpoint rule, and the
 remaining nonlinearity at a midpoint predicted from the last accelerations: second order in the
 step, one linear solve. No stiffness and no damping makes it unstable, but a large rotation in one
-step does (docs/tank.md, "Step of time").
+step does (docs/appendix/tank.md, "Step of time").
 """
 
 from collections.abc import Callable
@@ -30,8 +30,8 @@ class FinConfig(Configuration):
     """Geometry and material; thickness and span change linearly from root to tip.
 
     Length, bracket, modulus and damping come from a calibration against the published fin
-    (docs/tank.md); span and thickness were fixed, because no recording can separate them from
-    modulus and drag.
+    (docs/appendix/tank.md); span and thickness were fixed, because no recording can separate them
+    from modulus and drag.
     """
 
     plates: int = Field(8, ge=1, le=32)

@@ -35,8 +35,8 @@ from softfin.tank.sensor import remaining
 class WaterConfig(Configuration):
     """The water, the coefficients of its loads, and its memory.
 
-    Drag and stream come from a calibration against the published fin (docs/tank.md); added mass,
-    tip, friction are theory.
+    Drag and stream come from a calibration against the published fin (docs/appendix/tank.md); added
+    mass, tip, friction are theory.
     """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
