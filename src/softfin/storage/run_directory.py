@@ -175,7 +175,7 @@ class RunLog:
 
     def write(self, step: int, **scalars: float) -> None:
         """Append the scalars of one step; non-finite ones as null."""
-        numbers = jax.tree.map(float, scalars)
+        numbers = {name: float(value) for name, value in scalars.items()}
         entry = artifacts.plain({"step": step, **numbers})
         try:
             with self.path.open("a") as file:
