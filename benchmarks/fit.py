@@ -35,8 +35,8 @@ def training_flops(config: NetworkConfig) -> int:
     if config.layers[0].kind == "lstm":
         # Of an LSTM only the products with the data have no gradient to pass on; those with its own
         # past do.
-        steps, features = config.examples()[0]
-        first = 2 * config.layers[0].units * features * (3 + 4 * (steps - 1))
+        steps = len(config.channels)
+        first = 2 * config.layers[0].units * config.window * (3 + 4 * (steps - 1))
     return 3 * config.flops() - first
 
 

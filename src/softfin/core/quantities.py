@@ -81,6 +81,18 @@ class Log(NamedTuple):
     command: Command
     reading: Reading
 
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.reading.time)
+
+    @property
+    def channels(self) -> tuple[AnyArray, ...]:
+        """Everything except the time, ``(rows,)`` each: command angle and velocity, angle,
+        velocity, force x and y, the order of the columns in a log's file."""
+        _, angle, velocity, force = self.reading
+        return (*self.command, angle, velocity, *np.moveaxis(np.asarray(force), -1, 0))
+
 
 MAX_ANGLE_RAD = 2 * np.pi
 """A fin turns at most one revolution in either direction."""

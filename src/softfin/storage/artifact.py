@@ -9,7 +9,6 @@ without them.
 
 import contextlib
 import importlib.metadata
-import itertools
 import json
 import math
 import os
@@ -96,9 +95,8 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     """
     check_vacant(path, overwrite)
     path = path.resolve()
-    beside, before = (
-        path.with_name(f".{path.name}.{os.getpid()}.{word}") for word in ("partial", "before")
-    )
+    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    before = beside.with_suffix(".before")
     try:
         shutil.rmtree(beside, ignore_errors=True)
         beside.mkdir(parents=True)
@@ -121,13 +119,13 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     except (OSError, ArtifactError) as error:
         if before.exists():
             before.rename(path)
-        names = (path.with_name(f"{path.name}.finished-{number}") for number in itertools.count(1))
-        kept = beside.rename(next(name for name in names if not name.exists()))
-        reason = (
-            f"cannot be written ({error.strerror or error})"
-            if isinstance(error, OSError)
-            else "is in use by now"
-        )
+        number = 1
+        while (kept := path.with_name(f"{path.name}.finished-{number}")).exists():
+            number += 1
+        beside.rename(kept)
+        reason = "is in use by now"
+        if isinstance(error, OSError):
+            reason = f"cannot be written ({error.strerror or error})"
         raise RunError(
             f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted"
         ) from None

@@ -15,7 +15,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, Log
 from softfin.storage import artifact as artifacts
 from softfin.storage.log_file import encode_log, read_log
-from softfin.storage.paths import DATASET_PARTS
+from softfin.storage.paths import DATASET_PARTS, list_logs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,21 +47,16 @@ class Dataset:
             )
         for name in sorted(listed.keys() | found.keys()):
             if listed.get(name) != found.get(name):
-                what = (
-                    "missing"
-                    if name not in found
-                    else "new"
-                    if name not in listed
-                    else "truncated or changed"
-                )
+                what = "truncated or changed"
+                if name not in found:
+                    what = "missing"
+                elif name not in listed:
+                    what = "new"
                 raise ArtifactError(
                     f"{path / name}: {what} since dataset.json was written; copy the dataset "
                     "again, or take 'files' out of its dataset.json to take the logs as they are"
                 )
-        train, test = (
-            tuple(path / name for name in found if name.startswith(f"{part}/"))
-            for part in DATASET_PARTS
-        )
+        train, test = map(tuple, list_logs(path))
         if not train:
             raise ArtifactError(
                 f"{path}: holds no training logs; put Parquet logs into {path / 'train'}"
@@ -70,7 +65,7 @@ class Dataset:
 
     def load(self, paths: Sequence[Path]) -> Iterator[Log]:
         """Read logs one by one; raises LogError for a log that cannot be used for training."""
-        return (read_log(path) for path in paths)
+        return map(read_log, paths)
 
 
 def write_dataset(
@@ -104,7 +99,8 @@ def write_dataset(
 def _hash_files(path: Path) -> dict[str, str]:
     """SHA-256 of each log by its name within the folder, in order."""
     hashes = {}
-    for file in sorted(file for part in DATASET_PARTS for file in (path / part).glob("*.parquet")):
+    train, test = list_logs(path)
+    for file in (*test, *train):
         try:
             with file.open("rb") as content:
                 hashes[file.relative_to(path).as_posix()] = hashlib.file_digest(

@@ -64,11 +64,8 @@ def check_format(
             f"{source}: format is {str(number)[:80]!r}; it must be a whole number from 1 on; copy "
             "it again"
         )
-    reads = (
-        f"this softfin reads {newest}"
-        if oldest == newest
-        else f"this softfin reads {oldest} to {newest}"
-    )
+    span = newest if oldest == newest else f"{oldest} to {newest}"
+    reads = f"this softfin reads {span}"
     if number > newest:
         raise error(
             f"{source}: format is {number}, written by a newer softfin; {reads}; update softfin"
@@ -81,9 +78,7 @@ def check_file_format(
     kind: str, metadata: Mapping[Any, Any] | None, source: str, error: type[InputError] = LogError
 ) -> None:
     """Check the number in the metadata of a single file; keys and values are strings or bytes."""
-    found = next(
-        (value for name, value in (metadata or {}).items() if name in (IN_FILE, IN_FILE.encode())),
-        "1",
-    )
+    entries = metadata or {}
+    found = entries.get(IN_FILE, entries.get(IN_FILE.encode(), "1"))
     text = found.decode(errors="replace") if isinstance(found, bytes) else str(found)
     check_format(kind, int(text) if text.isdecimal() else text, source, error)

@@ -45,18 +45,9 @@ def write_log(path: Path, log: Log) -> None:
 def encode_log(log: Log, source: str) -> bytes:
     """Return the bytes of a log's file; raises LogError, with the name `source`, if `read_log`
     would refuse it."""
-    command, reading = log
-    series = (
-        reading.time,
-        *command,
-        reading.angle,
-        reading.velocity,
-        *np.moveaxis(np.asarray(reading.force), -1, 0),
-    )
-    columns = {
-        field.name: np.asarray(values, field.type.to_pandas_dtype())
-        for field, values in zip(SCHEMA, series, strict=True)
-    }
+    columns = {}
+    for field, values in zip(SCHEMA, (log.reading.time, *log.channels), strict=True):
+        columns[field.name] = np.asarray(values, field.type.to_pandas_dtype())
     check_columns(columns, source)
     sink = pa.BufferOutputStream()
     pq.write_table(
@@ -71,18 +62,24 @@ def read_log(path: Path) -> Log:
     do."""
     table = read_parquet(path)
     names = table.schema.names
-    missing = [name for name in SCHEMA.names if name not in names]
-    excess = [name for name in names if name not in SCHEMA.names or names.count(name) > 1]
-    for column, fix in [(missing, "is missing"), (excess, "must not be there, or only once")]:
-        if column:
-            raise LogError(
-                f"{path}: column {column[0]!r} {fix}; it has {names}; a log has "
-                f"{', '.join(SCHEMA.names)}"
-            )
-    for field in SCHEMA:
-        if (kind := table.schema.field(field.name).type) != field.type:
-            raise LogError(f"{path}: column {field.name} is {kind}, must be {field.type}; cast it")
-    columns = {name: table.column(name).to_numpy() for name in SCHEMA.names}
+    problems = [(name, "is missing") for name in SCHEMA.names if name not in names]
+    problems += [
+        (name, "must not be there, or only once")
+        for name in names
+        if name not in SCHEMA.names or names.count(name) > 1
+    ]
+    if problems:
+        column, problem = problems[0]
+        raise LogError(
+            f"{path}: column {column!r} {problem}; it has {names}; a log has "
+            f"{', '.join(SCHEMA.names)}"
+        )
+    columns = {}
+    for name, kind in zip(SCHEMA.names, SCHEMA.types, strict=True):
+        values = table.column(name)
+        if values.type != kind:
+            raise LogError(f"{path}: column {name} is {values.type}, must be {kind}; cast it")
+        columns[name] = values.to_numpy()
     check_columns(columns, str(path))
     time, command_angle, command_velocity, angle, velocity, *force = columns.values()
     return Log(

@@ -53,7 +53,7 @@ def import_extra(*names: str) -> tuple[Any, ...]:
 
 
 def encode_model(
-    model: Any, name: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
+    model: Any, title: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
 ) -> bytes:
     """Return the bytes of a model, checked by onnx, with its metadata and those of its state, whose
     first value is `initial`."""
@@ -62,14 +62,15 @@ def encode_model(
     model.ir_version = IR_VERSION
     model.producer_name = "softfin"
     model.producer_version = version
-    model.graph.name = name
-    whole = {"softfin": version, **metadata, "state": {name: f"{NEXT}{name}" for name in initial}}
-    whole |= {f"initial_{name}": value.tolist() for name, value in initial.items()}
-    texts = {
-        name: value if isinstance(value, str) else json.dumps(value)
-        for name, value in whole.items()
-    }
-    onnx.helper.set_model_props(model, texts)
+    model.graph.name = title
+    properties: dict[str, Any] = {"softfin": version, **metadata, "state": {}}
+    for name, value in initial.items():
+        properties["state"][name] = f"{NEXT}{name}"
+        properties[f"initial_{name}"] = value.tolist()
+    for name, entry in properties.items():
+        if not isinstance(entry, str):
+            properties[name] = json.dumps(entry)
+    onnx.helper.set_model_props(model, properties)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()
     return data
@@ -93,7 +94,6 @@ def keep_model(file: Path, data: bytes, what: str, worst: float, tolerance: floa
         )
     write_file(file, data)
     session = open_session(data)
-    names = tuple(
-        tuple(each.name for each in part) for part in (session.get_inputs(), session.get_outputs())
-    )
-    return Exported(len(data), worst, *names)
+    inputs = tuple(each.name for each in session.get_inputs())
+    outputs = tuple(each.name for each in session.get_outputs())
+    return Exported(len(data), worst, inputs, outputs)

@@ -91,22 +91,24 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
         return _unroll_scan(equation, values)
     inner = params.get("jaxpr", params.get("call_jaxpr"))
     if inner is not None:
-        is_closed = hasattr(inner, "consts")
-        consts = inner.consts if is_closed else ()
-        return _translate(inner.jaxpr if is_closed else inner, consts, values)
-    if all(_is_known(value) for value in values):
+        if hasattr(inner, "consts"):
+            return _translate(inner.jaxpr, inner.consts, values)
+        return _translate(inner, (), values)
+    if all(map(_is_known, values)):
         bind: Callable[..., Any] = equation.primitive.bind
         computed = bind(*values, **params)
         results = computed if equation.primitive.multiple_results else [computed]
-        return [np.asarray(each) for each in results]
+        return list(map(np.asarray, results))
     if name in SAME_OPERANDS:
         return SAME_OPERANDS[name](*map(_variable, values))
+    if name in TRANSLATORS_OF_VALUES:
+        return TRANSLATORS_OF_VALUES[name](equation, *values)
     if name not in TRANSLATORS:
         raise RunError(
             f"ONNX: JAX {importlib.metadata.version('jax')} uses the primitive {name!r}, which "
             "softfin cannot export; use another version of JAX, or report it to softfin's authors"
         )
-    return TRANSLATORS[name](equation, values)
+    return TRANSLATORS[name](equation, *map(_variable, values))
 
 
 def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
@@ -117,25 +119,24 @@ def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
     """
     params = equation.params
     body = params["jaxpr"]
-    num_carried = sum(
-        _rank(out) == inner.ndim
-        for out, inner in zip(equation.outvars, body.out_avals, strict=True)
-    )
-    num_unscanned = sum(
-        _rank(given) == inner.ndim
-        for given, inner in zip(equation.invars, body.in_avals, strict=True)
-    )
+    num_carried = _count_unscanned(equation.outvars, body.out_avals)
+    num_unscanned = _count_unscanned(equation.invars, body.in_avals)
     constants = values[: num_unscanned - num_carried]
     carried = values[num_unscanned - num_carried : num_unscanned]
     scanned = values[num_unscanned:]
     order = range(params["length"])
-    rows: list[list[Value]] = [[] for _ in order]
+    rows = {}
     for index in reversed(order) if params["reverse"] else order:
         now = [_row(value, index) for value in scanned]
         found = _translate(body.jaxpr, body.consts, [*constants, *carried, *now])
         carried = found[:num_carried]
         rows[index] = found[num_carried:]
-    return [*carried, *(_stack(each, 0) for each in zip(*rows, strict=True))]
+    in_order = [rows[index] for index in order]
+    return [*carried, *(_stack(each, 0) for each in zip(*in_order, strict=True))]
+
+
+def _count_unscanned(atoms: Sequence[object], in_body: Sequence[Any]) -> int:
+    return sum(_shape(atom) == inner.shape for atom, inner in zip(atoms, in_body, strict=True))
 
 
 def _is_known(value: Value) -> bool:
@@ -159,10 +160,6 @@ def _shape(atom: Any) -> tuple[int, ...]:
     return shape
 
 
-def _rank(atom: object) -> int:
-    return len(_shape(atom))
-
-
 def _dtype(atom: Any) -> Any:
     return atom.aval.dtype
 
@@ -175,80 +172,64 @@ def _row(value: Value, index: int) -> Value:
 
 
 def _stack(values: Sequence[Value], axis: int) -> Value:
-    if all(_is_known(value) for value in values):
-        return np.stack([np.asarray(value) for value in values], axis)
+    if all(map(_is_known, values)):
+        return np.stack(list(map(np.asarray, values)), axis)
     rows = [op.unsqueeze(_variable(value), _integers([axis])) for value in values]
     return op.concat(rows, axis=axis)
 
 
-def _reshape(equation: JaxprEqn, values: list[Value]) -> Value:
-    return op.reshape(_variable(values[0]), _integers(_shape(equation.outvars[0])))
-
-
-def _broadcast_in_dim(equation: JaxprEqn, values: list[Value]) -> Value:
+def _broadcast_in_dim(equation: JaxprEqn, value: spox.Var) -> spox.Var:
     shape = equation.params["shape"]
-    sizes = [1] * len(shape)
-    places = equation.params["broadcast_dimensions"]
-    for place, size in zip(places, _shape(equation.invars[0]), strict=True):
-        sizes[place] = size
-    value = op.reshape(_variable(values[0]), _integers(sizes))
-    return value if tuple(sizes) == tuple(shape) else op.expand(value, _integers(shape))
+    sizes = np.ones(len(shape), np.int64)
+    sizes[list(equation.params["broadcast_dimensions"])] = _shape(equation.invars[0])
+    value = op.reshape(value, op.const(sizes))
+    return value if tuple(sizes) == shape else op.expand(value, _integers(shape))
 
 
-def _transpose(equation: JaxprEqn, values: list[Value]) -> Value:
-    return op.transpose(_variable(values[0]), perm=equation.params["permutation"])
-
-
-def _concatenate(equation: JaxprEqn, values: list[Value]) -> Value:
-    return op.concat([_variable(value) for value in values], axis=equation.params["dimension"])
-
-
-def _stack_along_axis(equation: JaxprEqn, values: list[Value]) -> Value:
-    return _stack(values, equation.params["axis"])
-
-
-def _slice(equation: JaxprEqn, values: list[Value]) -> Value:
+def _slice(equation: JaxprEqn, value: spox.Var) -> spox.Var:
     params = equation.params
     starts = params["start_indices"]
     axes = range(len(starts))
     steps = params["strides"] or [1] * len(starts)
-    limits = (starts, params["limit_indices"], axes, steps)
-    return op.slice(_variable(values[0]), *(_integers(list(numbers)) for numbers in limits))
+    return op.slice(value, *map(_integers, (starts, params["limit_indices"], axes, steps)))
 
 
-def _dynamic_slice(equation: JaxprEqn, values: list[Value]) -> Value:
+def _dynamic_slice(equation: JaxprEqn, value: spox.Var, *starts: spox.Var) -> spox.Var:
     """Cut out a part; as in JAX, the position is moved so that the part lies inside."""
-    value, *starts = values
     sizes = np.asarray(equation.params["slice_sizes"], np.int64)
-    last_starts = np.asarray(_shape(equation.invars[0]), np.int64) - sizes
-    axes = _integers(list(range(len(sizes))))
+    last_starts = _shape(equation.invars[0]) - sizes
     rows = [op.reshape(_cast(start, np.int64), _integers([1])) for start in starts]
     begin = op.min([op.max([op.concat(rows, axis=0), _integers([0])]), op.const(last_starts)])
-    return op.slice(_variable(value), begin, op.add(begin, op.const(sizes)), axes)
+    end = op.add(begin, op.const(sizes))
+    return op.slice(value, begin, end, _integers(range(len(sizes))))
 
 
-def _split(equation: JaxprEqn, values: list[Value]) -> Results:
+def _split(equation: JaxprEqn, value: spox.Var) -> Results:
     sizes = equation.params["sizes"]
     axis = equation.params["axis"]
-    parts = op.split(_variable(values[0]), _integers(sizes), outputs_count=len(sizes), axis=axis)
-    return list(parts)
+    return list(op.split(value, _integers(sizes), outputs_count=len(sizes), axis=axis))
 
 
-def _tile(equation: JaxprEqn, values: list[Value]) -> Value:
-    return op.tile(_variable(values[0]), _integers(equation.params["reps"]))
+def _argmin(equation: JaxprEqn, value: spox.Var) -> spox.Var:
+    (axis,) = equation.params["axes"]
+    return _cast(op.arg_min(value, axis=axis, keepdims=0), equation.params["index_dtype"])
 
 
-def _gather(equation: JaxprEqn, values: list[Value]) -> Value:
+def _integer_pow(equation: JaxprEqn, value: spox.Var) -> spox.Var:
+    power = equation.params["y"]
+    return op.mul(value, value) if power == 2 else op.pow(value, op.const(np.float32(power)))
+
+
+def _gather(equation: JaxprEqn, value: Value, indices: Value) -> spox.Var:
     """Take whole rows along one axis, at indices that are known while the graph is built."""
-    value, indices = values
     shape = _shape(equation.invars[0])
     numbers = equation.params["dimension_numbers"]
     (axis,) = numbers.start_index_map
-    sizes = tuple(1 if place == axis else size for place, size in enumerate(shape))
-    num_batch_axes = _rank(equation.outvars[0]) - len(shape) + 1
-    num_later_axes = len(shape) - axis - 1
-    first_later_axis = axis + num_batch_axes
-    row_axes = (*range(axis), *range(first_later_axis, first_later_axis + num_later_axes))
+    # One row of the operand is cut out for each index, and its other axes lie around those of the
+    # indices in the result.
+    sizes = (*shape[:axis], 1, *shape[axis + 1 :])
+    rank = len(_shape(equation.outvars[0]))
+    row_axes = (*range(axis), *range(rank - len(shape) + 1 + axis, rank))
     takes_rows = (
         numbers.collapsed_slice_dims == (axis,)
         and numbers.offset_dims == row_axes
@@ -260,49 +241,30 @@ def _gather(equation: JaxprEqn, values: list[Value]) -> Value:
     return op.gather(_variable(value), _integers(places), axis=axis)
 
 
-def _dot_general(equation: JaxprEqn, values: list[Value]) -> Value:
+def _dot_general(equation: JaxprEqn, left: Value, right: Value) -> spox.Var:
     """Multiply matrices ``(batch, rows, sum)`` and ``(batch, sum, columns)``."""
-    (left, right), (left_batch, right_batch) = equation.params["dimension_numbers"]
-    left_shape, right_shape = (_shape(atom) for atom in equation.invars)
-    rows = [axis for axis in range(len(left_shape)) if axis not in (*left, *left_batch)]
-    columns = [axis for axis in range(len(right_shape)) if axis not in (*right, *right_batch)]
+    (left_sum, right_sum), (left_batch, right_batch) = equation.params["dimension_numbers"]
+    left_shape, right_shape = map(_shape, equation.invars)
+    rows = [axis for axis in range(len(left_shape)) if axis not in (*left_sum, *left_batch)]
+    columns = [axis for axis in range(len(right_shape)) if axis not in (*right_sum, *right_batch)]
     num_batches = math.prod(left_shape[axis] for axis in left_batch)
-    num_summed = math.prod(left_shape[axis] for axis in left)
-    first = _arrange(values[0], (*left_batch, *rows, *left), (num_batches, -1, num_summed))
-    second = _arrange(values[1], (*right_batch, *right, *columns), (num_batches, num_summed, -1))
-    return _reshape(equation, [op.matmul(_variable(first), _variable(second))])
+    num_summed = math.prod(left_shape[axis] for axis in left_sum)
+    first = _arrange(left, (*left_batch, *rows, *left_sum), (num_batches, -1, num_summed))
+    second = _arrange(right, (*right_batch, *right_sum, *columns), (num_batches, num_summed, -1))
+    return _reshape(equation, op.matmul(first, second))
 
 
-def _arrange(value: Value, axes: tuple[int, ...], shape: tuple[int, ...]) -> Value:
+def _arrange(value: Value, axes: tuple[int, ...], shape: tuple[int, ...]) -> spox.Var:
     if not isinstance(value, spox.Var):
-        return np.transpose(np.asarray(value), axes).reshape(shape)
-    is_in_order = list(axes) == sorted(axes)
-    return op.reshape(value if is_in_order else op.transpose(value, perm=axes), _integers(shape))
+        # Weights are transposed once, here.
+        return op.const(np.transpose(np.asarray(value), axes).reshape(shape))
+    if list(axes) != sorted(axes):
+        value = op.transpose(value, perm=axes)
+    return op.reshape(value, _integers(shape))
 
 
-def _reduce_sum(equation: JaxprEqn, values: list[Value]) -> Value:
-    return op.reduce_sum(_variable(values[0]), _integers(equation.params["axes"]), keepdims=0)
-
-
-def _argmin(equation: JaxprEqn, values: list[Value]) -> Value:
-    (axis,) = equation.params["axes"]
-    place = op.arg_min(_variable(values[0]), axis=axis, keepdims=0)
-    return _cast(place, equation.params["index_dtype"])
-
-
-def _integer_pow(equation: JaxprEqn, values: list[Value]) -> Value:
-    value = _variable(values[0])
-    power = equation.params["y"]
-    return op.mul(value, value) if power == 2 else op.pow(value, op.const(np.float32(power)))
-
-
-def _select_n(_: JaxprEqn, values: list[Value]) -> Value:
-    condition, if_false, if_true = map(_variable, values)
-    return op.where(condition, if_true, if_false)
-
-
-def _convert_element_type(equation: JaxprEqn, values: list[Value]) -> Value:
-    return _cast(values[0], equation.params["new_dtype"])
+def _reshape(equation: JaxprEqn, value: spox.Var) -> spox.Var:
+    return op.reshape(value, _integers(_shape(equation.outvars[0])))
 
 
 SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
@@ -340,23 +302,29 @@ SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
 }
 """Operators for primitives without parameters."""
 
-TRANSLATORS: Mapping[str, Callable[[JaxprEqn, list[Value]], Results]] = {
+TRANSLATORS: Mapping[str, Callable[..., Results]] = {
     "argmin": _argmin,
     "broadcast_in_dim": _broadcast_in_dim,
-    "concatenate": _concatenate,
-    "convert_element_type": _convert_element_type,
-    "dot_general": _dot_general,
+    "concatenate": lambda equation, *values: op.concat(values, axis=equation.params["dimension"]),
+    "convert_element_type": lambda equation, value: _cast(value, equation.params["new_dtype"]),
     "dynamic_slice": _dynamic_slice,
-    "gather": _gather,
     "integer_pow": _integer_pow,
-    "reduce_sum": _reduce_sum,
+    "reduce_sum": lambda equation, value: op.reduce_sum(
+        value, _integers(equation.params["axes"]), keepdims=0
+    ),
     "reshape": _reshape,
-    "select_n": _select_n,
+    "select_n": lambda _, condition, if_false, if_true: op.where(condition, if_true, if_false),
     "slice": _slice,
     "split": _split,
     "squeeze": _reshape,
-    "stack": _stack_along_axis,
-    "tile": _tile,
-    "transpose": _transpose,
+    "stack": lambda equation, *values: _stack(values, equation.params["axis"]),
+    "tile": lambda equation, value: op.tile(value, _integers(equation.params["reps"])),
+    "transpose": lambda equation, value: op.transpose(value, perm=equation.params["permutation"]),
 }
-"""Translators for the other primitives."""
+"""Translators of an equation and its operands, as variables."""
+
+TRANSLATORS_OF_VALUES: Mapping[str, Callable[..., spox.Var]] = {
+    "dot_general": _dot_general,
+    "gather": _gather,
+}
+"""Translators that make use of operands that are known while the graph is built."""

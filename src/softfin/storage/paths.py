@@ -39,7 +39,8 @@ def find_recordings(path: Path) -> list[Path]:
     if not path.is_dir():
         check_readable(path, LogError, "; give a CSV or Parquet file, or a ROS 2 bag")
     if artifacts.is_kind(path, "dataset"):
-        found = [file for part in DATASET_PARTS for file in sorted((path / part).glob("*.parquet"))]
+        train, test = list_logs(path)
+        found = [*train, *test]
     else:
         found = list(_walk(path, ()))
     if not found:
@@ -48,6 +49,11 @@ def find_recordings(path: Path) -> list[Path]:
             "(.mcap)"
         )
     return found
+
+
+def list_logs(dataset: Path) -> list[list[Path]]:
+    """Return the logs of each part of a dataset, training logs first, sorted by name."""
+    return [sorted((dataset / part).glob("*.parquet")) for part in DATASET_PARTS]
 
 
 def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:

@@ -60,13 +60,11 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
     if ":" in name and not path.exists():
         _import_object(name)
         return partial(_import_object, name, build=True)
-    what = (
-        "holds no surrogate.json"
-        if path.is_dir()
-        else "is not a YAML file"
-        if path.exists()
-        else "does not exist"
-    )
+    what = "does not exist"
+    if path.is_dir():
+        what = "holds no surrogate.json"
+    elif path.exists():
+        what = "is not a YAML file"
     raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
 
 

@@ -98,22 +98,18 @@ class RunDirectory:
             return None
         arrays, metadata = self._read(path)
         expected, structure = _named(like)
-        there, here = (
-            {name: f"{np.asarray(leaf).dtype} {np.shape(leaf)}" for name, leaf in leaves.items()}
-            for leaves in (arrays, expected)
-        )
-        for name in sorted(there | here):
-            if there.get(name) != here.get(name):
+        for name in sorted(arrays | expected):
+            there = _describe_leaf(arrays, name)
+            here = _describe_leaf(expected, name)
+            if there != here:
                 if self.overwrite:
                     return None
-                both = f"{there.get(name, 'missing')} there and {here.get(name, 'missing')} here"
                 raise ArtifactError(
-                    f"{path}: does not fit this training state ({name} is {both}); start "
-                    "again with --overwrite"
+                    f"{path}: does not fit this training state ({name} is {there} there and {here} "
+                    "here); start again with --overwrite"
                 )
-        return jax.tree.unflatten(
-            structure, [jnp.asarray(arrays[name]) for name in expected]
-        ), metadata
+        leaves = [jnp.asarray(arrays[name]) for name in expected]
+        return jax.tree.unflatten(structure, leaves), metadata
 
     def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], JsonObject]:
         """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
@@ -179,10 +175,8 @@ class RunLog:
 
     def write(self, step: int, **scalars: float) -> None:
         """Append the scalars of one step; non-finite ones as null."""
-        entry = {
-            "step": step,
-            **{name: artifacts.plain(float(value)) for name, value in scalars.items()},
-        }
+        numbers = {name: float(value) for name, value in scalars.items()}
+        entry = artifacts.plain({"step": step, **numbers})
         try:
             with self.path.open("a") as file:
                 file.write(json.dumps(entry, allow_nan=False) + "\n")
@@ -190,8 +184,8 @@ class RunLog:
             raise RunError(
                 f"{self.path}: cannot be written ({error.strerror}); make room and --resume"
             ) from None
-        for name, value in scalars.items():
-            self._writer.add_scalar(name, float(value), step)
+        for name, value in numbers.items():
+            self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
         """Flush the event file."""
@@ -222,6 +216,13 @@ def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
 
 
+def _describe_leaf(leaves: dict[str, Any], name: str) -> str:
+    """Return dtype and shape."""
+    if name not in leaves:
+        return "missing"
+    return f"{np.asarray(leaves[name]).dtype} {np.shape(leaves[name])}"
+
+
 def check_same(
     path: Path,
     before: object,
@@ -231,15 +232,20 @@ def check_same(
     """Raise ArtifactError unless the run at a path is the current one; both are described by nested
     mappings."""
     if before != now:
-        was, is_ = (
-            {
-                jax.tree_util.keystr(key, simple=True, separator="."): leaf
-                for key, leaf in jax.tree.leaves_with_path(run)
-            }
-            for run in (before, now)
-        )
+        was = name_leaves(before)
+        is_ = name_leaves(now)
         names = [name for name in sorted(was | is_) if was.get(name) != is_.get(name)]
         differing = ", ".join(
             f"{name} was {was.get(name)!r} and is {is_.get(name)!r}" for name in names[:3]
         )
         raise ArtifactError(f"{path}: belongs to another run ({differing}); {remedy}")
+
+
+def name_path(path: Any) -> str:
+    """Return the name of a leaf of a pytree, such as ``posnet.3.kernel``."""
+    return jax.tree_util.keystr(path, simple=True, separator=".")
+
+
+def name_leaves(tree: PyTree) -> dict[str, Any]:
+    """Return the leaves of a pytree by their names."""
+    return {name_path(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}

@@ -103,19 +103,17 @@ class Scaling(Configuration):
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
         """Return some columns of a log, scaled, as float32."""
         columns = to_columns([log])
-        return np.stack([self.scaled(name, columns[name]) for name in names], axis=1).astype(
-            np.float32
-        )
+        return np.stack([self.scaled(name, columns[name]) for name in names], axis=1)
 
 
 def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
     """Return the columns of logs, one log after the other, by channel name."""
-    each = [
-        (*log.command, log.reading.angle, log.reading.velocity, *np.asarray(log.reading.force).T)
-        for log in logs
-    ]
-    joined = [np.concatenate(parts, dtype=np.float32) for parts in zip(*each, strict=True)]
-    return dict(zip((*COMMAND_COLUMNS, *READINGS), joined, strict=True))
+    return dict(zip((*COMMAND_COLUMNS, *READINGS), stack_channels(logs), strict=True))
+
+
+def stack_channels(logs: Sequence[Log]) -> Float[np.ndarray, "channels rows"]:
+    """Return `Log.channels` of logs, one log after the other, as float32."""
+    return np.concatenate([np.stack(log.channels) for log in logs], axis=1, dtype=np.float32)
 
 
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
@@ -134,10 +132,9 @@ def learnt_from(plant: object) -> JsonObject:
     entries = {name: description.get(name) for name in UNKNOWN}
     # Imported surrogates contain the range of their channels in their scaling.
     if entries["training_range"] is None and (scaling := description.get("scaling")):
-        entries["training_range"] = {
-            name: [scaling[name]["data_min"], scaling[name]["data_max"]]
-            if name in scaling
-            else None
-            for name in READINGS
-        }
+        training_range = {}
+        for name in READINGS:
+            channel = scaling.get(name)
+            training_range[name] = channel and [channel["data_min"], channel["data_max"]]
+        entries["training_range"] = training_range
     return entries

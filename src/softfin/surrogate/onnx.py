@@ -69,7 +69,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
             reading = jax.tree.map(lambda channel: channel.mean(axis=0), each)
             more = {"force_members": each.force[:, 0], "distance": surrogate.distance(after)}
         else:
-            (after, reading) = surrogate.advance(now, command, 1)
+            after, reading = surrogate.advance(now, command, 1)
             more = {}
         own = {name: getattr(reading, name)[0] for name in COMPARED_OUTPUTS}
         return {**own, **more, f"{NEXT}state": ravel_pytree(after[1:])[0]}
@@ -127,16 +127,15 @@ def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarra
     session = open_session(data)
     worst = 0.0
     names = [each.name for each in session.get_outputs()]
+    readings = {name: np.asarray(getattr(reading, name)) for name in COMPARED_OUTPUTS}
     angles, velocities = (np.asarray(part, np.float32) for part in commands)
     for index, (angle, velocity) in enumerate(zip(angles, velocities, strict=True)):
         now = {"command_angle": np.asarray(angle), "command_velocity": np.asarray(velocity)}
         values = session.run(None, now | state)
         found = dict(zip(names, values, strict=True))
         state = {name: found[f"{NEXT}{name}"] for name in state}
-        for name in COMPARED_OUTPUTS:
-            difference = float(
-                np.abs(found[name] - np.asarray(getattr(reading, name)[index])).max()
-            )
+        for name, rows in readings.items():
+            difference = float(np.abs(found[name] - rows[index]).max())
             # NaN also counts as a difference.
             worst = max(worst, difference) if difference == difference else np.inf
     return worst

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, Int, PyTree
 
 from softfin.core.errors import ArtifactError, LogError, RunError
 from softfin.core.quantities import Log
+from softfin.storage.run_directory import name_leaves, name_path
 
 UPDATES_A_CALL = 50
 """Largest number of updates per call of a compiled program, after which progress is shown."""
@@ -69,18 +70,27 @@ def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence
 def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
     """Raise LogError if a log is too short to predict even one row."""
     for index, log in enumerate(logs):
-        if (rows := len(log.reading.time)) <= window:
+        if log.rows <= window:
             raise LogError(
-                f"{part} log {index}: {rows} rows; more than a window of {window} are needed; "
+                f"{part} log {index}: {log.rows} rows; more than a window of {window} are needed; "
                 "record longer"
             )
 
 
+def window_starts(rows: Sequence[int], window: int, first: int = 0) -> Int[np.ndarray, "windows"]:
+    """Return the rows at which windows begin in concatenated logs, from row `first` of each on,
+    with the row after each window inside the same log."""
+    starts = []
+    offset = 0
+    for count in rows:
+        starts.append(np.arange(offset + first, offset + count - window, dtype=np.int32))
+        offset += count
+    return np.concatenate(starts)
+
+
 def name_net_arrays(nets: PyTree) -> dict[str, np.ndarray]:
     """Return the arrays by their paths, such as ``posnet.3.kernel``."""
-    return {
-        _name(path): np.asarray(leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(nets)
-    }
+    return {name: np.asarray(leaf) for name, leaf in name_leaves(nets).items()}
 
 
 def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> Any:
@@ -88,7 +98,8 @@ def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> A
     or does not fit."""
 
     def leaf(path: Any, like: Any) -> Any:
-        array = arrays.get(_name(path))
+        name = name_path(path)
+        array = arrays.get(name)
         if array is None:
             problem = "is missing"
         elif array.shape != like.shape:
@@ -98,12 +109,7 @@ def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> A
         else:
             problem = "is not finite"
         raise ArtifactError(
-            f"{source}: {_name(path)} {problem}, must have {like.shape}; copy the whole folder "
-            "again"
+            f"{source}: {name} {problem}, must have {like.shape}; copy the whole folder again"
         )
 
     return jax.tree_util.tree_map_with_path(leaf, shapes)
-
-
-def _name(path: Any) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator=".")

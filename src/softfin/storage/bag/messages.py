@@ -46,8 +46,13 @@ TYPES = {
 
 FIELDS = {
     JOINT_STATE: ("position.0", "velocity.0"),
-    WRENCH_STAMPED: tuple(
-        f"wrench.{part}.{axis}" for part in ("force", "torque") for axis in "xyz"
+    WRENCH_STAMPED: (
+        "wrench.force.x",
+        "wrench.force.y",
+        "wrench.force.z",
+        "wrench.torque.x",
+        "wrench.torque.y",
+        "wrench.torque.z",
     ),
     FLOAT: ("data",),
 }
@@ -93,14 +98,15 @@ def cdr(
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
     """A message as rosbags serialises it, and the offsets of its values."""
-    names = (
-        {}
-        if kind == FLOAT
-        else {"header.frame_id": frame} | ({"name.0": joint} if kind == JOINT_STATE else {})
-    )
-    marks = {path: 1.0 + index for index, path in enumerate(FIELDS[kind])}
-    data = serialized(kind, {**names, **marks})
-    return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks.values())
+    # Each value has its own mark, 1, 2 and so on, whose bytes are then found in the message.
+    marks = range(1, 1 + len(FIELDS[kind]))
+    values: dict[str, object] = dict(zip(FIELDS[kind], marks, strict=True))
+    if kind != FLOAT:
+        values["header.frame_id"] = frame
+    if kind == JOINT_STATE:
+        values["name.0"] = joint
+    data = serialized(kind, values)
+    return data, tuple(data.index(_NUMBER.pack(mark)) for mark in marks)
 
 
 def serialized(kind: str, values: Mapping[str, object], types: Typestore | None = None) -> bytes:

@@ -38,5 +38,6 @@ def zeros_at(
     """
     if not zeros:
         return np.zeros((len(time), 2))
-    last = np.searchsorted([measured_at for measured_at, _ in zeros], time, side="right") - 1
-    return np.array([zero for _, zero in zeros])[np.maximum(last, 0)]
+    measured_at, forces = zip(*zeros, strict=True)
+    last = np.searchsorted(measured_at, time, side="right") - 1
+    return np.array(forces)[np.maximum(last, 0)]

@@ -26,6 +26,7 @@ from softfin.core.window import interval, moving_average
 from softfin.storage import artifact as artifacts
 from softfin.surrogate.compare.scores import (
     HorizonScores,
+    Segment,
     free_run,
     measured_ranges,
     plan_segments,
@@ -103,19 +104,19 @@ def compare_surrogates(
 ) -> Comparison:
     """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant
     by its name."""
-    first = max(candidate.surrogate.memory for candidate in found)
-    rows = [len(log.reading.time) for log in logs]
+    warm_up = max(candidate.surrogate.memory for candidate in found)
+    rows = [log.rows for log in logs]
     ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
     # The longest horizon comes first, because a log may be too short for it.
-    parts = [(plan_segments(rows, each, first), each) for each in reversed(ticks)][::-1]
+    parts = [(plan_segments(rows, each, warm_up), each) for each in reversed(ticks)][::-1]
     spans = measured_ranges(logs)
     measured = [take(logs, *part) for part in parts]
-    of = len(found) * len(parts) + (noise_floor is not None)
+    num_scorings = len(found) * len(parts) + (noise_floor is not None)
     done = itertools.count(1)
 
     def report(note: str) -> None:
         if progress is not None:
-            progress("compare", next(done) / of, note)
+            progress("compare", next(done) / num_scorings, note)
 
     def run(candidate: Candidate) -> tuple[list[HorizonScores], Reading]:
         surrogate = candidate.surrogate
@@ -129,24 +130,23 @@ def compare_surrogates(
             report(f"{candidate.folder}, {horizon:g} s")
         return scores, reading
 
-    by_group: dict[str, list[Candidate]] = {}
-    for candidate in found:
-        by_group.setdefault(candidate.group, []).append(candidate)
-    seeds = list(by_group.values())
-    models, flops = zip(
-        *((s.model, s.flops_per_tick()) for s in (each[0].surrogate for each in seeds)), strict=True
-    )
-    # Named by its model; if several groups have the same model, also by its first folder.
-    names = [
-        model if models.count(model) == 1 else f"{model} ({members[0].folder})"
-        for model, members in zip(models, seeds, strict=True)
-    ]
-    yardstick = models.index("paper") if "paper" in models else 0
+    seeds = _by_group(found)
+    firsts = [members[0] for members in seeds]
+    models = [first.surrogate.model for first in firsts]
+    # Costs are relative to the paper's networks if they are compared, otherwise to the first group.
+    yardstick = firsts[models.index("paper") if "paper" in models else 0]
+
+    def name_group(first: Candidate) -> str:
+        model = first.surrogate.model
+        return model if models.count(model) == 1 else f"{model} ({first.folder})"
+
     groups = []
     notes = list[str]()
-    for name, members, cost in zip(names, seeds, flops, strict=True):
+    for members in seeds:
+        name = name_group(members[0])
         surrogate = members[0].surrogate
-        (scores, readings) = zip(*map(run, members), strict=True)
+        cost = surrogate.flops_per_tick()
+        scores, readings = zip(*map(run, members), strict=True)
         share, furthest = beyond_limits(members, logs)
         row = {
             "name": name,
@@ -155,7 +155,7 @@ def compare_surrogates(
             "seeds": len(members),
             "parameters": surrogate.parameters(),
             "flops_per_tick": cost,
-            "flops_ratio": cost / flops[yardstick],
+            "flops_ratio": cost / yardstick.surrogate.flops_per_tick(),
             "commands_beyond_training": share,
             "furthest_beyond_training": furthest,
             "horizons": _horizons(config, scores),
@@ -166,13 +166,12 @@ def compare_surrogates(
     if noise_floor is not None:
         name = f"second recording ({noise_floor[0]})"
         whole = run_from_rest(noise_floor[1], logs, named_key(config.seed, "compare/floor"))
-        readings = [take(whole, *part) for part in parts]
-        each = [
-            score_segments(actual, reading, spans)
-            for actual, reading in zip(measured, readings, strict=True)
-        ]
+        scores = []
+        for part, actual in zip(parts, measured, strict=True):
+            reading = take(whole, *part)
+            scores.append(score_segments(actual, reading, spans))
         second = Group(
-            {"name": name, "horizons": _horizons(config, [each])}, each[-1:], readings[-1]
+            {"name": name, "horizons": _horizons(config, [scores])}, scores[-1:], reading
         )
         notes.append(
             f"{name}: its own noise and drift count too: up to sqrt(2) times the error of a "
@@ -181,17 +180,10 @@ def compare_surrogates(
         report(name)
     summary = {
         "horizons_s": list(config.horizons_s),
-        "scored": [
-            {
-                "segments": len(where),
-                "rows": len(where) * each,
-                "rows_left": sum(rows) - len(where) * each,
-            }
-            for where, each in parts
-        ],
+        "scored": [_count_rows(sum(rows), *part) for part in parts],
         "ranges": spans,
         "stated_confidence": COVERAGE,
-        "flops_ratio_to": names[yardstick],
+        "flops_ratio_to": name_group(yardstick),
         "groups": [group.row for group in groups],
         "noise_floor": None if second is None else second.row,
         "notes": notes,
@@ -199,15 +191,28 @@ def compare_surrogates(
     return Comparison(summary, groups, second, measured[-1])
 
 
+def _by_group(found: Sequence[Candidate]) -> list[list[Candidate]]:
+    groups: dict[str, list[Candidate]] = {}
+    for candidate in found:
+        groups.setdefault(candidate.group, []).append(candidate)
+    return list(groups.values())
+
+
+def _count_rows(rows: int, segments: Sequence[Segment], ticks: int) -> dict[str, int]:
+    """Return how many rows of all logs are scored in segments of `ticks`, and how many are not."""
+    used = len(segments) * ticks
+    return {"segments": len(segments), "rows": used, "rows_left": rows - used}
+
+
 def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[JsonObject]:
     """Return the scores at each horizon, as mean and 95% interval over the seeds."""
     rows = []
     for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):
-        values = {name: np.array([seed.scores[name] for seed in each]) for name in each[0].scores}
-        cells = {
-            name: {"mean": float(x.mean()), "interval": interval(x)} for name, x in values.items()
-        }
-        rows.append({"horizon_s": horizon, **cells})
+        row: JsonObject = {"horizon_s": horizon}
+        for name in each[0].scores:
+            values = np.array([seed.scores[name] for seed in each])
+            row[name] = {"mean": float(values.mean()), "interval": interval(values)}
+        rows.append(row)
     return rows
 
 
@@ -242,12 +247,8 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
         group = str(folder.resolve())
         if description.get("configuration") is not None and data is not None:
             # The networks count too, because seeds may have chosen different candidates.
-            parts = [
-                surrogate.model,
-                description["configuration"],
-                description.get("networks"),
-                data,
-            ]
+            networks = description.get("networks")
+            parts = [surrogate.model, description["configuration"], networks, data]
             group = json.dumps(parts, sort_keys=True)
         # A copy would count as a second seed and make the interval too narrow.
         if (which := identity(surrogate)) in seen:

@@ -69,9 +69,10 @@ def plan_segments(rows: Sequence[int], ticks: int, first: int) -> list[Segment]:
                 f"{ticks / RATE_HZ:g} s need "
                 f"{first + ticks}; record longer test logs, or give shorter --horizons"
             )
-    return [
-        (i, row) for i, count in enumerate(rows) for row in range(first, count - ticks + 1, ticks)
-    ]
+    segments = []
+    for index, count in enumerate(rows):
+        segments += [(index, row) for row in range(first, count - ticks + 1, ticks)]
+    return segments
 
 
 def take(records: Sequence[PyTree], segments: Sequence[Segment], ticks: int) -> Any:
@@ -103,18 +104,20 @@ def free_run(
 def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
     """Predict whole logs, row by row, with a plant that starts at rest; NumPy. Raises CommandError
     for commands outside the plant's limits."""
-    rows = [len(log.reading.time) for log in logs]
+    longest = max(log.rows for log in logs)
     issued = []
-    for log, count in zip(logs, rows, strict=True):
+    for log in logs:
         check_commands(plant.limits, log.command)
         # The command before row 0 is in no log; the first command is used for it.
+        padding = (1, longest - log.rows)
         issued.append(
-            Command(*(np.pad(x[:-1], (1, max(rows) - count), mode="edge") for x in log.command))
+            jax.tree.map(lambda x, p=padding: np.pad(x[:-1], p, mode="edge"), log.command)
         )
     states = jax.vmap(plant.init)(jax.random.split(key, len(logs)))
     reading, _ = jax.tree.map(np.asarray, _free_run(plant, states, _stacked(issued)))
     return [
-        Reading(*(field[index, :count] for field in reading)) for index, count in enumerate(rows)
+        jax.tree.map(lambda x, i=index, log=log: x[i, : log.rows], reading)
+        for index, log in enumerate(logs)
     ]
 
 
@@ -156,10 +159,10 @@ def mae(predicted: AnyArray, measured: AnyArray) -> float:
 
 def dtw_mae(predicted: Samples, measured: Samples) -> float:
     """Return the mean absolute difference of one channel after warping; see the module."""
-    series = [np.ascontiguousarray(samples, np.float64) for samples in (predicted, measured)]
-    return float(
-        dtw.distance_fast(*series, window=DTW_BAND, inner_dist="euclidean") / len(predicted)
-    )
+    first = np.ascontiguousarray(predicted, np.float64)
+    second = np.ascontiguousarray(measured, np.float64)
+    distance = dtw.distance_fast(first, second, window=DTW_BAND, inner_dist="euclidean")
+    return float(distance / len(predicted))
 
 
 TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {
@@ -180,29 +183,19 @@ def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> JsonObject:
     if surrogate.scaling is not None:
         scales = {name: channel.scale for name, channel in surrogate.scaling.channels.items()}
     measured = [to_columns([log]) for log in logs]
-    table = {}
+    table: JsonObject = {}
     for name, (channels, series, window, parameters) in surrogate.predictions(logs).items():
-        scores = np.array(
-            [
-                [
-                    [
-                        score(x, actual[channel][-len(x) :])
-                        for channel, x in zip(channels, predicted.T, strict=True)
-                    ]
-                    for score in TABLE_I_SCORES.values()
-                ]
-                for predicted, actual in zip(series, measured, strict=True)
-            ]
-        )
+        scores = np.empty((len(logs), len(TABLE_I_SCORES), len(channels)))
+        for i, (predicted, actual) in enumerate(zip(series, measured, strict=True)):
+            for j, score in enumerate(TABLE_I_SCORES.values()):
+                for k, channel in enumerate(channels):
+                    # Rows before the first whole window have no prediction.
+                    scores[i, j, k] = score(predicted[:, k], actual[channel][-len(predicted) :])
+        table[name] = {"window": window, "parameters": parameters}
         scaled = scores * [scales[channel] for channel in channels]
-        means = {
-            unit: each.mean(axis=(0, 2)).tolist()
-            for unit, each in (("physical", scores), ("scaled", scaled))
-        }
-        rows = {
-            unit: dict(zip(TABLE_I_SCORES, values, strict=True)) for unit, values in means.items()
-        }
-        table[name] = {"window": window, "parameters": parameters, **rows}
+        for unit, values in (("physical", scores), ("scaled", scaled)):
+            means = values.mean(axis=(0, 2)).tolist()
+            table[name][unit] = dict(zip(TABLE_I_SCORES, means, strict=True))
     return table
 
 
@@ -236,44 +229,40 @@ def score_segments(
 ) -> HorizonScores:
     """Score segments, fields ``(segments, ticks)``, as docs/files.md describes; `spans` are
     `measured_ranges`."""
-    pairs = {"angle": (predicted.angle, measured.reading.angle)}
-    pairs |= {
-        f"force_{x}": (predicted.force[..., i], measured.reading.force[..., i])
-        for i, x in enumerate(AXES)
-    }
+    angle = measured.reading.angle
+    force = np.asarray(measured.reading.force)
+    pairs = {"angle": (predicted.angle, angle)}
+    for i, axis in enumerate(AXES):
+        pairs[f"force_{axis}"] = (predicted.force[..., i], force[..., i])
     scores = {}
     distances = []
     for (name, pair), span in zip(pairs.items(), spans.values(), strict=True):
         error = rmse(*pair)
-        distance = np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)])
         scores[f"{name}_rmse_{'rad' if name == 'angle' else 'n'}"] = error
-        with np.errstate(
-            divide="ignore", invalid="ignore"
-        ):  # a channel that never changes has none
-            scores[f"{name}_r2"] = float(
-                1 - np.square(error) / np.var(np.asarray(pair[1], np.float64))
-            )
+        # R^2 = 1 - MSE / variance; a channel that never changes has none.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            variance = np.var(np.asarray(pair[1], np.float64))
+            scores[f"{name}_r2"] = float(1 - np.square(error) / variance)
+        distance = np.mean(list(map(dtw_mae, *pair)))
         distances.append([distance, distance / span])
-    scores |= {
-        "angle_mae_rad": mae(*pairs["angle"]),
-        "force_mae_n": mae(predicted.force, measured.reading.force),
-    }
-    for quantity, unit, some in (("angle", "rad", distances[:1]), ("force", "n", distances[1:])):
-        distance, scaled = np.mean(some, axis=0).tolist()
-        scores |= {f"{quantity}_dtw_mae_{unit}": distance, f"{quantity}_dtw_mae_scaled": scaled}
-    if measured.reading.angle.shape[1] < WINDOW:
+    scores["angle_mae_rad"] = mae(predicted.angle, angle)
+    scores["force_mae_n"] = mae(predicted.force, force)
+    scores["angle_dtw_mae_rad"], scores["angle_dtw_mae_scaled"] = map(float, distances[0])
+    force_distances = np.mean(distances[1:], axis=0).tolist()
+    scores["force_dtw_mae_n"], scores["force_dtw_mae_scaled"] = force_distances
+    if angle.shape[1] < WINDOW:
         return HorizonScores(scores, None, None)
-    mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(
-        np.asarray(measured.reading.force)
-    )
+    mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(force)
     size = np.abs(mean_errors)
-    scores |= {
-        f"mean_force_{axis}_mae_n": float(size[..., i].mean()) for i, axis in enumerate(AXES)
-    }
-    each = {"mae": np.mean(size), "p95": np.quantile(size, 0.95), "worst": np.max(size)}
-    scores |= {f"mean_force_{name}_n": float(value) for name, value in each.items()}
+    for i, axis in enumerate(AXES):
+        scores[f"mean_force_{axis}_mae_n"] = float(size[..., i].mean())
+    scores["mean_force_mae_n"] = float(size.mean())
+    scores["mean_force_p95_n"] = float(np.quantile(size, 0.95))
+    scores["mean_force_worst_n"] = float(size.max())
     if half_widths is not None:
         inside = size <= half_widths
-        scores |= {"coverage": float(inside.mean()), "half_width_n": float(half_widths.mean())}
-        scores |= {f"coverage_{axis}": float(inside[..., i].mean()) for i, axis in enumerate(AXES)}
+        scores["coverage"] = float(inside.mean())
+        scores["half_width_n"] = float(half_widths.mean())
+        for i, axis in enumerate(AXES):
+            scores[f"coverage_{axis}"] = float(inside[..., i].mean())
     return HorizonScores(scores, mean_errors, half_widths)

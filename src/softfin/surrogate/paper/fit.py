@@ -32,6 +32,7 @@ from softfin.surrogate.training import (
     check_lengths,
     hold_out,
     keep_best_nets,
+    window_starts,
 )
 
 
@@ -99,12 +100,10 @@ def fit_paper(
         held_out = Nets(*(_mean_square_error(net, scaling, holding) for net in state.nets))
         state, improved = keep_best_nets(state, losses, held_out, "networks")
         done = {"epoch": epoch + 1, "stale": 0 if improved else done["stale"] + 1}
-        means = {"train": Nets(*np.mean(losses, axis=0)), "held_out": held_out}
-        scalars = {
-            f"{part}/{net}_mse": float(x)
-            for part, nets in means.items()
-            for net, x in nets._asdict().items()
-        }
+        scalars = {}
+        for part, values in (("train", np.mean(losses, axis=0)), ("held_out", held_out)):
+            for net, value in zip(Nets._fields, values, strict=True):
+                scalars[f"{part}/{net}_mse"] = value
         record.write(epoch + 1, **scalars)
         run_directory.save(state, done)
     record.close()
@@ -118,7 +117,7 @@ def split(
     LogError."""
     check_lengths(logs, config.posnet.window, "training")
     training, holding = hold_out(logs, config.held_out)
-    starts = window_starts([len(log.reading.time) for log in training], config.posnet.window)
+    starts = window_starts([log.rows for log in training], config.posnet.window)
     if len(starts) < config.batch:
         raise LogError(
             f"{len(starts)} training windows are fewer than one batch of {config.batch}; record "
@@ -139,10 +138,10 @@ class PaperLearner:
     @jit("none")
     def start(self, key: PRNGKeyArray) -> TrainingState:
         """Fresh weights."""
-        configs = (self.config.posnet, self.config.forcenet)
-        keys = jax.random.split(key)
+        posnet_key, forcenet_key = jax.random.split(key)
         nets = Nets(
-            *(Network.create(config, one) for config, one in zip(configs, keys, strict=True))
+            Network.create(self.config.posnet, posnet_key),
+            Network.create(self.config.forcenet, forcenet_key),
         )
         return TrainingState(
             nets, self.optimiser.init(nets), nets, Nets(*jnp.full(2, jnp.inf, jnp.float32))
@@ -175,28 +174,16 @@ def loss(
     """Return the mean square error of the scaled outputs, summed over both networks, which do not
     depend on each other."""
     window = nets.posnet.config.window
-    inputs = gather(table[:, : 1 + len(COMMAND_COLUMNS)], starts, window)
+    # The columns of the table are `COLUMNS`: angle, commands, forces.
+    num_inputs = 1 + len(COMMAND_COLUMNS)
+    inputs = gather(table[:, :num_inputs], starts, window)
     target = table[starts + window]
     # With one key for both, networks with similar layers would drop the same units.
     posnet_key, forcenet_key = jax.random.split(key)
-    losses = Nets(
-        jnp.mean((nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]) ** 2),
-        jnp.mean(
-            (nets.forcenet(inputs, forcenet_key) - target[:, 1 + len(COMMAND_COLUMNS) :]) ** 2
-        ),
-    )
+    angle_error = nets.posnet(inputs[:, 1:], posnet_key) - target[:, :1]
+    force_error = nets.forcenet(inputs, forcenet_key) - target[:, num_inputs:]
+    losses = Nets(jnp.mean(angle_error**2), jnp.mean(force_error**2))
     return losses.posnet + losses.forcenet, losses
-
-
-def window_starts(rows: Sequence[int], window: int) -> Int[np.ndarray, "windows"]:
-    """Return the rows at which windows begin in concatenated logs, with their target inside the
-    same log."""
-    offsets = np.cumsum([0, *rows[:-1]])
-    parts = [
-        offset + np.arange(max(count - window, 0))
-        for offset, count in zip(offsets, rows, strict=True)
-    ]
-    return np.concatenate(parts).astype(np.int32)
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -97,11 +97,11 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
         values = {"channels": channels, "outputs": outputs, "window": shape[1], "layers": layers}
         config = NetworkConfig.build(values, str(path))
         with h5py.File(content, "r") as file:
-            arrays = {
-                f"{index}.{name}": np.asarray(file[f"{group}/{number}"], np.float32)
-                for index, (group, shapes) in enumerate(zip(groups, config.shapes(), strict=True))
-                for number, name in enumerate(shapes)
-            }
+            arrays = {}
+            for index, (group, shapes) in enumerate(zip(groups, config.shapes(), strict=True)):
+                for number, name in enumerate(shapes):
+                    weights = np.asarray(file[f"{group}/{number}"], np.float32)
+                    arrays[f"{index}.{name}"] = weights
         return Network(config, restored(config.shapes(), arrays, str(path)))
     except SoftfinError:
         raise

@@ -183,20 +183,16 @@ class NetworkConfig(Configuration):
     """Number of past samples that it sees [samples at 100 Hz]; the paper's 1 s."""
     layers: tuple[Layer, ...]
 
-    def examples(self) -> list[Shape]:
-        """Shape of one example before each layer and after the last."""
-        examples: list[Shape] = [(len(self.channels), self.window)]
-        for layer in self.layers:
-            given = layer.shapes(examples[-1]), abstract(1, *examples[-1])
-            examples.append(jax.eval_shape(layer.apply, *given).shape[1:])
-        return examples
-
     def shapes(self) -> tuple[Shapes, ...]:
         """Shapes of each layer's parameters."""
-        return tuple(
-            layer.shapes(example)
-            for layer, example in zip(self.layers, self.examples(), strict=False)
-        )
+        example: Shape = (len(self.channels), self.window)
+        shapes = []
+        for layer in self.layers:
+            shapes.append(layer.shapes(example))
+            # Each layer's output is the next one's input.
+            output = jax.eval_shape(layer.apply, shapes[-1], abstract(1, *example))
+            example = output.shape[1:]
+        return tuple(shapes)
 
     def parameters(self) -> int:
         """Number of trainable parameters."""
@@ -205,17 +201,14 @@ class NetworkConfig(Configuration):
     def flops(self) -> int:
         """Floating-point operations of the matrix products for one window, two per multiply-add."""
         program = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
-        steps = program(self.shapes(), abstract(1, len(self.channels), self.window)).eqns
-        return int(
-            2
-            * sum(
-                step.outvars[0].aval.size
-                * prod(step.invars[0].aval.shape[axis] for axis in contracted)
-                for step in steps
-                if step.primitive.name == "dot_general"
-                for (contracted, _), _ in [step.params["dimension_numbers"]]
-            )
-        )
+        flops = 0
+        for step in program(self.shapes(), abstract(1, len(self.channels), self.window)).eqns:
+            if step.primitive.name == "dot_general":
+                # Each number of the result is a sum over the axes that both factors share.
+                (summed, _), _ = step.params["dimension_numbers"]
+                shape: Any = step.invars[0].aval.shape
+                flops += 2 * step.outvars[0].aval.size * prod(shape[axis] for axis in summed)
+        return int(flops)
 
 
 POSNET = NetworkConfig(
@@ -294,12 +287,10 @@ class Network(eqx.Module):
         }
         layers = []
         for index, (layer, shapes) in enumerate(zip(config.layers, config.shapes(), strict=True)):
-            keys = [
-                jax.random.fold_in(jax.random.fold_in(key, index), number)
-                for number in range(len(shapes))
-            ]
-            each = zip(keys, shapes.items(), strict=True)
-            parameters = {name: draw[name](one, like.shape) for one, (name, like) in each}
+            layer_key = jax.random.fold_in(key, index)
+            parameters = {}
+            for number, (name, like) in enumerate(shapes.items()):
+                parameters[name] = draw[name](jax.random.fold_in(layer_key, number), like.shape)
             if isinstance(layer, LSTM):
                 parameters["bias"] = parameters["bias"].at[layer.units : 2 * layer.units].set(1.0)
             layers.append(parameters)

@@ -76,9 +76,10 @@ class Surrogate(eqx.Module):
     def warm(self, history: Log) -> SurrogateState:
         """Return the state after a recorded history, of which the last `memory` rows are used;
         raises LogError if it is shorter."""
-        if (rows := len(history.reading.time)) < self.memory:
+        if history.rows < self.memory:
             raise LogError(
-                f"{rows} rows of history; this surrogate needs {self.memory} rows to warm up"
+                f"{history.rows} rows of history; this surrogate needs {self.memory} rows to warm "
+                "up"
             )
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
         # The command of the last row is still to come; the oldest command in the state drops out
@@ -119,12 +120,7 @@ class Surrogate(eqx.Module):
         return SurrogateState(state.tick + ticks, commands, angles), reading
 
     def _scaled(self, command: Command) -> Float[Array, "2"]:
-        return jnp.stack(
-            [
-                self.scaling.scaled(name, value)
-                for name, value in zip(COMMAND_COLUMNS, command, strict=True)
-            ]
-        )
+        return jnp.stack(list(map(self.scaling.scaled, COMMAND_COLUMNS, command)))
 
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
         """Return PosNet's angles from the commands of a log, for its rows from `window` on
@@ -146,15 +142,14 @@ class Surrogate(eqx.Module):
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
         """Return predictions of logs by PosNet, and by ForceNet with the measured angle and with
         PosNet's."""
-        posnet, forcenet = (net.config.parameters() for net in (self.posnet, self.forcenet))
+        posnet = self.posnet.config.parameters()
+        forcenet = self.forcenet.config.parameters()
         angle = [self.predict_angle(log)[:, None] for log in logs]
-        given, free = (
-            [self.predict_force(log, free_running) for log in logs]
-            for free_running in (False, True)
-        )
+        measured = [self.predict_force(log, free_running=False) for log in logs]
+        free = [self.predict_force(log, free_running=True) for log in logs]
         return {
             "posnet": NetPrediction((ANGLE,), angle, self.window, posnet),
-            "forcenet_measured": NetPrediction(FORCES, given, self.window, forcenet),
+            "forcenet_measured": NetPrediction(FORCES, measured, self.window, forcenet),
             "forcenet_free_running": NetPrediction(FORCES, free, self.window, forcenet),
         }
 
@@ -183,15 +178,13 @@ class Surrogate(eqx.Module):
         weights do not fit."""
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)
-        networks = description["networks"]
-        configs = {
-            name: NetworkConfig.model_validate(networks[name]) for name in ("posnet", "forcenet")
-        }
-        layers = restored(
-            {name: config.shapes() for name, config in configs.items()}, weights, source
+        posnet = NetworkConfig.model_validate(description["networks"]["posnet"])
+        forcenet = NetworkConfig.model_validate(description["networks"]["forcenet"])
+        shapes = {"posnet": posnet.shapes(), "forcenet": forcenet.shapes()}
+        layers = restored(shapes, weights, source)
+        return cls(
+            Network(posnet, layers["posnet"]), Network(forcenet, layers["forcenet"]), scaling
         )
-        posnet, forcenet = (Network(config, layers[name]) for name, config in configs.items())
-        return cls(posnet, forcenet, scaling)
 
 
 def windows(

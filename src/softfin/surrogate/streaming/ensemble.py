@@ -111,15 +111,18 @@ def motions(drive: FollowingNet, before: Motion, waiting: Command, commands: Com
         return state, state.motion
 
     after = jax.lax.scan(step, drive.start(before, waiting), commands)[1]
-    return Motion(*(jnp.append(first, rest) for first, rest in zip(before, after, strict=True)))
+    motion: Motion = jax.tree.map(jnp.append, before, after)
+    return motion
 
 
 def forces(net: ForceNet, motion: Motion) -> Float[Array, "ticks 2"]:
     """Return the forces of all rows of a motion ``(1 + ticks,)`` except the first [N]."""
-    before, after = (
-        jax.tree.map(lambda x, part=part: x[part], motion) for part in (0, slice(1, None))
-    )
+    before, after = _split_first_row(motion)
     return jax.lax.scan(lambda state, now: net.step(state, now), net.start(before), after)[1]
+
+
+def _split_first_row(motion: Motion) -> tuple[Motion, Motion]:
+    return single(motion), jax.tree.map(lambda x: x[1:], motion)
 
 
 def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
@@ -130,11 +133,11 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
         # The commands before a log are not recorded: its first command is assumed to have been held
         # for long.
         command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
-        waiting = Command(*(np.repeat(x[:, :1], MAX_DELAY, axis=1) for x in command))
+        waiting = jax.tree.map(lambda x: np.repeat(x[:, :1], MAX_DELAY, axis=1), command)
         before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
-        return _motions(drives, before, waiting, Command(*(x[:, :-1] for x in command)))
+        return _motions(drives, before, waiting, jax.tree.map(lambda x: x[:, :-1], command))
 
-    return _together(logs, [len(log.reading.time) for log in logs], predict)
+    return _together(logs, [log.rows for log in logs], predict)
 
 
 def predict_force(
@@ -154,15 +157,13 @@ def _together(
     records: Sequence[PyTree], rows: Sequence[int], predict: Callable[[PyTree], PyTree]
 ) -> list[Any]:
     """Predict for records of equal length, stacked on the second axis."""
-    results: dict[int, PyTree] = {}
+    results: list[Any] = [None] * len(rows)
     for length in set(rows):
-        index = [i for i, other in enumerate(rows) if other == length]
+        index = np.flatnonzero(np.equal(rows, length)).tolist()
         predicted = predict([records[i] for i in index])
-        results |= {
-            i: jax.tree.map(lambda x, n=n: np.asarray(x[:, n]), predicted)
-            for n, i in enumerate(index)
-        }
-    return [results[i] for i in range(len(rows))]
+        for place, i in enumerate(index):
+            results[i] = jax.tree.map(lambda x, n=place: np.asarray(x[:, n]), predicted)
+    return results
 
 
 @eqx.filter_jit
@@ -221,14 +222,16 @@ def calibrated(
     measured = np.concatenate(
         [window_means(np.asarray(log.reading.force)[burn_in:]) for log in logs]
     )
+    # The score of split conformal prediction: ratio = |error| / sqrt(spread^2 + floor^2).
     error = np.abs(means.mean(axis=0) - measured)
     floor_n = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
-    # One more than there are, so that the next error is covered and not only the known ones.
-    factor = float(
-        np.quantile(ratio, min(1.0, COVERAGE * (1 + 1 / ratio.size)), method="inverted_cdf")
-    )
-    # Errors of one log and axis are correlated, because they share its drift.
+    # One more than there are, so that the next error is covered and not only the known ones: the
+    # quantile at COVERAGE (n + 1) / n.
+    level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
+    factor = float(np.quantile(ratio, level, method="inverted_cdf"))
+    # Errors of one log and axis are correlated, because they share its drift: widened by the ratio
+    # of the two-sided quantiles, t(2 K) / z.
     upper = (1 + COVERAGE) / 2
     widened = factor * float(stdtrit(2 * len(logs), upper) / ndtri(upper))
     return Interval(
@@ -278,6 +281,5 @@ def _memories(net: ForceNet, motion: Motion) -> Float[Array, "ticks remembered"]
         state, _ = net.step(state, now)
         return state, remembered(state)
 
-    return jax.lax.scan(
-        step, net.start(Motion(*(x[0] for x in motion))), Motion(*(x[1:] for x in motion))
-    )[1]
+    before, after = _split_first_row(motion)
+    return jax.lax.scan(step, net.start(before), after)[1]

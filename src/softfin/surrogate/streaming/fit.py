@@ -218,11 +218,14 @@ def fit_streaming(
         config.members, config.drive, config.force, scales, named_key(seed, "fit/weights")
     )
     updates = {"drive": config.drive_updates, "force": config.force_updates}
-    losses: dict[str, NetLoss] = {"drive": drive_loss, "force": force_loss}
     learners = {
-        name: StreamingLearner(loss, config, updates[name]) for name, loss in losses.items()
+        "drive": StreamingLearner(drive_loss, config, config.drive_updates),
+        "force": StreamingLearner(force_loss, config, config.force_updates),
     }
-    states = {name: learner.start(getattr(members, name)) for name, learner in learners.items()}
+    states = {
+        "drive": learners["drive"].start(members.drive),
+        "force": learners["force"].start(members.force),
+    }
     done: dict[str, Any] = dict.fromkeys(learners, 0)
     if (resumed := run_directory.load(states)) is not None:
         states, done = resumed
@@ -272,12 +275,11 @@ def fit_streaming(
         each = zip(predict_force(nets, held_motion), holding, strict=True)
         return [((force - log.reading.force)[:, burn_in:] ** 2).sum(axis=-1) for force, log in each]
 
-    not_used = Motion(*(jnp.zeros((config.members, table.force.shape[0])) for _ in range(2)))
+    nothing = jnp.zeros((config.members, table.force.shape[0]))
+    not_used = Motion(nothing, nothing)
     drives = learn("drive", not_used, drive_errors)
     motion = predict_motion(drives, training)
-    joined = Motion(
-        *(jnp.asarray(np.concatenate(parts, axis=1)) for parts in zip(*motion, strict=True))
-    )
+    joined = jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts, axis=1)), *motion)
     held_motion = predict_motion(drives, holding)
     burn_in = config.burn_in
     force_nets = learn("force", joined, force_errors)
@@ -296,7 +298,7 @@ def split_streaming(
     they cannot be used."""
     training, held_out = hold_out(logs, config.held_out)
     needed = config.burn_in + WINDOW
-    holding = [log for log in held_out if len(log.reading.time) >= needed]
+    holding = [log for log in held_out if log.rows >= needed]
     if not holding:
         raise LogError(
             f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over "

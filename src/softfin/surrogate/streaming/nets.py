@@ -235,7 +235,8 @@ class ForceNet(eqx.Module):
         self.core = MirrorCore(
             Parity(config.wake, 3 + config.wake), Parity(1, 1), config.units, config.hidden, key
         )
-        self.along, self.across = (jnp.zeros((config.units, config.wake)) for _ in range(2))
+        self.along = jnp.zeros((config.units, config.wake))
+        self.across = jnp.zeros((config.units, config.wake))
         self.log_time = jnp.log(jnp.geomspace(0.05, 1.5, config.wake))
         self.thrust = jnp.zeros(2)
         self.resistance = jnp.zeros(3)
@@ -254,6 +255,8 @@ class ForceNet(eqx.Module):
         [N]."""
         # Seen from a fin that has turned, the tank has turned the other way.
         wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
+        # Morison's force on a moving body: thrust and drag grow with the square of the velocity,
+        # added mass with its change. All rates are in units of `scales`.
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
         drag = velocity * jnp.abs(velocity)
@@ -265,11 +268,11 @@ class ForceNet(eqx.Module):
         across = outputs.odd[0] + self.resistance @ jnp.stack([change, drag, velocity])
         x, y = _turned(along, across, self.mount_turn + motion.angle)
         force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
+        # Each vector of the wake w relaxes towards the push p of the fin, tau w' = p - w, solved
+        # exactly over one tick.
         kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
-        pushed = (memory.even @ self.along, memory.odd @ self.across)
-        wake = Parity(
-            *(kept * old + (1 - kept) * new for old, new in zip(wake, pushed, strict=True))
-        )
+        pushed = Parity(memory.even @ self.along, memory.odd @ self.across)
+        wake = jax.tree.map(lambda old, new: kept * old + (1 - kept) * new, wake, pushed)
         return ForceState(memory, wake, motion), force
 
 

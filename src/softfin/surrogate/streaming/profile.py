@@ -71,20 +71,20 @@ class Profile(eqx.Module):
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
         """Advance by one tick under a new command; also returns the command being obeyed, in the
         angle scale of the log."""
-        queue = Command(
-            *(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True))
-        )
+        queue = jax.tree.map(jnp.append, command, state.waiting)
         obeyed = delayed(queue, self.delay)
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
         target = Command(self.gain * obeyed.angle + self.zero, speed)
         seconds = TICK_S / STEPS_PER_TICK
         angle = jnp.asarray(state.angle)
         velocity = jnp.asarray(state.velocity)
+        # The trapezoidal rule is exact while the acceleration is constant.
         for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
             angle = angle + seconds * (velocity + after) / 2
             velocity = after
-        return ProfileState(angle, velocity, Command(*(channel[:-1] for channel in queue))), target
+        waiting = jax.tree.map(lambda channel: channel[:-1], queue)
+        return ProfileState(angle, velocity, waiting), target
 
     def motion(self, state: ProfileState) -> Motion:
         """Return the motion of the shaft that follows the profile."""
@@ -93,7 +93,7 @@ class Profile(eqx.Module):
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
     """Find the coefficients; also return their mean absolute error of the angle [rad]."""
-    ticks = min(TICKS, max(len(log.reading.time) for log in logs) - MAX_DELAY - 1)
+    ticks = min(TICKS, max(log.rows for log in logs) - MAX_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
     speed = max(np.abs(log.reading.velocity).max() for log in logs)

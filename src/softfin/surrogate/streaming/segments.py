@@ -13,6 +13,8 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
 from softfin.core.quantities import AnyArray, Command, Log
+from softfin.surrogate.channels import stack_channels
+from softfin.surrogate.training import window_starts
 
 MAX_DELAY = 20
 """Longest delay from a command to its motion [ticks]."""
@@ -40,15 +42,14 @@ class Scales(Configuration):
 
 def measure_scales(logs: Sequence[Log]) -> Scales:
     """Compute the scales of the training logs; raises LogError if nothing moves."""
-    angle, velocity, force = (
-        [np.asarray(getattr(log.reading, name), np.float64) for log in logs]
-        for name in ("angle", "velocity", "force")
-    )
+    readings = [log.reading for log in logs]
+    joined = jax.tree.map(lambda *x: np.concatenate(x, dtype=np.float64), *readings)
+    changes = [np.diff(np.asarray(reading.velocity, np.float64)) for reading in readings]
     values = {
-        "angle_rad": np.concatenate(angle).std(),
-        "velocity_rad_s": np.concatenate(velocity).std(),
-        "change_rad_s": np.concatenate([np.diff(each) for each in velocity]).std(),
-        "force_n": np.sqrt(np.mean(np.concatenate(force) ** 2)),
+        "angle_rad": joined.angle.std(),
+        "velocity_rad_s": joined.velocity.std(),
+        "change_rad_s": np.concatenate(changes).std(),
+        "force_n": np.sqrt(np.mean(joined.force**2)),
     }
     for name, value in values.items():
         if not value > 0:
@@ -56,7 +57,7 @@ def measure_scales(logs: Sequence[Log]) -> Scales:
                 f"{name.partition('_')[0]} never changes in the training logs: no surrogate can be "
                 "fitted"
             )
-    return Scales(**{name: float(value) for name, value in values.items()})
+    return Scales(**jax.tree.map(float, values))
 
 
 class SegmentBatch(NamedTuple):
@@ -84,28 +85,19 @@ class Table(NamedTuple):
     @classmethod
     def of(cls, logs: Sequence[Log], ticks: int) -> "Table":
         """Build the table for segments of `ticks`; raises LogError if no log is long enough."""
-        rows = [len(log.reading.time) for log in logs]
-        first = np.cumsum([0, *rows[:-1]])
-        starts = [
-            offset + np.arange(MAX_DELAY, count - ticks)
-            for offset, count in zip(first, rows, strict=True)
-        ]
-        choices = np.concatenate(starts).astype(np.int32)
+        # Each segment has the commands that are still waiting at its first row.
+        rows = [log.rows for log in logs]
+        choices = window_starts(rows, ticks, MAX_DELAY)
         if not choices.size:
             raise LogError(
                 f"the longest of {len(logs)} training logs has {max(rows)} rows; "
-                f"{ticks + MAX_DELAY + 1} are "
-                "needed in one piece; record longer, or make the segments shorter (--set ticks=N)"
+                f"{ticks + MAX_DELAY + 1} are needed in one piece; record longer, or make the "
+                "segments shorter (--set ticks=N)"
             )
-        columns = [
-            (*log.command, log.reading.angle, log.reading.velocity, log.reading.force)
-            for log in logs
-        ]
-        joined = [
-            jnp.asarray(np.concatenate(parts, dtype=np.float32))
-            for parts in zip(*columns, strict=True)
-        ]
-        return cls(Command(*joined[:2]), Motion(*joined[2:4]), joined[4], jnp.asarray(choices))
+        columns = jnp.asarray(stack_channels(logs))
+        return cls(
+            Command(*columns[:2]), Motion(*columns[2:4]), columns[4:].T, jnp.asarray(choices)
+        )
 
     def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
         """Draw segments at random."""

@@ -78,9 +78,8 @@ class StreamingSurrogate(eqx.Module):
         self.interval = interval
         self.familiarity = familiarity
         command = rest_command(limits)
-        waiting, passed = (
-            Command(*(jnp.full(n, value) for value in command)) for n in (MAX_DELAY, SETTLED)
-        )
+        waiting = jax.tree.map(lambda value: jnp.full(MAX_DELAY, value), command)
+        passed = jax.tree.map(lambda value: jnp.full(SETTLED, value), command)
         self.rest = _after(members, Motion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
 
     @property
@@ -95,17 +94,18 @@ class StreamingSurrogate(eqx.Module):
     def warm(self, history: Log) -> StreamingState:
         """Return the state after a recorded history, free-running over its last `memory` rows;
         raises LogError if it is shorter."""
-        if (rows := len(history.reading.time)) < self.memory:
+        if history.rows < self.memory:
             raise LogError(
-                f"history: {rows} rows; {self.memory} are needed to know the state of the fin"
+                f"history: {history.rows} rows; {self.memory} are needed to know the state of the "
+                "fin"
             )
         command, reading = jax.tree.map(
             lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
         )
         motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
-        waiting = Command(*(part[:MAX_DELAY][::-1] for part in command))
+        waiting = jax.tree.map(lambda part: part[:MAX_DELAY][::-1], command)
         # The last row's command takes effect in the row after it.
-        passed = Command(*(part[MAX_DELAY:-1] for part in command))
+        passed = jax.tree.map(lambda part: part[MAX_DELAY:-1], command)
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
 
@@ -121,7 +121,7 @@ class StreamingSurrogate(eqx.Module):
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
         """Like `advance`, but with the reading of every member: fields ``(members, ticks)``."""
-        held = Command(*(jnp.asarray(part, jnp.float32) for part in command))
+        held = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), command)
 
         def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
             return jax.lax.scan(lambda each, _: member.step(each, held), own, length=ticks)
@@ -156,16 +156,17 @@ class StreamingSurrogate(eqx.Module):
             Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1)))
             for _, r in logs
         ]
-        each: dict[str, tuple[tuple[str, ...], eqx.Module, Sequence[AnyArray]]] = {
-            "drive": ((ANGLE,), drive, [motion.angle[..., None] for motion in free]),
-            "force_measured": (FORCES, force, predict_force(force, measured)),
-            "force_free_running": (FORCES, force, predict_force(force, free)),
-        }
+        angle = [motion.angle[..., None] for motion in free]
+
+        def average(series: Sequence[AnyArray]) -> list[np.ndarray]:
+            return [np.mean(members, axis=0)[SKIPPED:] for members in series]
+
+        force_given = average(predict_force(force, measured))
+        force_free = average(predict_force(force, free))
         return {
-            name: NetPrediction(
-                channels, [np.mean(x, axis=0)[SKIPPED:] for x in series], None, parameters(nets)
-            )
-            for name, (channels, nets, series) in each.items()
+            "drive": NetPrediction((ANGLE,), average(angle), None, parameters(drive)),
+            "force_measured": NetPrediction(FORCES, force_given, None, parameters(force)),
+            "force_free_running": NetPrediction(FORCES, force_free, None, parameters(force)),
         }
 
     def flops_per_tick(self) -> int:
