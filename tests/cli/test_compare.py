@@ -38,7 +38,7 @@ def folders(tmp_path_factory):
         ),
         (
             ["s0"],
-            "test log 0: 340 rows; 12 to begin with and a horizon of 30 s need 3012; record "
+            "test log 0: 340 rows; the warm-up of 12 rows and a horizon of 30 s need 3012; record "
             "longer test logs",
         ),
         (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),
@@ -139,7 +139,7 @@ SUMMARY = {
         "name": "second recording (tank)",
         "horizons": [horizon(1), horizon(30, **MEANS)],
     },
-    "notes": ["paper: 1 seed; fit at least 3 before a difference is believed"],
+    "notes": ["paper: 1 seed; fit at least 3 before you trust a difference"],
 }
 
 
@@ -163,12 +163,12 @@ def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
     assert (
         "54,000 rows at the longest horizon; mean over the seeds ± half of its 95% interval" in text
     )
-    assert "streaming: 3 seeds, 12,345 parameters, 1,000 FLOPs a tick (0.123 of paper's)" in text
-    assert "paper: 1 seed, 12,345 parameters, 1,000 FLOPs a tick\n" in text
+    assert "streaming: 3 seeds, 12,345 parameters, 1,000 FLOPs per tick (0.123 of paper's)" in text
+    assert "paper: 1 seed, 12,345 parameters, 1,000 FLOPs per tick\n" in text
     assert "Mean force over 200 samples, and the intervals stated for it at 90%" in text
     assert "91.20 ±1.10" in text
     assert "second recording (tank)\n" in text
-    assert text.endswith("note: paper: 1 seed; fit at least 3 before a difference is believed")
+    assert text.endswith("note: paper: 1 seed; fit at least 3 before you trust a difference")
 
 
 def test_what_no_group_has_is_left_out_of_the_comparison_tables():

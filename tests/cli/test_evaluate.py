@@ -127,7 +127,7 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
 
 def test_a_randomization_that_is_a_whole_number_is_one(controller):
     with pytest.raises(
-        ConfigurationError, match=r"--randomize 0 needs the virtual tank as plant, got"
+        ConfigurationError, match=r"--randomize 0 needs the virtual tank as the plant, not"
     ):
         softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", randomize=0)
 
@@ -141,8 +141,8 @@ def test_a_randomization_of_0_is_the_very_same_tank(controller):
 @pytest.mark.parametrize(
     ("part", "told"),
     [
-        ("-1", " -1: give a part from 0"),
-        ("5", " 5: give a part from 0"),
+        ("-1", " -1: give a fraction from 0"),
+        ("5", " 5: give a fraction from 0"),
         ("nan", "randomize = nan: Input should be a"),
     ],
 )

@@ -114,7 +114,7 @@ def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, ask
         if accepted:
             main(words)
         else:
-            assert "--ignore-errors takes these logs in spite of it" in fails(capsys, *words)
+            assert "--ignore-errors uses these logs anyway" in fails(capsys, *words)
     assert len(asked) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "softfin inspect" in line]
     assert line.startswith(f"{tmp_path / 'd'}: 1 error")
@@ -138,7 +138,7 @@ def test_one_log_is_too_few(capsys, tmp_path):
     write_dataset(tmp_path / "one", [small.recorded(700)], [], {})
     line = fails(capsys, "fit", str(tmp_path / "one"), "--out", str(tmp_path / "s"))
     assert (
-        "1 training log: at least 2 are needed, one to learn from and one held out; record more"
+        "1 training log: at least 2 are needed, one for training and one held out; record more"
         in line
     )
 

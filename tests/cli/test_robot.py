@@ -25,7 +25,7 @@ def test_check_prints_rank_and_reach(capsys):
     told = capsys.readouterr().out
     assert "U-CAT: 4 fins, rank 6 of 6" in told
     assert "without back_left: rank 6" in told
-    assert "righted with 9.07 N m/rad: swings in roll at 0.89 Hz and pitch at 0.37 Hz" in told
+    assert "rights itself with 9.07 N m/rad: swings in roll at 0.89 Hz and pitch at 0.37 Hz" in told
     assert "warning" not in told
 
 

@@ -45,7 +45,7 @@ def test_without_options_the_configuration_stands_and_paper_is_its_default() -> 
             "grid",
             None,
             "0,0,1,1",
-            r"--range 0,0,1,1: the cells \(paper\) have places of their own \(x 0.5 .. 3.5",
+            r"--range 0,0,1,1: the cells \(paper\) have fixed positions \(x 0.5 .. 3.5",
         ),
         ("grid", "0x3", None, "--cells 0x3: 0 cells"),
         ("grid", "3x3", "0,0,nan,1", "--range 0,0,nan,1: high.0"),
@@ -66,7 +66,7 @@ def test_a_range_of_map_is_the_box_round_all_that_the_fin_can_make(tmp_path: Pat
 
 
 def test_a_range_of_map_needs_the_map() -> None:
-    with pytest.raises(ConfigurationError, match="--range map: give the map too: --map DIR"):
+    with pytest.raises(ConfigurationError, match="--range map: also give the map: --map DIR"):
         TrainArguments(surrogate="tank", out=Path("out"), range="map").check()
 
 

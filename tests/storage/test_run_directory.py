@@ -90,7 +90,7 @@ def test_the_order_of_the_leaves_does_not_matter(saved):
 def test_a_leaf_that_does_not_fit_is_named(saved, like, words):
     with pytest.raises(
         ArtifactError,
-        match=rf"does not fit this training state \(.*{words}\); start anew with --over",
+        match=rf"does not fit this training state \(.*{words}\); start again with --over",
     ):
         saved.load(like)
 

@@ -105,7 +105,7 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
         ("cells: []", r"no cells; give at least one \{low: \[x, y\], high: \[x, y\]\}"),
         (
             "cells: [{low: [0, 0], high: [0, 1]}]",
-            r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; let it reach",
+            r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; give a smaller and a larger force",
         ),
         ("cells: [{low: [0, 0], high: [-1, 1]}]", "low .* is above high"),
         ("cells: [{low: [.nan, 0], high: [1, 1]}]", r"cells.0.low.0.* = nan: .* finite"),

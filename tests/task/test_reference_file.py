@@ -57,7 +57,7 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", r"not a table of numbers \(Empty CSV file\); mend it"),
+        ("", r"not a table of numbers \(Empty CSV file\); repair it"),
         (HEAD, "has 0 rows; 1 to 360,000 are followed"),
         (
             HEAD + "0,1,1\n\n2,nan,1\n",
@@ -67,8 +67,8 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
         (HEAD + "0,1,1\n2,1,\n", "row 2, column force_y_n: nan is not a finite number"),
         (HEAD + "0,1,1\n2,1\n", r"not a table of numbers \(.*Expected 3 columns, got 2: 2,1"),
         (HEAD + "0,1,1\n2,one,1\n", r"not a table of numbers \(.*'one'"),
-        (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "time 2 s after 2 s; times must grow"),
-        (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "time 1 s after 2 s; times must grow"),
+        (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "time 2 s after 2 s; times must increase"),
+        (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "time 1 s after 2 s; times must increase"),
         (HEAD + "3,1,1\n4,1,1\n", "the first time is 3 s; begin at 0"),
         (
             "time_s,force_x_kn,force_y_n\n0,1,1\n",

@@ -127,7 +127,7 @@ def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns
         opened(tmp_path / "run")
     (one,), issues = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
     assert set(one.log.command.velocity.tolist()) == {2.5}
-    assert "no velocity: 2.5 rad/s throughout, by --velocity" in issues[0].message
+    assert "no velocity: 2.5 rad/s throughout, from --velocity" in issues[0].message
 
 
 def test_the_force_at_rest_that_a_session_measured_is_subtracted_from_then_to_the_next(

@@ -135,7 +135,7 @@ def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, c
     assert recording.issues[0].message == (
         "time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
         "force_x='Fx [mN]' in mN, force_y='F_y (mN)' in mN; "
-        "command_velocity = 3.1 rad/s throughout, by --velocity"
+        "command_velocity = 3.1 rad/s throughout, from --velocity"
     )
 
 

@@ -114,7 +114,7 @@ def test_a_full_disk_is_told_and_what_was_written_recovers(tmp_path):
     path = tmp_path / "run.mcap"
     with process(path, 100_000) as running:
         out, failure = running.communicate(timeout=HANG_S)
-    assert "File too large; what was written stays" in failure
+    assert "File too large; the rows so far are kept" in failure
     assert path.stat().st_size == 100_000
     recovery = recover(path, tmp_path / "saved.mcap")
     assert 0.9 * 100_000 / 550 < recovery.messages[WRENCH] <= len(out.splitlines())

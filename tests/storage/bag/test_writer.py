@@ -106,7 +106,7 @@ def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
 
 
 def test_a_disk_without_room_is_known_before_anything_moves(tmp_path):
-    with pytest.raises(RunError, match="of the disk are free; what was written stays; make room"):
+    with pytest.raises(RunError, match="of the disk are free; the rows so far are kept; make room"):
         BagRecorder(tmp_path / "run.mcap", reserve_bytes=10**18)
     assert not list(tmp_path.iterdir())
 

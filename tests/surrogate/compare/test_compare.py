@@ -193,7 +193,7 @@ def test_the_noise_floor_runs_from_rest_and_is_scored_on_the_same_segments():
 
 def test_few_seeds_and_commands_beyond_training_are_noted():
     few, floor = compared().summary["notes"]
-    assert few == "attentive: 1 seed; fit at least 3 before a difference is believed"
+    assert few == "attentive: 1 seed; fit at least 3 before you trust a difference"
     assert floor.startswith("second recording (fin): its own noise and drift count too")
     angle = LOGS[0].command.angle.copy()
     angle[:28] = 2.1
@@ -202,13 +202,14 @@ def test_few_seeds_and_commands_beyond_training_are_noted():
     assert beyond_limits([candidate(0)], beyond) == pytest.approx((28 / 1120, 0.2), rel=1e-4)
     notes = compare_surrogates([candidate(0), candidate(1)], beyond, CONFIG).summary["notes"]
     assert notes[0].startswith("paper: 2 seeds; fit at least 3")
-    assert "2.5% of the test commands lie beyond" in notes[1]
+    assert "2.5% of the test commands lie outside" in notes[1]
     assert "by 20% of their range" in notes[1]
 
 
 def test_logs_shorter_than_the_longest_horizon_are_refused():
     with pytest.raises(
-        LogError, match=r"test log 0: 560 rows; 12 to begin with and a horizon of 5.5 s need 562"
+        LogError,
+        match=r"test log 0: 560 rows; the warm-up of 12 rows and a horizon of 5.5 s need 562",
     ):
         compare_surrogates([candidate(0)], LOGS, CompareConfig(horizons_s=(1, 5.5)))
 

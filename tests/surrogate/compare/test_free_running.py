@@ -60,7 +60,7 @@ def test_only_the_last_rows_of_a_history_matter():
     short = plant.warm(valid_rows(log, 100 - plant.memory, 100))
     assert all(np.array_equal(a, b) for a, b in zip(long, short, strict=True))
     with pytest.raises(
-        LogError, match="11 rows of history; a surrogate that sees 12 samples is warm after as many"
+        LogError, match="11 rows of history; this surrogate needs 12 rows to warm up"
     ):
         plant.warm(valid_rows(log, 0, 11))
 
@@ -82,7 +82,7 @@ def test_segments_lie_end_to_end_and_whole_in_each_log():
 def test_a_log_shorter_than_the_horizon_is_named_with_what_it_needs():
     with pytest.raises(
         LogError,
-        match=r"test log 1: 111 rows; 12 to begin with and a horizon of 1 s need 112; .*--hor",
+        match=r"test log 1: 111 rows; the warm-up of 12 rows and a horizon of 1 s need 112; .*--hor",
     ):
         plan_segments([500, 111], ticks=100, first=12)
     assert plan_segments([112], ticks=100, first=12) == [(0, 12)]

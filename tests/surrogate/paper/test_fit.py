@@ -194,7 +194,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
 
     monkeypatch.setattr(PaperLearner, "start", far_off)
-    message = r"loss of the networks is not finite; lower learning_rate \(--set\), start anew"
+    message = r"loss of the networks is not finite; lower learning_rate \(--set\) and start again"
     with pytest.raises(RunError, match=message):
         fit_paper(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 

@@ -131,7 +131,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
 @pytest.mark.parametrize(
     ("logs", "changes", "words"),
     [
-        (LOGS[:1], [], "1 training log: at least 2 are needed, one to learn from and one held out"),
+        (LOGS[:1], [], "1 training log: at least 2 are needed, one for training and one held out"),
         (
             LOGS,
             ["ticks=390"],
