@@ -127,7 +127,7 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
 
 def test_a_randomization_that_is_a_whole_number_is_one(controller):
     with pytest.raises(
-        ConfigurationError, match=r"--randomize 0 needs the virtual tank as the plant, not"
+        ConfigurationError, match=r"--randomize 0 needs the virtual tank as plant, got"
     ):
         softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", randomize=0)
 
