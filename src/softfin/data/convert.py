@@ -36,12 +36,10 @@ def convert(
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
     opened.check_issues(str(source), ignore_errors)
-    count = len(opened.logs)
-    files = (
-        [out]
-        if count == 1
-        else [out.with_name(f"{out.stem}-{n}{out.suffix}") for n in range(1, count + 1)]
-    )
+    files = [out]
+    if len(opened.logs) > 1:
+        numbers = range(1, len(opened.logs) + 1)
+        files = [out.with_name(f"{out.stem}-{number}{out.suffix}") for number in numbers]
     for file in files:
         artifacts.check_file(file, overwrite)
     for one, file in zip(opened.logs, files, strict=True):
@@ -54,7 +52,7 @@ def convert(
             write_log(file, log)
         else:
             artifacts.write_file(file, encode_bag(log, one.name))
-    rows = sum(len(one.log.reading.time) for one in opened.logs)
+    rows = sum(one.log.rows for one in opened.logs)
     return {"files": [str(file) for file in files], "rows": rows, **opened.inspection.summary()}
 
 
@@ -68,18 +66,11 @@ def encode_bag(log: Log, source: str) -> bytes:
         )
     sink = io.BytesIO()
     bag = BagWriter(sink)
-    columns = (
-        *log.command,
-        log.reading.angle,
-        log.reading.velocity,
-        *np.asarray(log.reading.force).T,
-    )
-    for seconds, angle, velocity, *row in zip(
-        time.tolist(), *(column.tolist() for column in columns), strict=True
-    ):
+    for seconds, row in zip(time.tolist(), np.stack(log.channels, axis=1).tolist(), strict=True):
         stamp = round(seconds * SECOND_NS)
-        bag.write(COMMAND, stamp, (angle, velocity))
-        bag.write(JOINT, stamp, (row[0], row[1]))
-        bag.write(WRENCH, stamp, (row[2], row[3], 0.0, 0.0, 0.0, 0.0))
+        bag.write(COMMAND, stamp, row[:2])
+        bag.write(JOINT, stamp, row[2:4])
+        # No torque is known.
+        bag.write(WRENCH, stamp, (*row[4:], 0.0, 0.0, 0.0, 0.0))
     bag.finish()
     return sink.getvalue()

@@ -32,10 +32,12 @@ class Issue:
     @property
     def place(self) -> str:
         """Log, row and column, as messages name them."""
-        row = [] if self.row is None else [f"row {self.row}"]
-        return ", ".join(
-            [self.log, *row, *([] if self.column is None else [f"column {self.column}"])]
-        )
+        place = self.log
+        if self.row is not None:
+            place += f", row {self.row}"
+        if self.column is not None:
+            place += f", column {self.column}"
+        return place
 
 
 def counted(number: int, noun: str) -> str:
@@ -54,8 +56,8 @@ def merge_issues(issues: Iterable[Issue]) -> list[Issue]:
     for issue in issues:
         message = issue.message if issue.severity == "note" else ""
         kinds.setdefault((issue.severity, issue.name, issue.column, message), []).append(issue)
-    merged = [
-        dataclasses.replace(same[0], logs=tuple(dict.fromkeys(one.log for one in same)))
-        for same in kinds.values()
-    ]
+    merged = []
+    for same in kinds.values():
+        names = dict.fromkeys(one.log for one in same)
+        merged.append(dataclasses.replace(same[0], logs=tuple(names)))
     return sorted(merged, key=lambda issue: SEVERITIES.index(issue.severity))

@@ -59,13 +59,12 @@ class OpenedLogs:
         errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
         if not errors or ignore_errors:
             return
-        more = (
-            f"; and {len(errors) - 1} more: softfin inspect lists them" if len(errors) > 1 else ""
-        )
-        parts = [f"{errors[0].place}: {errors[0].message}", *filter(None, [errors[0].fix])]
-        raise LogError(
-            f"{source}: {'; '.join(parts)}{more}; --ignore-errors uses these logs anyway"
-        )
+        text = f"{errors[0].place}: {errors[0].message}"
+        if errors[0].fix:
+            text += f"; {errors[0].fix}"
+        if len(errors) > 1:
+            text += f"; and {len(errors) - 1} more: softfin inspect lists them"
+        raise LogError(f"{source}: {text}; --ignore-errors uses these logs anyway")
 
 
 def open_logs(
@@ -106,12 +105,7 @@ def open_logs(
         "imported_from": {"path": path.name, "files": list(files.values()), "data_hash": data_hash},
         "options": config.model_dump(mode="json"),
         "logs": [
-            {
-                "log": one.name,
-                "part": one.part,
-                "rows": len(one.log.reading.time),
-                "start_s": one.start_s,
-            }
+            {"log": one.name, "part": one.part, "rows": one.log.rows, "start_s": one.start_s}
             for one in logs
         ],
         "issues": [dataclasses.asdict(issue) for issue in inspection.issues],
@@ -120,13 +114,14 @@ def open_logs(
 
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
-    def is_test(name: str) -> bool:
+    parts: dict[str, Part] = {}
+    for name in names:
         *folders, last = name.split("/")
         if pattern is not None:
-            return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(last, pattern)
-        return last.lower().startswith("test") or "test" in map(str.lower, folders)
-
-    parts: dict[str, Part] = {name: "test" if is_test(name) else "train" for name in names}
+            is_test = fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(last, pattern)
+        else:
+            is_test = last.lower().startswith("test") or "test" in map(str.lower, folders)
+        parts[name] = "test" if is_test else "train"
     if pattern is not None and "test" not in parts.values():
         raise ConfigurationError(
             f"--test {pattern}: matches none of the files: {', '.join(names[:6])}"

@@ -88,6 +88,8 @@ def force_lag(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> float | 
     features = np.stack([term * axis for axis in along for term in terms], axis=1)[ticks:-ticks]
     features = features - features.mean(axis=0)
     features = features / (features.std(axis=0) + 1e-12)
+    # An orthonormal basis of what the features span. The share of a force that they explain is then
+    # |basis^T f|^2 / |f|^2, one product for each lag.
     sizes, vectors = np.linalg.eigh(features.T @ features)
     kept = sizes > 1e-9 * sizes[-1]
     basis = features @ (vectors[:, kept] / np.sqrt(sizes[kept]))
@@ -128,14 +130,13 @@ def frame_correlations(
     smooth = smooth / (np.linalg.norm(smooth) + 1e-12)
     # The fit in the model's four dimensions only.
     basis, model = np.linalg.qr(model)
-    forces = {
-        frame: basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame))
-        for frame in FORCE_FRAMES
-    }
-    return {
-        frame: float(np.linalg.norm(model @ nnls(model, force)[0]))
-        for frame, force in forces.items()
-    }
+    correlations = {}
+    for frame in FORCE_FRAMES:
+        force = basis.T @ np.concatenate(turned(smooth[0], smooth[1], frame))
+        # No coefficient may be negative: a reversed axis fits worse.
+        coefficients, _ = nnls(model, force)
+        correlations[frame] = float(np.linalg.norm(model @ coefficients))
+    return correlations
 
 
 def _motion(

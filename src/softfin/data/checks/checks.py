@@ -14,6 +14,7 @@ from softfin.data.checks.statistics import (
     LogStatistics,
     channels_in_counts,
     channels_in_degrees,
+    known_lags,
     true_runs,
     velocity_slope,
 )
@@ -157,21 +158,22 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         )
         values = getattr(columns, channel)
         # A fifth of a second of dead time; for the force, a blocked drive may push without moving.
-        runs = [
-            (start, end + 1)
-            for start, end in true_runs(np.diff(values) == 0)
-            if end + 1 - start >= STUCK_S * RATE_HZ
-            and driven[start + round(0.2 * RATE_HZ) : end + 1].sum() > 0.5 * STUCK_S * RATE_HZ
-        ]
+        runs = []
+        for start, last in true_runs(np.diff(values) == 0):
+            rows = last + 1 - start
+            num_driven = driven[start + round(0.2 * RATE_HZ) : last + 1].sum()
+            if rows >= STUCK_S * RATE_HZ and num_driven > 0.5 * STUCK_S * RATE_HZ:
+                runs.append((rows, -start))
         if runs:
-            start, end = max(runs, key=lambda run: run[1] - run[0])
+            # The first of the longest.
+            longest, start = max(runs)
             message = (
-                f"stuck at {values[start]:.4g} {unit} for {(end - start) * TICK_S:.2f} s while "
-                f"{cause}; {counted(len(runs), 'such run')}, "
-                f"{sum(b - a for a, b in runs) * TICK_S:.2f} s in total"
+                f"stuck at {values[-start]:.4g} {unit} for {longest * TICK_S:.2f} s while {cause}; "
+                f"{counted(len(runs), 'such run')}, {sum(rows for rows, _ in runs) * TICK_S:.2f} s "
+                "in total"
             )
             fix = "check sensor and drive; cut these rows off, or record again"
-            yield log.issue("error", "stuck", channel, message, fix, start)
+            yield log.issue("error", "stuck", channel, message, fix, -start)
 
 
 def check_saturation(log: CheckedLog) -> Iterator[Issue]:
@@ -299,11 +301,7 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
 def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Iterator[Issue]:
     """Implausible lags between clocks, and lags that differ between logs."""
     for name, (least, most) in PLAUSIBLE_LAG_MS.items():
-        measured = [
-            (lag, one.name)
-            for one in statistics
-            if (lag := getattr(one, f"{name}_lag_ms")) is not None
-        ]
+        measured = known_lags(statistics, name)
         # A lag is accurate to a tick.
         low = least - 10.0
         high = most + 10.0
@@ -322,11 +320,9 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
                 if lag >= 0
                 else f"is {-lag:.0f} ms ahead of {second}"
             )
-            beside = (
-                ""
-                if len(measured) == 1
-                else f", {usual:.0f} ms in the median of {len(measured)} logs"
-            )
+            beside = ""
+            if len(measured) > 1:
+                beside = f", {usual:.0f} ms in the median of {len(measured)} logs"
             message = (
                 f"{first} {relation}{beside}; plausible are {least:.0f} to {most:.0f} ms: a "
                 "clock is off"
@@ -362,12 +358,10 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
                 "without angle 0, at which a fin rests"
             )
             yield Issue("error", "no rest", "all logs", message, REST_FIX, "command_angle")
-    commands = [log.command for log in training]
-    pairs = [
-        np.stack([command.angle, command.velocity], axis=1).astype(np.float64)
-        for command in commands
-    ]
-    steps = [pair[1:][(np.diff(pair, axis=0) != 0).any(axis=1)] for pair in pairs]
+    steps = []
+    for log in training:
+        pairs = np.stack(log.command, axis=1).astype(np.float64)
+        steps.append(pairs[1:][(np.diff(pairs, axis=0) != 0).any(axis=1)])
     # With 300 random commands hardly any of the 36 cells stays empty.
     if sum(map(len, steps)) < 300:
         return

@@ -22,6 +22,7 @@ from softfin.data.checks.statistics import (
     LogColumns,
     LogStatistics,
     channels_in_degrees,
+    known_lags,
     measure,
     to_columns,
     without_spikes,
@@ -45,24 +46,21 @@ class Inspection:
     def summary(self) -> JsonObject:
         """Amount of data, columns as read, lags [ms] and correlations of frames over all logs, and
         counts of issues."""
-        frames = [one.frames for one in self.logs if one.frames is not None]
+        found = [one.frames for one in self.logs if one.frames is not None]
+        frames = {}
+        for name in FORCE_FRAMES if found else ():
+            frames[name] = float(np.mean([one[name] for one in found]))
         parts = [one.part for one in self.logs]
+        severities = [one.severity for one in self.issues]
         return {
             "logs": parts.count("train"),
             "test_logs": parts.count("test"),
             "rows": sum(one.rows for one in self.logs),
             "columns": {one.log: one.message for one in self.issues if one.name == "columns"},
-            "command_lag_ms": _spread([one.command_lag_ms for one in self.logs]),
-            "force_lag_ms": _spread([one.force_lag_ms for one in self.logs]),
-            "frames": {
-                name: float(np.mean([one[name] for one in frames]))
-                for name in FORCE_FRAMES
-                if frames
-            }
-            or None,
-            "counts": {
-                kind: sum(one.severity == kind for one in self.issues) for kind in SEVERITIES
-            },
+            "command_lag_ms": _spread(known_lags(self.logs, "command")),
+            "force_lag_ms": _spread(known_lags(self.logs, "force")),
+            "frames": frames or None,
+            "counts": {kind: severities.count(kind) for kind in SEVERITIES},
         }
 
     def to_dict(self) -> JsonObject:
@@ -85,16 +83,15 @@ def inspect(
     for index, named in enumerate(logs):
         # Channels are repaired so that one fault does not hide the next.
         raw = to_columns(named.log)
-        in_degrees = channels_in_degrees(raw, config.velocity_rad_s is not None)
-        columns = raw._replace(
-            **{channel: np.radians(getattr(raw, channel)) for channel in in_degrees}
-        )
+        columns = raw
+        for channel in channels_in_degrees(raw, config.velocity_rad_s is not None):
+            columns = columns._replace(**{channel: np.radians(getattr(raw, channel))})
         # Not the velocity, which is usually a difference of angles and therefore noisy.
-        rough = {
-            channel: without_spikes(getattr(columns, channel))
-            for channel in ("angle", "force_x", "force_y")
-        }
-        calm = columns._replace(**rough)
+        calm = columns._replace(
+            angle=without_spikes(columns.angle),
+            force_x=without_spikes(columns.force_x),
+            force_y=without_spikes(columns.force_y),
+        )
         statistics.append(measure(calm, named))
         log = CheckedLog(raw, columns, calm, statistics[-1], config)
         in_counts = list(check_counts(log))
@@ -104,7 +101,8 @@ def inspect(
         else:
             series.append(calm)
             comparable.append(statistics[-1])
-            found += [issue for check in LOG_CHECKS for issue in check(log)]
+            for check in LOG_CHECKS:
+                found += check(log)
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
@@ -114,18 +112,19 @@ def inspect(
             joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together")
         )
         pooled = CheckedLog(joined, joined, joined, together, config)
-        found += [
-            *check_following(pooled),
-            *check_force_axes(pooled),
-            *check_lags([together], config),
-        ]
+        found += check_following(pooled)
+        found += check_force_axes(pooled)
+        found += check_lags([together], config)
     issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
 
 
-def _spread(lags: Sequence[float | None]) -> dict[str, float] | None:
-    values = [lag for lag in lags if lag is not None]
-    if not values:
+def _spread(known: Sequence[tuple[float, str]]) -> dict[str, float] | None:
+    if not known:
         return None
-    spread = {"median": float(np.median(values)), "least": min(values), "most": max(values)}
-    return {name: round(value, 1) for name, value in spread.items()}
+    lags, _ = zip(*known, strict=True)
+    return {
+        "median": round(float(np.median(lags)), 1),
+        "least": round(min(lags), 1),
+        "most": round(max(lags), 1),
+    }

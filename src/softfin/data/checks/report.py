@@ -11,6 +11,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.data.checks.checks import PLAUSIBLE_LAG_MS
 from softfin.data.checks.inspection import Inspection
+from softfin.data.checks.statistics import known_lags
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
@@ -75,7 +76,7 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
     shown, row = (logs[0], 0) if marked is None else (by_name[marked.log], marked.row or 0)
     start = max(
         0,
-        min(row - SHOWN_LOG_S * RATE_HZ // 3, len(shown.log.reading.time) - SHOWN_LOG_S * RATE_HZ),
+        min(row - SHOWN_LOG_S * RATE_HZ // 3, shown.log.rows - SHOWN_LOG_S * RATE_HZ),
     )
     rows = slice(start, start + SHOWN_LOG_S * RATE_HZ)
     reading = shown.log.reading
@@ -94,7 +95,7 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
         + ("" if marked is None else f" about row {row}: {marked.name}")
     )
     for axes in (above, below):
-        if marked is not None and row < len(reading.time):
+        if marked is not None and row < shown.log.rows:
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)
         axes.margins(y=0.25)
         axes.legend(loc="upper right", ncols=3)
@@ -102,8 +103,8 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
 
 def _draw_commands(axes: Axes, logs: Sequence[NamedLog]) -> None:
     for part, colour, marker in (("train", BLUE, "o"), ("test", ORANGE, "^")):
-        commands = [one.log.command for one in logs if one.part == part]
-        pairs = [np.unique(np.stack([c.angle, c.velocity], axis=1), axis=0) for c in commands]
+        commands = [np.stack(one.log.command, axis=1) for one in logs if one.part == part]
+        pairs = [np.unique(each, axis=0) for each in commands]
         if pairs:
             angle, velocity = np.concatenate(pairs).T
             axes.plot(
@@ -124,8 +125,7 @@ def _draw_commands(axes: Axes, logs: Sequence[NamedLog]) -> None:
 def _draw_lags(axes: Axes, inspection: Inspection) -> None:
     for place, (name, plausible) in enumerate(PLAUSIBLE_LAG_MS.items()):
         axes.fill_between([place - 0.35, place + 0.35], *plausible, color="#E3E3E3")
-        lags = [getattr(one, f"{name}_lag_ms") for one in inspection.logs]
-        found = [lag for lag in lags if lag is not None]
+        found = [lag for lag, _ in known_lags(inspection.logs, name)]
         axes.plot(np.linspace(place - 0.25, place + 0.25, len(found)), found, ".", color=BLUE)
         if not found:
             axes.text(place, sum(plausible) / 2, "not known", ha="center", va="center")

@@ -2,6 +2,7 @@
 `checks` judges."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -64,17 +65,16 @@ class LogStatistics:
     force_std_n: tuple[float, ...]
 
 
+def known_lags(statistics: Sequence[LogStatistics], name: str) -> list[tuple[float, str]]:
+    """Return the lags [ms] of one clock, with the names of their logs; logs without one are left
+    out."""
+    lags = [(getattr(one, f"{name}_lag_ms"), one.name) for one in statistics]
+    return [(lag, log) for lag, log in lags if lag is not None]
+
+
 def to_columns(log: Log) -> LogColumns:
     """Return the channels of a log."""
-    command, reading = log
-    series = (
-        command.angle,
-        command.velocity,
-        reading.angle,
-        reading.velocity,
-        *np.asarray(reading.force).T,
-    )
-    return LogColumns(*(np.asarray(values, np.float64) for values in series))
+    return LogColumns(*np.stack(log.channels).astype(np.float64))
 
 
 def channels_in_counts(columns: LogColumns) -> list[str]:
@@ -153,11 +153,8 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
         frames = frame_correlations(columns.angle, force, lag or 0.0)
         earlier = columns.command_angle[:-FOLLOWING_TICKS]
         later = columns.angle[FOLLOWING_TICKS:]
-        following = (
-            float(np.corrcoef(earlier, later)[0, 1])
-            if earlier.std() > 0 and later.std() > 0
-            else 0.0
-        )
+        if earlier.std() > 0 and later.std() > 0:
+            following = float(np.corrcoef(earlier, later)[0, 1])
     settled = np.zeros(rows, bool)
     for start, end in true_runs(np.abs(measure_rate(columns.angle)) < REST_RATE_RAD_S):
         # Half a second later the water is also still.

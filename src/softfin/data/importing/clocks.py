@@ -248,16 +248,13 @@ def _split_at_gaps(
         )
         raise LogError(f"{name}: no time in common: {'; '.join(times)}; stamp all with one clock")
     gaps = []
-    for time in (track.time for track in reading):
-        steps = np.diff(time)
-        rows = np.flatnonzero(
-            steps > max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9)
-        )
-        gaps += [
-            (float(time[k]), float(time[k + 1]), int(k))
-            for k in rows
-            if time[k + 1] > begin and time[k] < end
-        ]
+    for track in reading:
+        steps = np.diff(track.time)
+        widest = max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9)
+        for row in np.flatnonzero(steps > widest).tolist():
+            a, b = track.time[row : row + 2].tolist()
+            if b > begin and a < end:
+                gaps.append((a, b, row))
     if not gaps:
         return [(begin, end)], []
     spans = list[Span]()
@@ -288,9 +285,11 @@ def _at_100_hz(tracks: list[Track], span: Span) -> Log:
     columns = _unchanged(tracks, span) or _resampled(tracks, span)
     if "velocity" not in columns:
         columns["velocity"] = np.gradient(columns["angle"], TICK_S)
+    # The time stays in double precision.
+    time = columns.pop("time")
     single = {name: values.astype(np.float32) for name, values in columns.items()}
     force = np.stack([single["force_x"], single["force_y"]], axis=1)
-    reading = Reading(columns["time"], single["angle"], single["velocity"], force)
+    reading = Reading(time, single["angle"], single["velocity"], force)
     return Log(Command(single["command_angle"], single["command_velocity"]), reading)
 
 
@@ -339,6 +338,8 @@ def interpolated(
         values = np.interp(even, time, values)
         half = round(KERNEL_S / 2 / step)
         offset = np.arange(-half, half + 1) * step
+        # sin(2 pi f t) / (2 pi f t), the ideal low-pass, times a Hann window cos^2 that ends just
+        # outside the kernel. Near the ends the weights are those of the samples that exist.
         kernel = (
             np.sinc(2 * CUTOFF_HZ * offset) * np.cos(np.pi * offset / (KERNEL_S + 2 * step)) ** 2
         )

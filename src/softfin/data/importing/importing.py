@@ -1,7 +1,6 @@
 """Options of `open_logs`: columns, units, signs and clocks of recordings made by others."""
 
 import csv
-import itertools
 from typing import Any, Literal, get_args
 
 import pydantic
@@ -25,10 +24,7 @@ SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
 
 Topic = Literal["command", "joint", "wrench"]
 
-FORCE_FRAMES = tuple(
-    f"{sx}{x},{sy}{y}"
-    for (x, y), sx, sy in itertools.product((("x", "y"), ("y", "x")), ("", "-"), ("", "-"))
-)
+FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
 """The ways in which a sensor's axes can be swapped or reversed: softfin's +x and +y, in the
 sensor's axes."""
 
@@ -85,25 +81,23 @@ class ImportConfig(Configuration):
             return value
         if info.field_name == "angles" and "=" not in value:
             return dict.fromkeys(ANGLES, value)
+        pairs = {}
         # As in a CSV file, a pair that contains a comma is quoted.
-        parts = [
-            part.strip()
-            for part in next(csv.reader([value], skipinitialspace=True), [])
-            if part.strip()
-        ]
-        if info.field_name == "negate":
-            return tuple(parts)
-        pairs = [part.partition("=") for part in parts]
-        for name, _, text in pairs:
-            if not text.strip():
-                raise ValueError(f"{name.strip()!r} has no value; write NAME=VALUE,NAME=VALUE")
-        return {name.strip(): text.strip() for name, _, text in pairs}
+        for part in next(csv.reader([value], skipinitialspace=True), []):
+            if part.strip():
+                name, _, text = map(str.strip, part.partition("="))
+                if not text:
+                    raise ValueError(f"{name!r} has no value; write NAME=VALUE,NAME=VALUE")
+                pairs[name] = text
+        return pairs
 
     @pydantic.field_validator("angles")
     @classmethod
     def _in_known_units(cls, value: dict[AngleChannel, str]) -> dict[AngleChannel, str]:
         for channel, unit in value.items():
-            units = [*UNITS["angle"], *(UNITS["velocity"] if KINDS[channel] == "velocity" else ())]
+            units = list(UNITS["angle"])
+            if KINDS[channel] == "velocity":
+                units += UNITS["velocity"]
             if unit not in units:
                 raise ValueError(
                     f"{unit!r} is not a unit of angles; allowed are {', '.join(units)}, or of "

@@ -5,6 +5,7 @@ separators do not count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANG
 same.
 """
 
+import itertools
 import math
 import re
 from typing import Literal, get_args
@@ -57,7 +58,9 @@ SPELLINGS = {
     "N": "n newton newtons",
     "mN": "mn millinewton millinewtons",
     "kN": "kn kilonewton kilonewtons",
-    **{unit: unit for unit in ("gf", "kgf", "lbf")},
+    "gf": "gf",
+    "kgf": "kgf",
+    "lbf": "lbf",
 }
 """Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and those of
 a second."""
@@ -147,20 +150,13 @@ _PHRASES = {
 
 
 def _spellings(kind: str) -> dict[str, str]:
-    spelled = {
-        text: unit
-        for unit, texts in SPELLINGS.items()
-        if unit in UNITS[kind]
-        for text in texts.split()
-    }
+    spelled: dict[str, str] = {}
+    for unit in UNITS[kind]:
+        spelled |= dict.fromkeys(SPELLINGS.get(unit, "").split(), unit)
     if kind == "velocity":
         for unit in UNITS["angle"]:
-            angles = SPELLINGS[unit].split()
-            spelled |= {
-                f"{text}/{second}": f"{unit}/s"
-                for text in angles
-                for second in SPELLINGS["s"].split()
-            }
+            for pair in itertools.product(SPELLINGS[unit].split(), SPELLINGS["s"].split()):
+                spelled["/".join(pair)] = f"{unit}/s"
         spelled |= {"dps": "deg/s", "degps": "deg/s", "radps": "rad/s", "rps": "turn/s"}
     return spelled
 

@@ -13,7 +13,7 @@ from rosbags.rosbag2 import Reader
 
 from softfin.core.errors import LogError, one_line
 from softfin.core.printable import printable
-from softfin.data.importing.clocks import Part, Recording, Track
+from softfin.data.importing.clocks import Channels, Part, Recording, Track
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
 from softfin.data.importing.names import Channel
@@ -78,11 +78,10 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
         issues.append(derived_velocity(name))
     if all(np.array_equal(tracks[0].time, track.time) for track in tracks):
         # Topics with the same stamps form one track, which needs no other clock.
-        tracks = [
-            Track(
-                tracks[0].time, {name: v for track in tracks for name, v in track.channels.items()}
-            )
-        ]
+        channels: Channels = {}
+        for track in tracks:
+            channels |= track.channels
+        tracks = [Track(tracks[0].time, channels)]
     return Recording(name, part, tuple(tracks), tuple(issues))
 
 
@@ -100,14 +99,8 @@ def _read_topic(
     where = f"{path}: {topic}"
     kind = there.get(topic, "")
     if not connections:
-        listed = (
-            _plain(
-                ", ".join(
-                    f"{topic} ({kind})" for topic, kind in sorted(there.items())[:MAX_LISTED_TOPICS]
-                )
-            )
-            or "no topics"
-        )
+        topics = [f"{other} ({kind})" for other, kind in sorted(there.items())]
+        listed = _plain(", ".join(topics[:MAX_LISTED_TOPICS])) or "no topics"
         fitting = [other for other, kind in there.items() if kind in READABLE_TYPES[role]]
         hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
         raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; name it: {hint}")
@@ -206,10 +199,8 @@ def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, flo
     if kind == JOINT_STATE:
         names = list(message.name)
         if joint not in names and (joint or len(message.position) != 1):
-            listed = (
-                _plain(", ".join(names[:MAX_LISTED_TOPICS]))
-                or f"{len(message.position)} without names"
-            )
+            unnamed = f"{len(message.position)} without names"
+            listed = _plain(", ".join(names[:MAX_LISTED_TOPICS])) or unnamed
             raise LogError(f"{where}: which joint? It has {listed}; name it: TOPIC:JOINT")
         index = names.index(joint) if joint in names else 0
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")

@@ -26,31 +26,34 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         found = choose_columns(names, config, str(path))
         table = _read_csv(path, names, delimiter, [column.name for column in found.values()])
     else:
-        names = (table := read_parquet(path)).schema.names
+        table = read_parquet(path)
+        names = table.schema.names
         found = choose_columns(names, config, str(path))
     rows = table.num_rows
     if not rows:
         raise LogError(f"{path}: empty: it has no rows; record it again")
-    values = {
-        channel: _numbers(table.column(column.name), column.name, path)
-        for channel, column in found.items()
-    }
-    values = converted(values, config, {channel: column.unit for channel, column in found.items()})
+    numbers = {}
+    units = {}
+    for channel, column in found.items():
+        numbers[channel] = _numbers(table.column(column.name), column.name, path)
+        units[channel] = column.unit
+    values = converted(numbers, config, units)
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
     whole = Track(time, values)
     issues = tuple(_notes(name, names, found, config))
     length = config.rows_per_log or rows
-    return [
-        Recording(
-            f"{name} rows {start}..{min(start + length, rows) - 1}" if length < rows else name,
-            part,
-            (whole.take(slice(start, start + length)),),
-            () if start else issues,
-        )
-        for start in range(0, rows, length)
-    ]
+    if length >= rows:
+        return [Recording(name, part, (whole,), issues)]
+    recordings = []
+    for start in range(0, rows, length):
+        end = min(start + length, rows)
+        piece = whole.take(slice(start, end))
+        recordings.append(Recording(f"{name} rows {start}..{end - 1}", part, (piece,), issues))
+        # Only once, with the first piece.
+        issues = ()
+    return recordings
 
 
 def _notes(
@@ -58,11 +61,14 @@ def _notes(
 ) -> list[Issue]:
     """Describe which column was used for which channel, and its unit, unless softfin's own names
     state it."""
-    texts = [describe_columns(found)]
-    fix = (
-        "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, --time-unit"
-        * bool(texts[0])
-    )
+    texts = []
+    fix = ""
+    if described := describe_columns(found):
+        texts.append(described)
+        fix = (
+            "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, "
+            "--time-unit"
+        )
     options = {
         "command_velocity": (config.velocity_rad_s, "--velocity"),
         "time": (config.rate_hz, "--rate"),
@@ -74,8 +80,7 @@ def _notes(
         texts.append(
             f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, from --velocity"
         )
-    text = "; ".join(filter(None, texts))
-    notes = [Issue("note", "columns", name, text, fix)] if text else []
+    notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
     read = {column.name for column in found.values()}
     if unused := [column for column in names if column not in read]:
         text = f"columns that were not read: {', '.join(map(repr, unused[:12]))}"
