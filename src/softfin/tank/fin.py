@@ -21,7 +21,15 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.tank import chain
-from softfin.tank.chain import Moments, PerPlate, PlateMotion, PlateWrench, Scalar
+from softfin.tank.chain import (
+    Moments,
+    PerPlate,
+    PlanarVector,
+    PlateMatrix,
+    PlateMotion,
+    PlateWrench,
+    Scalar,
+)
 
 PlateSeries: TypeAlias = NDArray[np.floating[Any]]
 
@@ -133,9 +141,9 @@ class Mount(NamedTuple):
     the fin edgewise.
     """
 
-    velocity: Float[Array, "2"]
+    velocity: PlanarVector
     """Velocity (x, y) relative to water far away, which is at rest [m/s]."""
-    acceleration: Float[Array, "2"]
+    acceleration: PlanarVector
     """Acceleration (x, y) relative to that water [m/s2]."""
     turn: Scalar
     """Angular velocity about the shaft, in the sense of the shaft's angle [rad/s]."""
@@ -161,19 +169,19 @@ class Surroundings(NamedTuple):
 
     inertia: Moments
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
-    stream: Float[Array, "2"]
+    stream: PlanarVector
     """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion
     relative to it."""
     loads: Callable[[PlateMotion], tuple[Moments, PlateWrench]]
     """Effects of water on moving plates besides inertia: resistance [kg/s] and forces [N]."""
-    acceleration: Float[Array, "2"] | None = None
+    acceleration: PlanarVector | None = None
     """Acceleration (x, y) of the mount through the water [m/s2]; None: it stands still."""
 
 
 class Fin(eqx.Module):
     """Plates and joints of the fin as arrays."""
 
-    plate_length: Float[Array, ""]
+    plate_length: Scalar
     stiffness: PerPlate
     """Stiffness of the joint at the inner end of each plate [N m/rad]."""
     damping: PerPlate
@@ -198,7 +206,8 @@ class Fin(eqx.Module):
 
     def rest(self) -> FinState:
         """Return the state straight along angle 0, still."""
-        return FinState(*(jnp.zeros_like(self.stiffness) for _ in FinState._fields))
+        still = jnp.zeros_like(self.stiffness)
+        return FinState(still, still, still, still)
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
         """Return the shaft and the outer end of each plate, in the axes of the tank [m]."""
@@ -213,9 +222,7 @@ class Fin(eqx.Module):
         relative: PlateMotion = jax.tree.map(jnp.subtract, self._motion(state), stream)
         return relative
 
-    def momenta(
-        self, state: FinState, around: Surroundings
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    def momenta(self, state: FinState, around: Surroundings) -> tuple[PlanarVector, PlanarVector]:
         """Return the momenta of the fin itself and of the water that it carries, in the axes of the
         tank [N s]."""
         return (
@@ -223,19 +230,17 @@ class Fin(eqx.Module):
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
-    def inertial_force(
-        self, state: FinState, around: Surroundings, mount: Mount
-    ) -> Float[Array, "2"]:
+    def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> PlanarVector:
         """Return the part of the momenta's rate of change that comes of the mount's motion, in its
         axes [N].
 
         The rest is the change of `momenta` in those axes, at the mount's velocity.
         """
 
-        def turned(vector: Float[Array, "2"]) -> Float[Array, "2"]:
+        def turned(vector: PlanarVector) -> PlanarVector:
             return mount.turn * jnp.stack([vector[1], -vector[0]])
 
-        def needed(inertia: Moments, acceleration: Float[Array, "2"]) -> Float[Array, "2"]:
+        def needed(inertia: Moments, acceleration: PlanarVector) -> PlanarVector:
             return chain.resultant(
                 state.angles, inertia.times(chain.components(state.angles, acceleration))
             )
@@ -250,7 +255,7 @@ class Fin(eqx.Module):
 
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
-    ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
+    ) -> tuple[FinState, Scalar, PlanarVector]:
         """Take one step of time; return also the shaft's mean rate in it [rad/s] and the loads'
         mean force [N]."""
         half = seconds / 2
@@ -345,7 +350,7 @@ def _between(torques: PerPlate) -> PerPlate:
     return inner - jnp.append(inner[1:], 0.0)
 
 
-def _joint_matrix(joints: PerPlate) -> Float[Array, "plates plates"]:
+def _joint_matrix(joints: PerPlate) -> PlateMatrix:
     """The tridiagonal matrix that takes angles of plates to what the joints between them take from
     each."""
     inner = joints.at[0].set(0.0)
