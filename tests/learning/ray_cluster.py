@@ -22,6 +22,7 @@ import jax
 import numpy as np
 
 from softfin.core.errors import RunError, SoftfinError
+from softfin.core.quantities import Limits
 from softfin.gaits.reachable import Cell
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import PolicyConfig
@@ -138,7 +139,8 @@ def task_by_task(folder: Path, seeds: tuple[int, ...]) -> TrainingResult:
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,
     )
-    return TrainingResult.of_plant(AnalyticFin(), SMALL, seeds, policies, evaluation, None)
+    limits = Limits(*map(float, AnalyticFin().limits))
+    return TrainingResult(SMALL, limits, seeds, policies, evaluation)
 
 
 def own(folder: Path) -> dict[str, Any]:

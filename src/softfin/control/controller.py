@@ -17,7 +17,7 @@ from softfin.core.errors import RunError
 from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.operations import NUMPY, Array, Operations, select_operations
 from softfin.core.quantities import Command, Limits, action_to_command
-from softfin.gaits.reachable import Cell, ForceVector, Reachable
+from softfin.gaits.reachable import Cells, ForceVector, Reachable, format_force
 
 ControllerState: TypeAlias = Any
 
@@ -114,7 +114,7 @@ class LoadedController:
     step: ControllerStep
     limits: Limits = dataclasses.field(metadata=STATIC)
     """Limits of the plant in which it was trained; its commands stay within them."""
-    cells: tuple[Cell, ...] = dataclasses.field(metadata=STATIC)
+    cells: Cells = dataclasses.field(metadata=STATIC)
     """References for which it was trained [N]."""
     reachable: Reachable | None = None
     """Mean forces that the fin can make, if known."""
@@ -146,25 +146,25 @@ class LoadedController:
         ops = select_operations(angle, reference, state[0])
         if ops is not NUMPY:
             xp = ops.xp
-            now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)]).astype(
-                np.float32
-            )
+            now = xp.concatenate([xp.asarray(angle)[None], xp.asarray(reference)])
+            now = now.astype(np.float32)
             state, action = self.step.act(ops, state, now)
             return state, action_to_command(self.limits, action)
         if not all(
             abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)
         ):
             raise RunError(
-                f"{self.artifact.name}: angle {angle:g} rad, force ({force[0]:g}, {force[1]:g}) N, "
-                f"reference ({reference[0]:g}, {reference[1]:g}) N: a controller needs finite "
-                "numbers; check drive and sensor"
+                f"{self.artifact.name}: angle {angle:g} rad, force {format_force(force)} N, "
+                f"reference {format_force(reference)} N: a controller needs finite numbers; check "
+                "drive and sensor"
             )
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
         command: Any = action_to_command(self.limits, action.tolist())
-        least_angle, greatest_angle, least_velocity, greatest_velocity = self.limits
+        limits = self.limits
         # Rounding must not leave the limits.
-        angle = min(max(command.angle, least_angle), greatest_angle)
-        return state, Command(angle, min(max(command.velocity, least_velocity), greatest_velocity))
+        angle = ops.clip(command.angle, limits.angle_min, limits.angle_max)
+        velocity = ops.clip(command.velocity, limits.velocity_min, limits.velocity_max)
+        return state, Command(angle, velocity)
 
     def check(self, reference: ForceVector) -> None:
         """Raise CoverageError if the reference is outside every cell."""
@@ -190,8 +190,8 @@ _REGISTERED: set[type] = set()
 def _register_pytree(dataclass: type) -> None:
     import jax
 
-    fields = dataclasses.fields(dataclass)
-    static = [field.name for field in fields if "static" in field.metadata]
-    dropped = [field.name for field in fields if "dropped" in field.metadata]
-    leaves = [field.name for field in fields if field.name not in (*static, *dropped)]
-    jax.tree_util.register_dataclass(dataclass, leaves, static, dropped)
+    names: dict[str, list[str]] = {"leaf": [], "static": [], "dropped": []}
+    for field in dataclasses.fields(dataclass):
+        role = next(iter(field.metadata), "leaf")
+        names[role].append(field.name)
+    jax.tree_util.register_dataclass(dataclass, *names.values())

@@ -40,7 +40,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, CYCLE_ACTION
 from softfin.core.configuration import Configuration
 from softfin.core.operations import NUMPY, Array, Number, Operations, select_operations
 from softfin.core.quantities import Command, Limits
-from softfin.gaits.reachable import Cell, ForceVector, Reachable
+from softfin.gaits.reachable import Cells, ForceVector, Reachable, cell_corners
 
 WINDOW_WEIGHTS = np.array(
     [
@@ -130,7 +130,7 @@ class DisturbanceObserver:
         return limits
 
     @property
-    def cells(self) -> tuple[Cell, ...]:
+    def cells(self) -> Cells:
         """Cells of the controller inside."""
         return controller_cells(self.controller)
 
@@ -143,11 +143,7 @@ class DisturbanceObserver:
     def _corners(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Lower and upper corners of the cells ``(cells, 2)`` [N]; None for a controller that
         covers everything."""
-        if not self.cells:
-            return None
-        low = np.array([cell.low for cell in self.cells], np.float32)
-        high = np.array([cell.high for cell in self.cells], np.float32)
-        return low, high
+        return cell_corners(self.cells) if self.cells else None
 
     def init(self) -> DisturbanceObserverState:
         """Return the state of a fin at rest with a sensor that was just zeroed."""

@@ -5,17 +5,15 @@ It is the benchmark for the policies, their starting point, and a good choice if
 be small.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
-import numpy as np
-
 from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import ForceMap, GaitTable
-from softfin.gaits.reachable import Cell
+from softfin.gaits.gait import ForceMap, GaitTable, NamedArrays
+from softfin.gaits.reachable import Cell, Cells
 
 
 class GaitState(NamedTuple):
@@ -36,17 +34,16 @@ class GaitStep:
     @classmethod
     def load(
         cls,
-        description: Mapping[str, object],
-        arrays: Mapping[str, np.ndarray],
+        description: JsonObject,
+        arrays: NamedArrays,
         limits: Limits,
-        cells: tuple[Cell, ...],
-    ) -> tuple["GaitStep", tuple[Cell, ...]]:
+        cells: Cells,
+    ) -> tuple["GaitStep", Cells]:
         """Build it from a controller's description and arrays; returns it with its lattice's
         box."""
         table = ForceMap.from_dict(description, arrays).gaits.table
-        (x0, y0) = table.low.tolist()
-        (x1, y1) = table.high.tolist()
-        return cls(table), (Cell(low=(x0, y0), high=(x1, y1)),)
+        box = Cell(low=tuple(table.low.tolist()), high=tuple(table.high.tolist()))
+        return cls(table), (box,)
 
     def init(self) -> GaitState:
         """Return the state before the first of the six actions."""

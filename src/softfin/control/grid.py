@@ -7,7 +7,6 @@ six actions, one cycle of the clock; and its actions are blended with those of t
 (bumpless transfer).
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar, NamedTuple
@@ -19,10 +18,11 @@ from softfin.control.controller import STATIC
 from softfin.control.policy import PolicyMemory, PolicyNetwork, PolicyObservation, fold, rest_action
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import GaitTable
-from softfin.gaits.reachable import Cell
+from softfin.gaits.gait import GaitTable, NamedArrays
+from softfin.gaits.reachable import Cells, cell_corners
 
 
 class SwitchingConfig(Configuration):
@@ -82,22 +82,21 @@ class GridStep:
     @classmethod
     def load(
         cls,
-        description: Mapping[str, object],
-        arrays: Mapping[str, np.ndarray],
+        description: JsonObject,
+        arrays: NamedArrays,
         limits: Limits,
-        cells: tuple[Cell, ...],
-    ) -> tuple["GridStep", tuple[Cell, ...]]:
+        cells: Cells,
+    ) -> tuple["GridStep", Cells]:
         """Build it from a controller's description and arrays; returns it with its cells."""
         if not cells:
             raise ValueError("cells: none given; a grid needs one or more")
         observation = PolicyObservation.model_validate(description["task"])
-        low, high = (
-            np.array([getattr(cell, corner) for cell in cells], np.float32)
-            for corner in ("low", "high")
-        )
         switching = SwitchingConfig.model_validate(description.get("switching") or {})
         networks, gaits = fold(arrays, observation, (len(cells),))
-        return cls(networks, low, high, rest_action(limits), observation, switching, gaits), cells
+        step = cls(
+            networks, *cell_corners(cells), rest_action(limits), observation, switching, gaits
+        )
+        return step, cells
 
     def init(self) -> GridState:
         """Return the state of a fin at rest."""
@@ -134,10 +133,9 @@ class GridStep:
             ops, memory, self.observation.observe(ops, now, state.actions, state.age)
         )
         blend = self._blend(ops, state, switched, reference)
+        own = network.action(ops, memory, self.gaits, reference, state.age)
         before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
-        action = (1 - blend) * network.action(
-            ops, memory, self.gaits, reference, state.age
-        ) + blend * before
+        action = (1 - blend) * own + blend * before
         less = blend - 1 / max(1, self.switching.fade_actions)
         after = GridState(
             *memory,
@@ -179,6 +177,7 @@ class GridStep:
         empty: PolicyMemory = ops.constant(network.empty())
         memory = empty
         if self.switching.replay:
+            # From the oldest action on; one before the start leaves the memory empty.
             for ago in range(CYCLE_ACTIONS, 0, -1):
                 memory = PolicyMemory(
                     *ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty)

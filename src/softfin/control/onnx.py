@@ -8,6 +8,7 @@ extra ``softfin[onnx]``.
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, jax_operations
 from softfin.core.quantities import action_to_command
+from softfin.gaits.reachable import bounding_box
 from softfin.storage.artifact import check_file
 from softfin.storage.onnx_file import (
     FORCE_FRAME,
@@ -49,11 +51,15 @@ def export_onnx(controller: LoadedController, file: Path, overwrite: bool = Fals
     import_extra("spox", "onnx", "onnxruntime")
     from softfin.storage.onnx_graph import build_graph
 
-    initial = {name: np.asarray(value) for name, value in controller.step.init()._asdict().items()}
+    initial = _named_state(controller.step.init())
     measured = {name: np.zeros(shape, np.float32) for name, shape in MEASURED_SHAPES.items()}
     model = build_graph(_step_function(controller), measured | initial)
     data = encode_model(model, f"{controller.kind} controller", initial, _metadata(controller))
     return keep_model(file, data, "commands", _difference(data, controller), MAX_COMMAND_DIFFERENCE)
+
+
+def _named_state(state: Any) -> dict[str, np.ndarray]:
+    return {name: np.asarray(value) for name, value in state._asdict().items()}
 
 
 def _step_function(controller: LoadedController) -> Callable[..., dict[str, Array]]:
@@ -127,9 +133,10 @@ def _difference(data: bytes, controller: LoadedController) -> float:
     numbers = np.random.default_rng(0)
     session = open_session(data)
     native = controller.step.init()
-    state = {name: np.asarray(value) for name, value in native._asdict().items()}
-    low = np.min([c.low for c in controller.cells], axis=0)
-    high = np.max([c.high for c in controller.cells], axis=0)
+    state = _named_state(native)
+    box = bounding_box(controller.cells)
+    low = np.asarray(box.low)
+    high = np.asarray(box.high)
     worst = 0.0
     reference = (low + high) / 2
     for index in range(EPISODE):
@@ -139,12 +146,11 @@ def _difference(data: bytes, controller: LoadedController) -> float:
         angle = numbers.uniform(*controller.limits[:2])
         force = numbers.normal(size=2)
         fed = {"angle": angle, "force": force, "reference": reference}
-        found = session.run(
-            None, {name: np.asarray(value, np.float32) for name, value in fed.items()} | state
-        )
-        state = dict(zip(state, found[len(COMMAND_OUTPUTS) :], strict=True))
+        inputs = {name: np.asarray(value, np.float32) for name, value in fed.items()}
+        exported_angle, exported_velocity, *after = session.run(None, inputs | state)
+        state = dict(zip(state, after, strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
-        difference = np.abs(np.array(command) - np.array(found[: len(COMMAND_OUTPUTS)])).max()
+        difference = np.abs(np.array(command) - (exported_angle, exported_velocity)).max()
         # NaN also counts as a difference.
         worst = max(worst, float(difference)) if difference == difference else np.inf
     return worst

@@ -11,7 +11,6 @@ observation, and 1/2 for the gates, since the logistic function is s(x) = 1/2 + 
 that one tanh computes all four gates. Policies that did not start from gaits lack this term.
 """
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ import pydantic
 from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import GaitTable
+from softfin.gaits.gait import GaitTable, NamedArrays
 
 MEASURED = 3
 """Numbers in an observation before the past actions: angle [rad] and reference (x, y) [N]."""
@@ -118,9 +117,9 @@ class PolicyNetwork(NamedTuple):
         tanh = ops.xp.tanh
         inner = tanh(ops.dot(memory.hidden, self.hidden) + self.hidden_bias)
         before = ops.dot(inner, self.output) + self.output_bias
-        return tanh(
-            before if gaits is None else before + gait_before_tanh(ops, gaits, reference, age)
-        )
+        if gaits is not None:
+            before = before + gait_before_tanh(ops, gaits, reference, age)
+        return tanh(before)
 
 
 def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: Number) -> Array:
@@ -130,7 +129,7 @@ def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: N
 
 
 def fold(
-    arrays: Mapping[str, np.ndarray], observation: PolicyObservation, stack: tuple[int, ...] = ()
+    arrays: NamedArrays, observation: PolicyObservation, stack: tuple[int, ...] = ()
 ) -> tuple[PolicyNetwork, GaitTable | None]:
     """Build a network from a trained policy's named arrays, or from policies stacked along a
     leading axis.
@@ -138,10 +137,9 @@ def fold(
     Returns it with the gaits that its actions are added to, over references in N, if the policy
     started from gaits. Raises ValueError if arrays are missing, unknown or of another shape.
     """
-    gaits = _gaits(
-        {name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}, observation
-    )
-    arrays = {name: array for name, array in arrays.items() if not name.startswith(f"{GAITS}.")}
+    gait_arrays = {name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}
+    gaits = _gaits(gait_arrays, observation)
+    arrays = {name: array for name, array in arrays.items() if name not in gait_arrays}
     # The first axis of a layer's kernel is as long as its input; a missing array is refused below.
     units, width = (
         sum(np.shape(arrays.get(f"net.{layer}.kernel", ()))[-2:-1])
@@ -178,8 +176,11 @@ def fold(
             "net.lstm.bias",
         )
     )
-    normalised = kernel / np.maximum(deviation, MIN_DEVIATION)[..., None]
-    bias = bias - (mean[..., None, :] @ normalised)[..., 0, :]
+    # The layer sees (x / unit - mean) / deviation: kernel' = kernel / deviation / unit, and
+    # bias' = bias - mean kernel / deviation.
+    kernel = kernel / np.maximum(deviation, MIN_DEVIATION)[..., None]
+    bias = bias - (mean[..., None, :] @ kernel)[..., 0, :]
+    kernel = kernel / observation.units()[:, None]
 
     def gates(weights: np.ndarray) -> np.ndarray:
         """Reorder from input, forget, cell, output to input, forget, output, cell, and halve the
@@ -188,17 +189,16 @@ def fold(
         return np.ascontiguousarray(np.concatenate([i / 2, f / 2, o / 2, g], axis=-1), np.float32)
 
     return PolicyNetwork(
-        gates(np.concatenate([normalised / observation.units()[:, None], recurrent], axis=-2)),
-        gates(bias),
-        *(
-            arrays[f"net.{layer}.{part}"]
-            for layer in ("hidden", "output")
-            for part in ("kernel", "bias")
-        ),
+        kernel=gates(np.concatenate([kernel, recurrent], axis=-2)),
+        bias=gates(bias),
+        hidden=arrays["net.hidden.kernel"],
+        hidden_bias=arrays["net.hidden.bias"],
+        output=arrays["net.output.kernel"],
+        output_bias=arrays["net.output.bias"],
     ), gaits
 
 
-def _gaits(arrays: Mapping[str, np.ndarray], observation: PolicyObservation) -> GaitTable | None:
+def _gaits(arrays: NamedArrays, observation: PolicyObservation) -> GaitTable | None:
     if not arrays:
         return None
     if {*arrays} != {f"{GAITS}.{name}" for name in GaitTable._fields}:
@@ -206,12 +206,8 @@ def _gaits(arrays: Mapping[str, np.ndarray], observation: PolicyObservation) -> 
     low, high, actions = (
         np.asarray(arrays[f"{GAITS}.{name}"], np.float32) for name in GaitTable._fields
     )
-    if (
-        actions.ndim != 4
-        or actions.shape[2:] != (CYCLE_ACTIONS, 2)
-        or low.shape != (2,)
-        or high.shape != (2,)
-    ):
+    corners = (low.shape, high.shape)
+    if actions.ndim != 4 or actions.shape[2:] != (CYCLE_ACTIONS, 2) or corners != ((2,), (2,)):
         raise ValueError(
             f"gaits of shape {actions.shape} from {low.shape} to {high.shape} are not a table of "
             "gaits"

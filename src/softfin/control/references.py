@@ -8,17 +8,17 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.errors import CoverageError
-from softfin.gaits.reachable import Cell, ForceVector, Reachable
+from softfin.gaits.reachable import Cell, Cells, ForceVector, Reachable, format_force
 
 EDGE_N = 1e-4
 """References this near to a cell are on its edge: forces are float32, and their decimals seldom
 come out even."""
 
 
-def controller_cells(controller: object) -> tuple[Cell, ...]:
+def controller_cells(controller: object) -> Cells:
     """Return the cells that a controller was trained for; none of one that has no `cells` and
     covers everything."""
-    return cast(tuple[Cell, ...], getattr(controller, "cells", None) or ())
+    return cast(Cells, getattr(controller, "cells", None) or ())
 
 
 def reachable_set(controller: object) -> Reachable | None:
@@ -37,7 +37,7 @@ def check_within(cells: Sequence[Cell], reference: ForceVector) -> None:
             else "what this controller was trained for"
         )
         raise CoverageError(
-            f"reference ({reference[0]:g}, {reference[1]:g}) N: {beyond:.2g} N outside {which} "
+            f"reference {format_force(reference)} N: {beyond:.2g} N outside {which} "
             f"({nearest}); ask within {'a cell' if len(cells) > 1 else 'it'}, or train with "
             f"{'a' if len(cells) > 1 else 'a wider'} cell there"
         )
@@ -53,9 +53,7 @@ def resolve_reference(
     reference and `strict`, or where the controller was not trained for it.
     """
     if not np.isfinite(reference).all():
-        raise CoverageError(
-            f"reference ({reference[0]:g}, {reference[1]:g}) N: give two finite numbers [N]"
-        )
+        raise CoverageError(f"reference {format_force(reference)} N: give two finite numbers [N]")
     x, y = nearest_trackable(controller, np.array([reference], float))[0].tolist()
     # To the last bit it is what was asked for, unless it is another one.
     if (x, y) == tuple(reference):
@@ -85,14 +83,14 @@ def nearest_trackable(
     cells = controller_cells(controller) or (Cell(low=low, high=high),)
     near = reachable.nearest_within(cells, forces[beyond])
     if np.isnan(near).any():
-        a, b = forces[beyond][0].tolist()
-        x, y = reachable.nearest((a, b)).tolist()
+        outside = forces[beyond][0]
+        nearest_cell = min(cells, key=lambda cell: cell.distance(outside.tolist()))
+        x, y = reachable.nearest(outside).tolist()
         raise CoverageError(
-            f"reference ({a:g}, {b:g}) N: this fin cannot make it, nor any other force that this "
-            "controller was trained for (nearest cell "
-            f"{min(cells, key=lambda cell: cell.distance((a, b)))}); the nearest that the fin can "
-            f"make is ({x:.3f}, {y:.3f}) N; train it there, within the fin's reach (softfin map "
-            "shows it)"
+            f"reference {format_force(outside)} N: this fin cannot make it, nor any other force "
+            f"that this controller was trained for (nearest cell {nearest_cell}); the nearest that "
+            f"the fin can make is ({x:.3f}, {y:.3f}) N; train it there, within the fin's reach "
+            "(softfin map shows it)"
         )
     for x, y in near.tolist():
         controller.check((x, y))
@@ -104,6 +102,6 @@ def nearest_trackable(
 def unreachable(reference: ForceVector, near: ForceVector) -> str:
     """Describe a reference that the fin cannot make, with the nearest one that it can."""
     return (
-        f"reference ({reference[0]:g}, {reference[1]:g}) N: this fin cannot make it; the nearest "
+        f"reference {format_force(reference)} N: this fin cannot make it; the nearest "
         f"that it can make in this controller's range is ({near[0]:.3f}, {near[1]:.3f}) N"
     )

@@ -1,6 +1,5 @@
 """One policy for a whole range of references (paper Sec. III-C3, first design)."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
@@ -8,10 +7,11 @@ import numpy as np
 
 from softfin.control.controller import STATIC
 from softfin.control.policy import PolicyMemory, PolicyNetwork, PolicyObservation, fold, rest_action
+from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import GaitTable
-from softfin.gaits.reachable import Cell
+from softfin.gaits.gait import GaitTable, NamedArrays
+from softfin.gaits.reachable import Cells
 
 
 class SingleState(NamedTuple):
@@ -40,11 +40,11 @@ class SingleStep:
     @classmethod
     def load(
         cls,
-        description: Mapping[str, object],
-        arrays: Mapping[str, np.ndarray],
+        description: JsonObject,
+        arrays: NamedArrays,
         limits: Limits,
-        cells: tuple[Cell, ...],
-    ) -> tuple["SingleStep", tuple[Cell, ...]]:
+        cells: Cells,
+    ) -> tuple["SingleStep", Cells]:
         """Build it from a controller's description and arrays; returns it with its cell."""
         if len(cells) != 1:
             raise ValueError(f"cells: there are {len(cells)}; a single controller has one")

@@ -18,7 +18,7 @@ from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, one_line
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import ForceMap
+from softfin.gaits.gait import ForceMap, NamedArrays
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.storage import artifact as artifacts
 
@@ -51,7 +51,7 @@ def load_controller(path: Path) -> LoadedController:
 
 def build_controller(
     description: Mapping[str, Any],
-    arrays: Mapping[str, np.ndarray],
+    arrays: NamedArrays,
     source: str,
     name: str = CONTROLLER_KIND,
     digest: str = "",
@@ -71,16 +71,11 @@ def build_controller(
     try:
         limits = Limits.of(description["limits"])
         region = description.get("reachable")
-        cells = tuple(
-            Cell.model_validate(cell)
-            for cell in ([] if kind == GaitStep.kind else description["cells"])
-        )
-        step, cells = CONTROLLER_STEPS[kind].load(
-            description,
-            {key: np.array(array, np.float32) for key, array in arrays.items()},
-            limits,
-            cells,
-        )
+        # The cell of gaits is the box of their lattice.
+        listed = [] if kind == GaitStep.kind else description["cells"]
+        cells = tuple(map(Cell.model_validate, listed))
+        weights = {name: np.array(array, np.float32) for name, array in arrays.items()}
+        step, cells = CONTROLLER_STEPS[kind].load(description, weights, limits, cells)
         learnt = pydantic.TypeAdapter(TrainingRange | None).validate_python(
             description.get("training_range")
         )
@@ -105,7 +100,7 @@ def write_controller(
     kind: str,
     limits: Limits,
     keys: Mapping[str, object],
-    arrays: Mapping[str, np.ndarray],
+    arrays: NamedArrays,
     extra_files: Callable[[Path], None] | None,
     overwrite: bool,
 ) -> None:

@@ -54,7 +54,7 @@ class MapConfig(Configuration):
         any halving."""
         box = self.box
         if box is None:
-            low, high = (np.asarray(corner) / self.spacing_n for corner in surveyed.bounds())
+            low, high = np.asarray(surveyed.bounds()) / self.spacing_n
             low = np.floor(low) * self.spacing_n
             high = np.ceil(high) * self.spacing_n
             box = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
@@ -119,9 +119,8 @@ def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float
     nodes = force_map.gaits.table.references().reshape(-1, 2)
     held = force_map.gaits.force_error().reshape(-1) <= tolerance_n
     # A ray ends at the last of its parts that is held, which may be one part short of the edge.
-    clearly_outside = ~region.contains(
-        nodes, tolerance_n + float(np.max(region.radius)) / RAY_PARTS
-    )
+    margin_n = tolerance_n + float(np.max(region.radius)) / RAY_PARTS
+    clearly_outside = ~region.contains(nodes, margin_n)
     inside = region.contains(nodes)
     outside = float((held & clearly_outside).sum() / max(held.sum(), 1))
     unmet = float((inside & ~held).sum() / max(inside.sum(), 1))
@@ -130,9 +129,8 @@ def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float
         f"{outside:.0%} of the forces that gaits make lie outside it, and no gait was found for "
         f"{unmet:.0%} of the forces inside it"
     )
-    return {"held_outside": outside, "missed_inside": unmet}, warning if max(
-        outside, unmet
-    ) > NOT_STAR else None
+    star = {"held_outside": outside, "missed_inside": unmet}
+    return star, warning if max(outside, unmet) > NOT_STAR else None
 
 
 class LoadedMap(NamedTuple):
@@ -168,14 +166,11 @@ def save_map(
     }
     figure = map_figure(force_map, config.tolerance_n)
     arrays = force_map.arrays()
-    artifacts.save(
-        path,
-        MAP_KIND,
-        description,
-        arrays,
-        lambda folder: save_figure(figure, folder, "map"),
-        overwrite,
-    )
+
+    def draw(folder: Path) -> None:
+        save_figure(figure, folder, "map")
+
+    artifacts.save(path, MAP_KIND, description, arrays, draw, overwrite)
 
 
 def load_map(path: Path) -> LoadedMap:
@@ -202,10 +197,9 @@ def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
     Gaits are actions over the plant's limits, and another plant makes other forces of them.
     """
     loaded = load_map(path)
-    limits = [float(x) for x in plant.limits]
-    if not matches_identity(loaded.plant_identity, plant) or not np.allclose(
-        loaded.limits, limits, atol=1e-3
-    ):
+    limits = list(map(float, plant.limits))
+    same_limits = np.allclose(loaded.limits, limits, atol=1e-3)
+    if not same_limits or not matches_identity(loaded.plant_identity, plant):
         raise ArtifactError(
             f"{path}: a map of another plant ({loaded.plant_identity}) or for other limits than "
             f"{name} ({identity(plant)}) has now; map this one: softfin map {name} --out DIR"

@@ -6,7 +6,6 @@ exactly, so in the steady state a gait leaves no ripple in it. Its actions ``(6,
 1], (angle, velocity) over the limits.
 """
 
-import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeAlias
 
@@ -20,6 +19,7 @@ from softfin.core.quantities import AnyArray
 from softfin.gaits.reachable import Cell, ForceVector, Reachable
 
 Gait: TypeAlias = Float[AnyArray, "6 2"]
+NamedArrays: TypeAlias = Mapping[str, np.ndarray]
 
 
 class GaitTable(NamedTuple):
@@ -40,10 +40,8 @@ class GaitTable(NamedTuple):
     def over(cls, cell: Cell, spacing_n: float) -> "GaitTable":
         """Return an empty table with nodes at most `spacing_n` apart, including the corners of the
         cell."""
-        x, y = (
-            max(2, math.ceil((b - a) / spacing_n - 1e-6) + 1)
-            for a, b in zip(cell.low, cell.high, strict=True)
-        )
+        size = np.subtract(cell.high, cell.low)
+        x, y = np.maximum(2, np.ceil(size / spacing_n - 1e-6).astype(int) + 1).tolist()
         return cls.empty(cell.low, cell.high, (x, y))
 
     def halved(self, times: int = 1) -> "GaitTable":
@@ -65,19 +63,16 @@ class GaitTable(NamedTuple):
         x, i = self._place(ops, reference[0], 0)
         y, j = self._place(ops, reference[1], 1)
         node = i * rows + j
+        # Bilinear interpolation.
         blend = (1 - x) * (1 - y) * ops.row(table, node) + (1 - x) * y * ops.row(table, node + 1)
-        return (
-            blend
-            + x * (1 - y) * ops.row(table, node + rows)
-            + x * y * ops.row(table, node + rows + 1)
-        )
+        node = node + rows
+        return blend + x * (1 - y) * ops.row(table, node) + x * y * ops.row(table, node + 1)
 
     def references(self) -> Float[np.ndarray, "x y 2"]:
         """References of the nodes [N]."""
-        axes = [
-            np.linspace(float(self.low[i]), float(self.high[i]), self.actions.shape[i])
-            for i in range(2)
-        ]
+        low = np.asarray(self.low, float)
+        high = np.asarray(self.high, float)
+        axes = map(np.linspace, low, high, self.nodes)
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).astype(np.float32)
 
     def _place(self, ops: Operations, force: Number, axis: int) -> tuple[Number, Number]:
@@ -105,6 +100,11 @@ class GaitSearchResult(NamedTuple):
         return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
+def _is_box(low: np.ndarray, high: np.ndarray) -> bool:
+    # Comparisons with NaN are false.
+    return bool(((-np.inf < low) & (low <= high) & (high < np.inf)).all())
+
+
 class ForceMap(NamedTuple):
     """Mean forces that a fin can make, and gaits for them."""
 
@@ -116,8 +116,8 @@ class ForceMap(NamedTuple):
         table = self.gaits.table
         return {
             "lattice": {
-                "low_n": [float(x) for x in table.low],
-                "high_n": [float(x) for x in table.high],
+                "low_n": np.asarray(table.low, float).tolist(),
+                "high_n": np.asarray(table.high, float).tolist(),
                 "nodes": list(table.nodes),
             },
             "reachable": self.reachable.to_dict(),
@@ -133,22 +133,17 @@ class ForceMap(NamedTuple):
         }
 
     @classmethod
-    def from_dict(
-        cls, description: Mapping[str, Any], arrays: Mapping[str, np.ndarray]
-    ) -> "ForceMap":
+    def from_dict(cls, description: Mapping[str, Any], arrays: NamedArrays) -> "ForceMap":
         """Build a map from the results of `to_dict` and `arrays`; raises KeyError, TypeError or
         ValueError otherwise."""
         lattice = description["lattice"]
-        nodes = tuple(int(count) for count in lattice["nodes"])
+        nodes = tuple(map(int, lattice["nodes"]))
         actions, force, smoothness = (
             np.asarray(arrays[n], np.float32) for n in ("actions", "force_n", "smoothness_n")
         )
-        low, high = (np.asarray(lattice[name], np.float32) for name in ("low_n", "high_n"))
-        if (
-            low.shape != (2,)
-            or high.shape != (2,)
-            or not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all()
-        ):
+        low = np.asarray(lattice["low_n"], np.float32)
+        high = np.asarray(lattice["high_n"], np.float32)
+        if low.shape != (2,) or high.shape != (2,) or not _is_box(low, high):
             raise ValueError(
                 f"lattice from {low.tolist()} to {high.tolist()} N; it must be two corners, low <= "
                 "high"

@@ -55,33 +55,45 @@ class Cell(Configuration):
     @classmethod
     def around(cls, centre: ForceVector, width_n: float = 1.0) -> "Cell":
         """Build a square about a force."""
-        half = width_n / 2
-        return cls(
-            low=(centre[0] - half, centre[1] - half), high=(centre[0] + half, centre[1] + half)
-        )
+        return cls(low=centre, high=centre).expanded(width_n / 2)
 
     def expanded(self, margin_n: float) -> "Cell":
         """Build the cell that is larger by the margin on every side."""
-        (x0, y0) = self.low
-        (x1, y1) = self.high
+        x0, y0 = self.low
+        x1, y1 = self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
 
     def lattice(self, count: int) -> tuple[ForceVector, ...]:
         """Return `count` x `count` references, each in the middle of an equal part of the cell."""
+        x0, y0 = self.low
+        x1, y1 = self.high
         steps = [(i + 0.5) / count for i in range(count)]
-        (x0, y0) = self.low
-        (x1, y1) = self.high
-        return tuple((x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a in steps for b in steps)
+        return tuple((x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a, b in product(steps, steps))
 
     def distance(self, reference: ForceVector) -> float:
         """Distance from the cell to a reference [N]; 0 inside and on the edge."""
-        beyond = [
+        x, y = (
             max(a - r, 0.0, r - b) for a, r, b in zip(self.low, reference, self.high, strict=True)
-        ]
-        return float((beyond[0] ** 2 + beyond[1] ** 2) ** 0.5)
+        )
+        return float((x**2 + y**2) ** 0.5)
 
     def __str__(self) -> str:
         return f"x {self.low[0]:g} .. {self.high[0]:g}, y {self.low[1]:g} .. {self.high[1]:g} N"
+
+
+Cells: TypeAlias = tuple[Cell, ...]
+
+
+def format_force(force: ForceVector | Float[np.ndarray, "2"]) -> str:
+    """Write a force as ``(x, y)``, without its unit."""
+    return f"({force[0]:g}, {force[1]:g})"
+
+
+def cell_corners(cells: Sequence[Cell]) -> tuple[Forces, Forces]:
+    """Return the lower and the upper corners of cells, ``(cells, 2)`` float32 [N]."""
+    low = np.array([cell.low for cell in cells], np.float32)
+    high = np.array([cell.high for cell in cells], np.float32)
+    return low, high
 
 
 def bounding_box(cells: Sequence[Cell]) -> Cell:
@@ -108,9 +120,8 @@ class Reachable(NamedTuple):
             raise TypeError(
                 f"reachable is {description!r}; it must be an object with centre_n and radius_n"
             )
-        centre, radius = (
-            np.asarray(description[name], np.float32) for name in ("centre_n", "radius_n")
-        )
+        centre = np.asarray(description["centre_n"], np.float32)
+        radius = np.asarray(description["radius_n"], np.float32)
         if centre.shape != (2,) or radius.ndim != 1 or len(radius) < 3:
             raise ValueError(
                 f"reachable: centre {centre.shape} and radius {radius.shape} do not describe a "
@@ -122,9 +133,8 @@ class Reachable(NamedTuple):
 
     def to_dict(self) -> JsonObject:
         """Return centre and radii [N] for JSON."""
-        return {
-            f"{name}_n": [round(float(x), 5) for x in part] for name, part in self._asdict().items()
-        }
+        centre, radius = ([round(float(x), 5) for x in part] for part in self)
+        return {"centre_n": centre, "radius_n": radius}
 
     def corners(self) -> Float[np.ndarray, "directions 2"]:
         """Corners of the polygon [N], anticlockwise."""
@@ -167,12 +177,8 @@ class Reachable(NamedTuple):
         at = np.asarray(force, float)
         corners = self.corners().astype(float)
         points = _on_sides(corners, at, 0, 1)
-        near = np.take_along_axis(points, _find_nearest(points, at)[..., None, None], axis=-2)[
-            ..., 0, :
-        ]
-        return np.where(
-            np.isclose(self.project(at), at, atol=1e-5).all(axis=-1)[..., None], at, near
-        )
+        inside = np.isclose(self.project(at), at, atol=1e-5).all(axis=-1)
+        return np.where(inside[..., None], at, _choose_nearest(points, at))
 
     def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
         """Return, for each force, the nearest one that is inside both the region and a cell; NaN if
@@ -181,36 +187,23 @@ class Reachable(NamedTuple):
         It is the nearest point of the cell, of one of its sides or corners, or of the region's
         edge.
         """
-        if len(forces) > MAX_CHUNK_FORCES:
-            return np.concatenate(
-                [
-                    self.nearest_within(cells, forces[i : i + MAX_CHUNK_FORCES])
-                    for i in range(0, len(forces), MAX_CHUNK_FORCES)
-                ]
-            )
-        forces = forces.astype(float)
-        candidates = np.concatenate(
-            [
-                part
-                for cell in cells
-                for part in (self._on_cell(cell, forces), self._on_edge(cell, forces))
-            ],
-            axis=1,
-        )
-        return np.asarray(
-            np.take_along_axis(
-                candidates, _find_nearest(candidates, forces)[:, None, None], axis=1
-            )[:, 0]
-        )
+        chunks = []
+        for start in range(0, max(len(forces), 1), MAX_CHUNK_FORCES):
+            chunk = forces[start : start + MAX_CHUNK_FORCES].astype(float)
+            candidates = []
+            for cell in cells:
+                candidates += [self._on_cell(cell, chunk), self._on_edge(cell, chunk)]
+            chunks.append(_choose_nearest(np.concatenate(candidates, axis=1), chunk))
+        return np.concatenate(chunks)
 
     def _on_cell(
         self, cell: Cell, forces: Float[np.ndarray, "forces 2"]
     ) -> Float[np.ndarray, "forces candidates 2"]:
+        # Each coordinate is the nearest of the cell, its lower or its upper end.
         x, y = zip(np.clip(forces, cell.low, cell.high).T, cell.low, cell.high, strict=True)
-        points = [
-            np.stack(np.broadcast_arrays(*point, x[0])[:2], axis=1) for point in product(x, y)
-        ]
-        candidates = np.stack(points, axis=1)
+        candidates = np.empty((len(forces), 9, 2))
+        for index, point in enumerate(product(x, y)):
+            candidates[:, index, 0], candidates[:, index, 1] = point
         return np.where(self.contains(candidates)[..., None], candidates, np.nan)
 
     def _on_edge(
@@ -221,20 +214,14 @@ class Reachable(NamedTuple):
         # Where each side enters and leaves the cell, as a fraction of its length (Liang and Barsky
         # 1984).
         with np.errstate(divide="ignore", invalid="ignore"):
-            crossings = np.stack(
-                [(np.asarray(bound) - corners) / side for bound in (cell.low, cell.high)]
-            )
+            one = (np.asarray(cell.low) - corners) / side
+            other = (np.asarray(cell.high) - corners) / side
+        # A side along an axis is between the cell's edges all the way or nowhere.
         between = (corners >= cell.low) & (corners <= cell.high)
-        enter = (
-            np.where(side == 0, np.where(between, 0, np.inf), crossings.min(axis=0))
-            .max(axis=1)
-            .clip(0)
-        )
-        leave = (
-            np.where(side == 0, np.where(between, 1, -np.inf), crossings.max(axis=0))
-            .min(axis=1)
-            .clip(max=1)
-        )
+        first = np.where(side == 0, np.where(between, 0, np.inf), np.minimum(one, other))
+        last = np.where(side == 0, np.where(between, 1, -np.inf), np.maximum(one, other))
+        enter = first.max(axis=1).clip(0)
+        leave = last.min(axis=1).clip(max=1)
         on_side = _on_sides(corners, forces, enter, np.maximum(enter, leave))
         # Rounding must not leave the cell.
         return np.where((enter <= leave)[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
@@ -247,7 +234,8 @@ class Reachable(NamedTuple):
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Lower and upper corner (x, y) of the bounding box [N]."""
-        (x0, x1), (y0, y1) = ((float(side.min()), float(side.max())) for side in self.corners().T)
+        x0, y0 = self.corners().min(axis=0).tolist()
+        x1, y1 = self.corners().max(axis=0).tolist()
         return (x0, y0), (x1, y1)
 
 
@@ -270,8 +258,8 @@ def _on_sides(
     return np.asarray(corners + np.clip(along, enter, leave)[..., None] * side)
 
 
-def _find_nearest(points: ForcePoints, force: ForcePoints) -> Any:
-    """Return the index of the nearest of ``(..., points, 2)`` to each force; points that are NaN
-    come last."""
+def _choose_nearest(points: ForcePoints, force: ForcePoints) -> ForcePoints:
+    """Return the nearest of ``(..., points, 2)`` to each force; points that are NaN come last."""
     distance = np.linalg.norm(points - force[..., None, :], axis=-1)
-    return np.where(np.isnan(distance), np.inf, distance).argmin(axis=-1)
+    nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=-1)
+    return np.take_along_axis(points, nearest[..., None, None], axis=-2)[..., 0, :]

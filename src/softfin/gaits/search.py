@@ -47,6 +47,7 @@ from softfin.gaits.simulate import (
 NodeForces = Float[AnyArray, "nodes 2"]
 StepScales = Float[AnyArray, "nodes"]
 LatticeShape = tuple[int, int]
+ReportNodes = Callable[[GaitSensitivity, NodeForces], None]
 
 
 class GaitConfig(Configuration):
@@ -112,16 +113,21 @@ def find_gaits(
     def told(nodes: GaitSensitivity, target: NodeForces) -> None:
         nonlocal done
         done += 1
-        error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
-        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N largest")
+        error = _force_errors(nodes, target)
+        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
 
     nodes = _search(plant, survey, table, config, told)
     for _ in range(config.halvings):
         nodes, table = _between(plant, survey, nodes, _filled(table, nodes), config, told)
-    force, smoothness = (
-        np.asarray(each).reshape(*table.nodes, 2) for each in (nodes.out[:, :2], nodes.smoothness)
+    shape = (*table.nodes, 2)
+    force = np.asarray(nodes.out[:, :2]).reshape(shape)
+    return GaitSearchResult(
+        _filled(table, nodes), force, np.asarray(nodes.smoothness).reshape(shape)
     )
-    return GaitSearchResult(_filled(table, nodes), force, smoothness)
+
+
+def _force_errors(nodes: GaitSensitivity, target: NodeForces) -> Float[np.ndarray, "nodes"]:
+    return np.asarray(np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1))
 
 
 def _filled(table: GaitTable, nodes: GaitSensitivity) -> GaitTable:
@@ -135,7 +141,7 @@ def _search(
     survey: Survey,
     table: GaitTable,
     config: GaitConfig,
-    told: Callable[[GaitSensitivity, NodeForces], None],
+    told: ReportNodes,
 ) -> GaitSensitivity:
     """Find gaits for the nodes of a table, starting from the strokes of the survey."""
     # The key is not a constant of the module: creating it starts JAX, which an import must not do.
@@ -161,7 +167,7 @@ def _between(
     nodes: GaitSensitivity,
     table: GaitTable,
     config: GaitConfig,
-    told: Callable[[GaitSensitivity, NodeForces], None],
+    told: ReportNodes,
 ) -> tuple[GaitSensitivity, GaitTable]:
     """Add nodes halfway between those of a table; they start as blends."""
     finer = table.halved()
@@ -197,10 +203,7 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
     Centre and amplitude vary within a family, one waveform at one velocity.
     """
     starts = []
-    finer = [
-        np.linspace(values[0], values[-1], FINER * (len(values) - 1) + 1)
-        for values in (CENTRES, AMPLITUDES)
-    ]
+    finer = (_finer(CENTRES), _finer(AMPLITUDES))
     places = np.array(list(product(*finer)))
     for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
         interpolated = RegularGridInterpolator((CENTRES, AMPLITUDES), force, method="cubic")(places)
@@ -211,8 +214,13 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
             middle = np.asarray(_neighbours(jnp.asarray(pre_tanh[nearest]), shape))
             unlike = np.sqrt(np.mean((pre_tanh[None] - middle[:, None]) ** 2, axis=-1))
             nearest = np.argmin(apart + UNLIKE_N * unlike, axis=1)
-        starts.append((float(np.mean(apart[np.arange(len(apart)), nearest])), pre_tanh[nearest]))
+        cost = float(np.mean(apart[np.arange(len(apart)), nearest]))
+        starts.append((cost, pre_tanh[nearest]))
     return jnp.asarray(min(starts, key=lambda start: start[0])[1], jnp.float32)
+
+
+def _finer(values: np.ndarray) -> np.ndarray:
+    return np.linspace(values[0], values[-1], FINER * (len(values) - 1) + 1)
 
 
 @eqx.filter_jit
@@ -225,6 +233,8 @@ def _stepped(
     exact: bool,
 ) -> PreTanh:
     """Take one step of every node."""
+    # With the slope J of the force, J^T (J J^T)^-1 is the smallest step to a force. The small
+    # diagonal keeps it finite where a gait has no effect.
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
@@ -269,7 +279,7 @@ def _restarted(
     nodes: GaitSensitivity, target: NodeForces, scale: StepScales, shape: LatticeShape
 ) -> tuple[GaitSensitivity, StepScales]:
     """Restart nodes that are stuck from the best of their neighbours."""
-    error = np.linalg.norm(np.asarray(nodes.out)[:, :2] - np.asarray(target), axis=1)
+    error = _force_errors(nodes, target)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
     beside = np.stack(
         [padded[2:, 1:-1], padded[:-2, 1:-1], padded[1:-1, 2:], padded[1:-1, :-2]]

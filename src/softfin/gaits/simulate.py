@@ -73,7 +73,7 @@ class GaitResponse(NamedTuple):
 
 
 def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> GaitResponse:
-    """Repeat a gait from rest; only the last of `cycles` windows counts."""
+    """Repeat a gait from rest; only only only the last of `cycles` windows counts."""
     last = steady_state_force(plant, gait, cycles, key)[-WINDOW:]
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(WINDOW)))
 
@@ -101,24 +101,24 @@ class GaitSensitivity(NamedTuple):
 
 def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
     """Return the atanh of the actions."""
-    return np.asarray(
-        np.arctanh(np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)).reshape(
-            len(gaits), -1
-        )
-    )
+    limited = np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)
+    return np.asarray(np.arctanh(limited).reshape(len(gaits), -1))
 
 
 def gait_sensitivity(
     plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray
 ) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` is the result of `jit_argument`."""
-    count = len(pre_tanh)
-    padded = np.resize(
-        np.asarray(pre_tanh), (-(-count // SIDE_BY_SIDE), SIDE_BY_SIDE, pre_tanh.shape[1])
-    )
+    padded = _batches(np.asarray(pre_tanh), SIDE_BY_SIDE)
     parts = [_respond(plant, jnp.asarray(part), cycles, key) for part in padded]
-    found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[:count], *parts)
+    found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[: len(pre_tanh)], *parts)
     return found
+
+
+def _batches(rows: np.ndarray, size: int) -> np.ndarray:
+    """Split rows into batches of one size, which share a compiled program; the last one begins
+    again from the first row."""
+    return np.resize(rows, (-(-len(rows) // size), size, *rows.shape[1:]))
 
 
 @eqx.filter_jit
@@ -131,9 +131,8 @@ def _respond(
 
     def each(pre_tanh: Float[Array, "12"]) -> GaitSensitivity:
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
-        return GaitSensitivity(
-            pre_tanh, value, jax.vmap(lambda way: pull(way)[0])(jnp.eye(3)), smoothness
-        )
+        slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
+        return GaitSensitivity(pre_tanh, value, slope, smoothness)
 
     found: GaitSensitivity = jax.vmap(each)(pre_tanh)
     return found
@@ -152,10 +151,8 @@ def missing_gradient(plant: Plant) -> str | None:
         slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0)).slope[:, :2]
     except (TypeError, ValueError, NotImplementedError) as error:
         # These are the errors that JAX raises if there is no derivative.
-        return (
-            f"JAX cannot differentiate it ({type(error).__name__}: "
-            f"{str(error).partition(chr(10))[0]})"
-        )
+        first_line = str(error).partition("\n")[0]
+        return f"JAX cannot differentiate it ({type(error).__name__}: {first_line})"
     if not np.isfinite(slope).all():
         return "its slope is not finite, as of a square root at 0"
     return None if slope.any() else "its slope is 0 throughout"
@@ -201,9 +198,8 @@ def survey(
     plant = jit_argument(plant)
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
     gaits = np.concatenate([strokes(*family, *places) for family in FAMILIES])
-    padded = np.resize(gaits, (-(-len(gaits) // config.batch), config.batch, *gaits.shape[1:]))
     forces = []
-    for index, part in enumerate(padded, start=1):
+    for index, part in enumerate(_batches(gaits, config.batch), start=1):
         forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles)))
         done = min(index * config.batch, len(gaits))
         report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
@@ -235,14 +231,13 @@ def _pushed(
     centre = _middle(force)
     outward = directions(config.directions)
     offset = force - centre
-    aside = np.abs(offset[:, :1] * outward[:, 1] - offset[:, 1:] * outward[:, 0])
+    aside = np.abs(_cross(offset[:, None], outward))
     pre_tanh = action_to_pre_tanh(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
     forces = [force]
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
         found = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "survey"))
         forces.append(np.asarray(found.out)[:, :2])
-        offset = forces[-1] - centre
-        side = np.sign(offset[:, 0] * outward[:, 1] - offset[:, 1] * outward[:, 0])[:, None]
+        side = np.sign(_cross(forces[-1] - centre, outward))[:, None]
         # The gradient of the distance along the direction, minus `ASIDE` times that across it.
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
@@ -257,6 +252,11 @@ def _pushed(
     return Reachable(centre.astype(np.float32), np.asarray(radius, np.float32))
 
 
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the vector products of plane vectors: how far a lies beside the unit vector b."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
     """Return the middle of the bounding box of all forces; if no gait comes close to it, the
     nearest force."""
@@ -264,6 +264,5 @@ def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
     high = force.max(axis=0)
     middle = (low + high) / 2
     apart = np.linalg.norm(force - middle, axis=1)
-    return np.asarray(
-        middle if apart.min() <= NEAR * np.linalg.norm(high - low) / 2 else force[apart.argmin()]
-    )
+    is_near = apart.min() <= NEAR * np.linalg.norm(high - low) / 2
+    return np.asarray(middle if is_near else force[apart.argmin()])

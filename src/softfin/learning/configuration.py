@@ -16,7 +16,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.gaits.gait import ForceMap
-from softfin.gaits.reachable import Cell, Reachable, bounding_box
+from softfin.gaits.reachable import Cell, Cells, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.gradient import GradientConfig
 from softfin.learning.policy import PolicyConfig
@@ -36,7 +36,7 @@ class TrainConfig(Configuration):
     steps: PositiveInt = 10_000
     """Actions in the plant for each policy, over all its environments; the paper has 10,000 per
     cell, and 30,000 for single."""
-    cells: tuple[Cell, ...] = Field(PAPER_CELLS, min_length=1)
+    cells: Cells = Field(PAPER_CELLS, min_length=1)
     """References [N] for which each policy is trained; one cell for `single`."""
     margin_n: NonNegativeFloat = 0.0
     """Margin around their cells for which policies are also trained [N], because a grid switches
@@ -181,9 +181,8 @@ def choose_preset(
     missing = missing_gradient(plant)
     if missing is None:
         return TRAIN_PRESETS["gradient", controller], "gradient, as the plant has gradients"
-    return TRAIN_PRESETS[
-        "ppo-hindsight", controller
-    ], f"ppo-hindsight, because the plant has no gradient: {missing}"
+    reason = f"ppo-hindsight, because the plant has no gradient: {missing}"
+    return TRAIN_PRESETS["ppo-hindsight", controller], reason
 
 
 def check(
@@ -200,16 +199,16 @@ def check(
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
             f"({learning.num_envs} environments x {learning.num_steps} actions); give more steps"
         )
-    if (
-        samples := task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
-    ) < task.window_samples:
+    samples = task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
+    if samples < task.window_samples:
         raise ConfigurationError(
             f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples "
             f"contains no whole window of {task.window_samples} to evaluate; give a longer episode "
             "or a "
             "smaller task.window_samples"
         )
-    if config.ensemble == "each" and (plant.size if isinstance(plant, EnsemblePlant) else 1) < 2:
+    members = plant.size if isinstance(plant, EnsemblePlant) else 1
+    if config.ensemble == "each" and members < 2:
         raise ConfigurationError(
             "ensemble = each: the plant is not an ensemble of two members or more; leave it out, "
             "or fit a streaming surrogate with --set members=5"
@@ -218,7 +217,7 @@ def check(
         return
     box = config.training_range
     table = force_map.gaits.table
-    (least, greatest) = force_map.reachable.bounds()
+    least, greatest = force_map.reachable.bounds()
     low = np.maximum(box.low, least) + EDGE_ROUNDING_N
     high = np.minimum(box.high, greatest) - EDGE_ROUNDING_N
     if np.any(table.low > low) or np.any(table.high < high):

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from softfin.control.policy import GAITS
 from softfin.control.store import write_controller
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import AXES
+from softfin.core.quantities import AXES, AnyArray
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.policy import Policy, name_policy_arrays, policy_memory
 from softfin.learning.rollout import PolicyEvaluation
@@ -93,27 +93,25 @@ def save_controller(
     config = trained.config
     index = trained.seeds.index(seed)
     # Those of a grid have a leading axis of cells.
-    one = (index, 0) if config.controller == "single" else (index,)
+    is_grid = config.controller == "grid"
+    one = (index,) if is_grid else (index, 0)
     policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
     reachable = None if trained.force_map is None else trained.force_map.reachable
+    tracked = config.evaluation_references(reachable)
     keys = {
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
         "task": config.task.model_dump(mode="json"),
         "reachable": None if reachable is None else reachable.to_dict(),
-        "switching": config.switching.model_dump(mode="json")
-        if config.controller == "grid"
-        else None,
+        "switching": config.switching.model_dump(mode="json") if is_grid else None,
         **learnt,
         "policy": config.policy.model_dump(mode="json"),
         "memory": policy_memory(policies),
-        "scores": _scores(
-            config, config.evaluation_references(reachable), trained.evaluation, index
-        ),
+        "scores": _scores(config, tracked, trained.evaluation, index),
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
     arrays = name_policy_arrays(policies)
-    if config.controller == "grid":
+    if is_grid:
         # All policies have the same gaits.
         arrays |= {name: array[0] for name, array in arrays.items() if name.startswith(f"{GAITS}.")}
     write_controller(path, config.controller, trained.limits, keys, arrays, extra_files, overwrite)
@@ -136,16 +134,18 @@ def _scores(
     outside = scored.out_of_distribution_fraction
     for i, cell in enumerate(config.cells):
         for j, reference in enumerate(cell.lattice(config.lattice)):
-            forces = {
-                "tracked_reference_n": tracked[i, j],
-                "error_n": scored.error[index, i, j],
-                "std_n": scored.std[index, i, j],
+            row: JsonObject = {
+                "cell": i,
+                "reference_n": list(reference),
+                "tracked_reference_n": _rounded(tracked[i, j]),
+                "error_n": _rounded(scored.error[index, i, j]),
+                "std_n": _rounded(scored.std[index, i, j]),
             }
-            rounded = {name: [round(float(x), 4) for x in force] for name, force in forces.items()}
-            beyond = (
-                {}
-                if outside is None
-                else {"out_of_distribution_fraction": float(outside[index, i, j])}
-            )
-            rows.append({"cell": i, "reference_n": list(reference), **rounded, **beyond})
+            if outside is not None:
+                row["out_of_distribution_fraction"] = float(outside[index, i, j])
+            rows.append(row)
     return rows
+
+
+def _rounded(force: AnyArray) -> list[float]:
+    return [round(float(x), 4) for x in force]

@@ -130,10 +130,8 @@ class Gradient:
         rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding
         loss = -reward.value(terms._replace(error=rounded)).mean()
         x, y = terms.error.mean(axis=(0, 1))
-        return loss, (
-            env_state,
-            {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y},
-        )
+        metrics = {"loss": loss, "reward": rewards.mean(), "error_x_n": x, "error_y_n": y}
+        return loss, (env_state, metrics)
 
     def _optimiser(self) -> optax.GradientTransformation:
         config = self.config

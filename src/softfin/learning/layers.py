@@ -12,6 +12,9 @@ from softfin.control.policy import MIN_DEVIATION, PolicyMemory
 Memories = TypeVar("Memories", bound=tuple[Any, ...])
 
 
+NumberBatch = Float[Array, "*batch numbers"]
+
+
 class LinearLayer(eqx.Module):
     """x W + b."""
 
@@ -104,17 +107,15 @@ class Normalisation(eqx.Module):
         """The identity."""
         return cls(jnp.zeros(numbers), jnp.ones(numbers), jnp.zeros(()))
 
-    def __call__(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
+    def __call__(self, x: NumberBatch) -> NumberBatch:
         """Return the numbers with a mean of about 0 and a deviation of about 1."""
         return (x - jax.lax.stop_gradient(self.mean)) / jax.lax.stop_gradient(self.scale)
 
-    def inverse(self, x: Float[Array, "*batch numbers"]) -> Float[Array, "*batch numbers"]:
+    def inverse(self, x: NumberBatch) -> NumberBatch:
         """The inverse function."""
         return jax.lax.stop_gradient(self.mean) + jax.lax.stop_gradient(self.scale) * x
 
-    def updated(
-        self, x: Float[Array, "*batch numbers"], most: float | int = jnp.inf
-    ) -> "Normalisation":
+    def updated(self, x: NumberBatch, most: float | int = jnp.inf) -> "Normalisation":
         """Return the normalisation updated by a batch of vectors; earlier ones count as at most
         `most` vectors.
 

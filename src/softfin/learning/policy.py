@@ -26,6 +26,14 @@ from softfin.core.operations import jax_operations
 from softfin.gaits.gait import GaitTable
 from softfin.learning.layers import LinearLayer, LSTMCell, Normalisation
 
+ACTION_SIZE = 2
+"""Numbers of an action: angle and velocity."""
+
+ActionVector = Float[Array, "actions"]
+ObservationVector = Float[Array, "observations"]
+BatchScalars = Float[Array, "*batch"]
+PrivilegedBatch = Float[Array, "*batch privileged"]
+
 
 class PolicyConfig(Configuration):
     """Size and start of the networks."""
@@ -52,7 +60,7 @@ class Policy(eqx.Module):
     """The actor: observations in, actions out."""
 
     net: Layers
-    log_std: Float[Array, "actions"]
+    log_std: ActionVector
     normalisation: Normalisation
     """Normalisation of the observations."""
     gaits: GaitTable | None
@@ -65,7 +73,6 @@ class Policy(eqx.Module):
         key: PRNGKeyArray,
         config: PolicyConfig,
         observations: int,
-        actions: int = 2,
         gaits: GaitTable | None = None,
     ) -> "Policy":
         """Return new weights; at the start the mean action is close to that of the gait, or to 0
@@ -74,9 +81,9 @@ class Policy(eqx.Module):
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
             LinearLayer.create(hidden, config.units, config.width, 2**0.5),
-            LinearLayer.create(output, config.width, actions, 0.01),
+            LinearLayer.create(output, config.width, ACTION_SIZE, 0.01),
         )
-        log_std = jnp.full(actions, jnp.log(config.init_std))
+        log_std = jnp.full(ACTION_SIZE, jnp.log(config.init_std))
         table = jax.tree.map(jnp.asarray, gaits)
         return cls(
             net, jnp.asarray(log_std, jnp.float32), Normalisation.create(observations), table
@@ -87,15 +94,15 @@ class Policy(eqx.Module):
         return self.net.lstm.init()
 
     def act(
-        self, memory: PolicyMemory, observation: Float[Array, "observations"]
-    ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
+        self, memory: PolicyMemory, observation: ObservationVector
+    ) -> tuple[PolicyMemory, ActionVector]:
         """Return the deterministic action, in (-1, 1)."""
         memory, mean = self.step(memory, observation)
         return memory, jnp.tanh(mean)
 
     def step(
-        self, memory: PolicyMemory, observation: Float[Array, "observations"]
-    ) -> tuple[PolicyMemory, Float[Array, "actions"]]:
+        self, memory: PolicyMemory, observation: ObservationVector
+    ) -> tuple[PolicyMemory, ActionVector]:
         """Return the mean action before the tanh."""
         memory = self.net.lstm.step(memory, self.normalisation(observation))
         return memory, self._mean(memory.hidden) + self._gait(observation)
@@ -114,7 +121,7 @@ class Policy(eqx.Module):
     def _mean(self, hidden: Float[Array, "*time units"]) -> Float[Array, "*time actions"]:
         return self.net.output(jnp.tanh(self.net.hidden(hidden)))
 
-    def _gait(self, observation: Float[Array, "observations"]) -> Array:
+    def _gait(self, observation: ObservationVector) -> Array:
         """Return the action of the gait for the observed reference and phase, before the tanh; 0
         without gaits."""
         if self.gaits is None:
@@ -157,29 +164,27 @@ class Critic(eqx.Module):
     @classmethod
     def create(cls, key: PRNGKeyArray, privileged: int, width: int) -> "Critic":
         """Return new weights for `privileged` inputs."""
-        sizes = ((privileged, width), (width, width), (width, 1))
-        first, second, last = (
-            LinearLayer.create(k, *size, 1.0)
-            for k, size in zip(jax.random.split(key, 3), sizes, strict=True)
+        first, second, last = jax.random.split(key, 3)
+        layers = (
+            LinearLayer.create(first, privileged, width, 1.0),
+            LinearLayer.create(second, width, width, 1.0),
+            LinearLayer.create(last, width, 1, 1.0),
         )
-        return cls((first, second, last), Normalisation.create(privileged), Normalisation.create(1))
+        return cls(layers, Normalisation.create(privileged), Normalisation.create(1))
 
-    def __call__(self, privileged: Float[Array, "*batch privileged"]) -> Float[Array, "*batch"]:
+    def __call__(self, privileged: PrivilegedBatch) -> BatchScalars:
         """Value of each state."""
         return self.values.inverse(self._normalised(privileged)[..., None])[..., 0]
 
-    def loss(
-        self, privileged: Float[Array, "*batch privileged"], target: Float[Array, "*batch"]
-    ) -> Float[Array, ""]:
+    def loss(self, privileged: PrivilegedBatch, target: BatchScalars) -> Float[Array, ""]:
         """Return the mean squared error of the normalised values."""
-        return jnp.mean(
-            (self._normalised(privileged) - self.values(target[..., None])[..., 0]) ** 2
-        )
+        error = self._normalised(privileged) - self.values(target[..., None])[..., 0]
+        return jnp.mean(error**2)
 
     def update_statistics(
         self,
-        privileged: Float[Array, "*batch privileged"],
-        target: Float[Array, "*batch"],
+        privileged: PrivilegedBatch,
+        target: BatchScalars,
         most: float | int,
     ) -> "Critic":
         """Return the critic with its normalisations updated by inputs and values; earlier values
@@ -195,7 +200,7 @@ class Critic(eqx.Module):
         last = LinearLayer(last.kernel * old.scale / new.scale, new(old.inverse(last.bias)))
         return Critic((first, second, last), self.inputs.updated(privileged), new)
 
-    def _normalised(self, privileged: Float[Array, "*batch privileged"]) -> Float[Array, "*batch"]:
+    def _normalised(self, privileged: PrivilegedBatch) -> BatchScalars:
         first, second, last = self.layers
         return last(jnp.tanh(second(jnp.tanh(first(self.inputs(privileged))))))[..., 0]
 
@@ -209,11 +214,11 @@ class ActorCritic(eqx.Module):
 
 def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
     """Return the leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
-    paths, _ = jax.tree_util.tree_flatten_with_path(policy)
-    names = (jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
-    return {
-        STORED_NAMES.get(name, name): leaf for name, (_, leaf) in zip(names, paths, strict=True)
-    }
+    named = {}
+    for path, leaf in jax.tree_util.tree_flatten_with_path(policy)[0]:
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        named[STORED_NAMES.get(name, name)] = leaf
+    return named
 
 
 STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
@@ -241,12 +246,10 @@ def policy_memory(policy: Policy) -> dict[str, int]:
 
 def describe_memory(memory: Mapping[str, int]) -> str:
     """Return the numbers of `policy_memory` in one line of text."""
-    each, stored, trained = (
-        f"{memory[name] / 1e3:.0f} kB"
-        for name in ("weights_bytes", "total_weights_bytes", "total_bytes")
-    )
     count = f"{memory['policies']} policies" if memory["policies"] > 1 else "1 policy"
     return (
-        f"memory: {count} of {memory['weights']:,} weights, {each} each, {stored} in all; "
-        f"{trained} while training"
+        f"memory: {count} of {memory['weights']:,} weights, "
+        f"{memory['weights_bytes'] / 1e3:.0f} kB each, "
+        f"{memory['total_weights_bytes'] / 1e3:.0f} kB in all; "
+        f"{memory['total_bytes'] / 1e3:.0f} kB while training"
     )

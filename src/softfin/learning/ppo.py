@@ -8,7 +8,7 @@ whose rewards are known.
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -120,6 +120,10 @@ class Batch(NamedTuple):
     """Targets of the critic."""
 
 
+Learners: TypeAlias = tuple[ActorCritic, Policy, PyTree]
+"""Networks that learn, the average of their policies, and the optimiser's state."""
+
+
 @dataclass(frozen=True)
 class PPO:
     """The learner for a task, over a number of updates."""
@@ -160,8 +164,9 @@ class PPO:
         critic = networks.critic.update_statistics(
             rollout.privileged_observation, batch.target, recent
         )
-        learnt = self._learn(agent, ActorCritic(networks.policy, critic), rollout, learn_key)
-        networks, averaged, optimiser, learning = learnt
+        networks = ActorCritic(networks.policy, critic)
+        learners, learning = self._learn(agent, networks, rollout, learn_key)
+        networks, averaged, optimiser = learners
         # Updated after the learning, so that the probabilities in it are those of the rollout.
         policy = networks.policy.update_statistics(rollout.observation)
         networks = ActorCritic(policy, networks.critic)
@@ -204,7 +209,8 @@ class PPO:
         rollout = batch.rollout
         mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
-        # Kept finite, so that a weight of 0 gives 0.
+        # The objective is min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A), with the ratio of
+        # probabilities and the advantage A. Kept finite, so that a weight of 0 gives 0.
         ratio = jnp.exp(jnp.minimum(log_ratio, MAX_LOG_RATIO))
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
         gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
@@ -244,12 +250,13 @@ class PPO:
         shift = reference - rollout.reference
         force_error = rollout.force_error - shift
         # Only the force error depends on the reference; every other term cancels.
-        change = RewardTerms(*(jnp.zeros_like(force_error) for _ in RewardTerms._fields))
-        change = change._replace(error=jnp.abs(force_error) - jnp.abs(rollout.force_error))
-        observation = self.task.shifted(rollout.observation, shift)
-        log_prob = policy.log_prob(
-            _replay(policy, start, observation, rollout.is_first), rollout.pre_tanh_action
+        change = RewardTerms(
+            error=jnp.abs(force_error) - jnp.abs(rollout.force_error),
+            smoothness=jnp.zeros_like(force_error),
         )
+        observation = self.task.shifted(rollout.observation, shift)
+        mean = _replay(policy, start, observation, rollout.is_first)
+        log_prob = policy.log_prob(mean, rollout.pre_tanh_action)
         other = rollout._replace(
             observation=observation,
             log_prob=log_prob,
@@ -267,7 +274,7 @@ class PPO:
 
     def _learn(
         self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
-    ) -> tuple[ActorCritic, Policy, Any, Metrics]:
+    ) -> tuple[Learners, Metrics]:
         """Run the epochs of minibatches; returns the networks, the averaged policy and the
         optimiser."""
         config = self.config
@@ -280,8 +287,8 @@ class PPO:
         references = agent.env_state.states.references
 
         def minibatch(
-            batch: Batch, carry: tuple[ActorCritic, Policy, PyTree], chosen: Int[Array, "some"]
-        ) -> tuple[Any, Metrics]:
+            batch: Batch, carry: Learners, chosen: Int[Array, "some"]
+        ) -> tuple[Learners, Metrics]:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
             start = jax.tree.map(lambda x: x[chosen % config.num_envs], memories)
@@ -291,15 +298,10 @@ class PPO:
             change, state = optimiser.update(gradient, state, networks)
             metrics["gradient_norm"] = optax.tree.norm(gradient)
             networks = optax.apply_updates(networks, change)
-            return (
-                networks,
-                optax.incremental_update(networks.policy, averaged, newest),
-                state,
-            ), metrics
+            averaged = optax.incremental_update(networks.policy, averaged, newest)
+            return (networks, averaged, state), metrics
 
-        def epoch(
-            carry: tuple[ActorCritic, Policy, PyTree], key: PRNGKeyArray
-        ) -> tuple[Any, Metrics]:
+        def epoch(carry: Learners, key: PRNGKeyArray) -> tuple[Learners, Metrics]:
             order_key, relabel_key = jax.random.split(key)
             extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
             order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(
@@ -310,11 +312,9 @@ class PPO:
             )
 
         start = (networks, agent.policy, agent.optimiser)
-        (networks, averaged, state), metrics = jax.lax.scan(
-            epoch, start, jax.random.split(key, config.num_epochs)
-        )
-        metrics["std"] = jnp.exp(networks.policy.log_std)
-        return networks, averaged, state, jax.tree.map(jnp.mean, metrics)
+        learners, metrics = jax.lax.scan(epoch, start, jax.random.split(key, config.num_epochs))
+        metrics["std"] = jnp.exp(learners[0].policy.log_std)
+        return learners, jax.tree.map(jnp.mean, metrics)
 
     def _optimiser(self) -> optax.GradientTransformation:
         return clipped_adam(self.config.learning_rates(self.num_updates), self.config.max_grad_norm)

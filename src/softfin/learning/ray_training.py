@@ -22,6 +22,7 @@ import numpy as np
 from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
+from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap
 from softfin.installation import how_to_add
 from softfin.learning.configuration import TrainConfig, check
@@ -102,7 +103,8 @@ def train_on_ray(
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,
     )
-    return TrainingResult.of_plant(plant, config, seeds, policies, evaluation, force_map)
+    limits = Limits(*map(float, plant.limits))
+    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, force_map)
 
 
 def check_cluster(cluster: str | None) -> None:

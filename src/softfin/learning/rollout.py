@@ -19,7 +19,7 @@ from softfin.core.plant import EnsemblePlant, Ticks, drop_padding
 from softfin.core.quantities import AnyArray
 from softfin.core.window import moving_average, moving_error
 from softfin.learning.layers import cleared
-from softfin.learning.policy import ActorCritic, Policy
+from softfin.learning.policy import ActorCritic, BatchScalars, Policy, PrivilegedBatch
 from softfin.task.references import References
 from softfin.task.task import ForceTracking, TaskState
 
@@ -68,22 +68,22 @@ class Rollout(NamedTuple):
 
     observation: Float[Array, "*batch observations"]
     pre_tanh_action: Float[Array, "*batch actions"]
-    log_prob: Float[Array, "*batch"]
+    log_prob: BatchScalars
     """Log-density of the action before the tanh."""
-    reward: Float[Array, "*batch"]
+    reward: BatchScalars
     reference: Float[Array, "*batch 2"]
     """Reference that was observed [N]."""
     force_error: Float[Array, "*batch 2"]
     """F_e of the window [N]."""
-    privileged_observation: Float[Array, "*batch privileged"]
+    privileged_observation: PrivilegedBatch
     """Input of the critic before the action."""
-    next_privileged_observation: Float[Array, "*batch privileged"]
+    next_privileged_observation: PrivilegedBatch
     """Input of the critic after the action, before any reset."""
     is_first: Bool[Array, "*batch"]
     """Whether the environment was reset just before the action."""
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
-    weight: Float[Array, "*batch"]
+    weight: BatchScalars
     """Weight of the transition: less than 1 if the policy would rarely act like this, given this
     reference."""
 

@@ -4,7 +4,6 @@ update, evaluation.
 Seeds x cells are the agents. Agents do not exchange data, so devices do not communicate.
 """
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
@@ -61,19 +60,9 @@ class TrainingResult(NamedTuple):
     force_map: ForceMap | None = None
     """Map of the fin, if there is one."""
 
-    @classmethod
-    def of_plant(
-        cls,
-        plant: Plant,
-        config: TrainConfig,
-        seeds: Sequence[int],
-        policies: Policy,
-        evaluation: PolicyEvaluation,
-        force_map: ForceMap | None,
-    ) -> "TrainingResult":
-        """Build the result of a run in a plant, whose limits apply to its policies."""
-        limits = Limits(*map(float, plant.limits))
-        return cls(config, limits, tuple(seeds), policies, evaluation, force_map)
+
+MemberState: TypeAlias = tuple[Int[Array, ""], State]
+"""Index of a member, and its state."""
 
 
 class OneMember(eqx.Module):
@@ -91,14 +80,14 @@ class OneMember(eqx.Module):
         """Limits of the ensemble."""
         return self.ensemble.limits
 
-    def init(self, key: PRNGKeyArray) -> tuple[Int[Array, ""], State]:
+    def init(self, key: PRNGKeyArray) -> MemberState:
         """Return a randomly drawn member, at rest at angle 0."""
         index = jax.random.randint(key, (), 0, self.ensemble.size)
         return index, self.ensemble.member(index).init(jax.random.fold_in(key, 1))
 
     def advance(
-        self, state: tuple[Int[Array, ""], State], command: Command, ticks: int
-    ) -> tuple[tuple[Int[Array, ""], State], Reading]:
+        self, state: MemberState, command: Command, ticks: int
+    ) -> tuple[MemberState, Reading]:
         """Hold the command for `ticks` samples."""
         index, inner = state
         inner, reading = self.ensemble.member(index).advance(inner, command, ticks)
@@ -217,15 +206,12 @@ class TrainingRun:
 
     def by_seed(self, metrics: Metrics) -> dict[str, float]:
         """Return the means over the cells, named ``seedN/...``."""
-        means = {
-            name: np.reshape(values, (len(self.seeds), -1)).mean(axis=1)
-            for name, values in metrics.items()
-        }
-        return {
-            f"seed{s}/{n}": float(values[i])
-            for n, values in means.items()
-            for i, s in enumerate(self.seeds)
-        }
+        scalars = {}
+        for name, values in metrics.items():
+            means = np.reshape(values, (len(self.seeds), -1)).mean(axis=1)
+            for seed, mean in zip(self.seeds, means.tolist(), strict=True):
+                scalars[f"seed{seed}/{name}"] = mean
+        return scalars
 
     def note(self, metrics: Metrics, state: RunState) -> str:
         """Return the newest figures, for a progress bar."""
@@ -246,26 +232,22 @@ class TrainingRun:
 def summary(evaluation: PolicyEvaluation) -> Metrics:
     """Return the mean error of each agent over its references, and how often it left an ensemble's
     training data."""
-    errors = {
-        f"score_{axis}_n": np.asarray(evaluation.error)[..., i].mean(axis=-1)
-        for i, axis in enumerate(AXES)
-    }
+    error = np.asarray(evaluation.error)
     outside = evaluation.out_of_distribution_fraction
-    return (
-        errors
-        if outside is None
-        else errors | {"score_out_of_distribution": np.asarray(outside).mean(axis=-1)}
-    )
+    scores: Metrics = {f"score_{axis}_n": error[..., i].mean(-1) for i, axis in enumerate(AXES)}
+    if outside is not None:
+        scores["score_out_of_distribution"] = np.asarray(outside).mean(axis=-1)
+    return scores
 
 
 def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
     """Return the state with the policy of each agent as its best one if its mean error is lower
     than before; NumPy arrays."""
-    new, old = (
-        np.asarray(each.error).mean(axis=(1, 2)) for each in (evaluation, state.best_evaluation)
-    )
+    new = np.asarray(evaluation.error).mean(axis=(1, 2))
+    old = np.asarray(state.best_evaluation.error).mean(axis=(1, 2))
+    better = new < old
     best, best_evaluation = jax.tree.map(
-        lambda a, b: np.where((new < old).reshape(-1, *[1] * (a.ndim - 1)), a, b),
+        lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b),
         (state.agents.policy, evaluation),
         (state.best, state.best_evaluation),
     )

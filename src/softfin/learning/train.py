@@ -13,6 +13,7 @@ import numpy as np
 
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress
+from softfin.core.quantities import Limits
 from softfin.gaits.force_map import empty_map, find_force_map
 from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import Reachable
@@ -79,7 +80,8 @@ def train(
             )
     record.close()
     policies, evaluation = run.result(state)
-    return TrainingResult.of_plant(plant, config, seeds, policies, evaluation, force_map)
+    limits = Limits(*map(float, plant.limits))
+    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, force_map)
 
 
 def find_map(

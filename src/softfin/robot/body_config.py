@@ -8,8 +8,14 @@ from softfin.core.configuration import Configuration
 GRAVITY_M_S2 = 9.81
 
 Three = tuple[float, float, float]
-Least0 = NonNegativeFloat
-SixNotNegative = tuple[Least0, Least0, Least0, Least0, Least0, Least0]
+SixNotNegative = tuple[
+    NonNegativeFloat,
+    NonNegativeFloat,
+    NonNegativeFloat,
+    NonNegativeFloat,
+    NonNegativeFloat,
+    NonNegativeFloat,
+]
 
 
 class BodyConfig(Configuration):

@@ -1,6 +1,6 @@
 """Rank, singular values and reach of a robot's fins, and whether its body stays upright."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -38,16 +38,18 @@ def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> JsonObject:
         "rank": _rank(matrix),
         "singular_values": [round(float(value), 4) for value in np.linalg.svd(matrix)[1]],
         "rank_without": without if count > 1 else {},
-        "fin_reach_n": dict(zip(robot.fins, (round(float(r), 3) for r in reach), strict=True)),
-        "reach": {name: round(most, 3) for name, most in zip(WRENCH_AXES, along, strict=True)},
-        "acceleration": {
-            name: round(float(a), 3) for name, a in zip(WRENCH_AXES, along / inertia, strict=True)
-        },
+        "fin_reach_n": _rounded(robot.fins, reach),
+        "reach": _rounded(WRENCH_AXES, along),
+        "acceleration": _rounded(WRENCH_AXES, along / inertia),
         "sinks_n": round(robot.body.mass_kg * GRAVITY_M_S2 - robot.body.upward_n, 3),
         "righting_nm_rad": round(dynamics.righting_nm_rad, 3),
         "swing_hz": _swing_frequencies(dynamics),
         "problems": _stability_problems(dynamics),
     }
+
+
+def _rounded(names: Iterable[str], values: np.ndarray) -> dict[str, float]:
+    return dict(zip(names, (round(float(value), 3) for value in values), strict=True))
 
 
 def _swing_frequencies(dynamics: Dynamics) -> dict[str, float]:

@@ -4,17 +4,10 @@ file."""
 from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from softfin.core.configuration import Configuration
+from softfin.robot.body_config import SixNotNegative
 
 Six = tuple[
     PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat, PositiveFloat
-]
-SixNotNegative = tuple[
-    NonNegativeFloat,
-    NonNegativeFloat,
-    NonNegativeFloat,
-    NonNegativeFloat,
-    NonNegativeFloat,
-    NonNegativeFloat,
 ]
 
 

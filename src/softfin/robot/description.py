@@ -106,11 +106,10 @@ class RobotConfig(Configuration):
     def mounts(self) -> FinMounts:
         """Return the mounts of the fins, in their order."""
         fins = self.fins.values()
-        places, shafts = (
-            [getattr(fin, name) for fin in fins] for name in ("position_m", "shaft_axis")
-        )
         return FinMounts(
-            np.array(places, float), np.array([fin.axes() for fin in fins]), np.array(shafts, float)
+            np.array([fin.position_m for fin in fins], float),
+            np.array([fin.axes() for fin in fins]),
+            np.array([fin.shaft_axis for fin in fins], float),
         )
 
     def matrix(self) -> Float[np.ndarray, "6 columns"]:

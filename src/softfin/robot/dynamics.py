@@ -16,10 +16,17 @@ from jaxtyping import Float
 from softfin.core.operations import select_operations
 from softfin.core.quantities import TICK_S, AnyArray
 from softfin.robot.body_config import GRAVITY_M_S2, BodyConfig
-from softfin.robot.rotation import IDENTITY, cross, matrix, multiply, normalized
-
-Vector = Float[AnyArray, "3"]
-SixVector = Float[AnyArray, "6"]
+from softfin.robot.rotation import (
+    IDENTITY,
+    Quaternion,
+    SixVector,
+    Vector,
+    cross,
+    matrix,
+    multiply,
+    normalized,
+    six,
+)
 
 
 class BodyState(NamedTuple):
@@ -27,7 +34,7 @@ class BodyState(NamedTuple):
 
     position: Vector
     """Body's origin in world axes [m]."""
-    attitude: Float[AnyArray, "4"]
+    attitude: Quaternion
     """Unit quaternion (w, x, y, z) from body to world axes."""
     twist: SixVector
     """Velocity of the origin [m/s] and angular velocity [rad/s], over ground, in body axes."""
@@ -57,46 +64,31 @@ class Dynamics(NamedTuple):
     def of(cls, config: BodyConfig) -> "Dynamics":
         """Build them from a configuration."""
         inertia = config.own_inertia() + np.diag(config.added_mass)
-        vectors = (
-            config.drag_linear,
-            config.drag_quadratic,
-            config.centre_of_gravity_m,
-            config.centre_of_buoyancy_m,
-        )
-        linear, quadratic, gravity, buoyancy = (np.asarray(vector, float) for vector in vectors)
-        weight = config.mass_kg * GRAVITY_M_S2
         return cls(
-            inertia,
-            np.linalg.inv(inertia),
-            linear,
-            quadratic,
-            weight,
-            config.upward_n,
-            gravity,
-            buoyancy,
+            inertia=inertia,
+            inverse=np.linalg.inv(inertia),
+            drag_linear=np.asarray(config.drag_linear, float),
+            drag_quadratic=np.asarray(config.drag_quadratic, float),
+            weight=config.mass_kg * GRAVITY_M_S2,
+            buoyancy=config.upward_n,
+            centre_of_gravity=np.asarray(config.centre_of_gravity_m, float),
+            centre_of_buoyancy=np.asarray(config.centre_of_buoyancy_m, float),
         )
 
     def relative_twist(self, state: BodyState, current: Vector) -> SixVector:
         """Return the twist relative to a steady current (x, y, z) in world axes [m/s]."""
-        xp = select_operations(*state, current).xp
-        twist: SixVector = xp.concatenate(
-            [state.twist[:3] - current @ matrix(state.attitude), state.twist[3:]]
-        )
-        return twist
+        return six(state.twist[:3] - current @ matrix(state.attitude), state.twist[3:])
 
     def drag(self, twist: SixVector) -> SixVector:
         """Return the wrench of the water's drag at a twist relative to the water."""
         speeds: SixVector = select_operations(twist).xp.abs(twist)
         return -(self.drag_linear + self.drag_quadratic * speeds) * twist
 
-    def restoring(self, attitude: Float[AnyArray, "4"]) -> SixVector:
+    def restoring(self, attitude: Quaternion) -> SixVector:
         """Return the wrench of weight and buoyancy."""
         up = matrix(attitude)[2]
         lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
-        wrench: SixVector = select_operations(up).xp.concatenate(
-            [(self.buoyancy - self.weight) * up, cross(lever, up)]
-        )
-        return wrench
+        return six((self.buoyancy - self.weight) * up, cross(lever, up))
 
     @property
     def righting_nm_rad(self) -> float:
@@ -113,10 +105,7 @@ class Dynamics(NamedTuple):
         turn = twist[3:]
         linear = momentum[:3]
         angular = momentum[3:]
-        wrench: SixVector = select_operations(twist).xp.concatenate(
-            [cross(linear, turn), cross(angular, turn) + cross(linear, velocity)]
-        )
-        return wrench
+        return six(cross(linear, turn), cross(angular, turn) + cross(linear, velocity))
 
     def acceleration(self, state: BodyState, wrench: SixVector, current: Vector) -> SixVector:
         """Return the rate of change of the twist relative to the water, component by component."""
@@ -138,7 +127,7 @@ class Dynamics(NamedTuple):
             return BodyState(
                 matrix(state.attitude) @ state.twist[:3],
                 multiply(state.attitude, xp.concatenate([xp.zeros(1), turn / 2])),
-                self.acceleration(state, wrench, current) + xp.concatenate([seen, xp.zeros(3)]),
+                self.acceleration(state, wrench, current) + six(seen, xp.zeros(3)),
             )
 
         def after(slope: BodyState, seconds: float) -> BodyState:

@@ -15,16 +15,17 @@ from softfin.core.action_clock import CYCLE_ACTIONS, MAX_ACTION_TICKS, WINDOW, v
 from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import RATE_HZ, TICK_S, Command
+from softfin.core.quantities import RATE_HZ, TICK_S
 from softfin.core.randomness import named_generator
 from softfin.robot.baselines import MakeDriver, build_drivers
+from softfin.robot.body_config import Three
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.fin_driver import FinGaits
 from softfin.robot.fin_gaits import find_fin_gaits
 from softfin.robot.noise import NoiseConfig
 from softfin.robot.paths import hold_place, lemniscate, lissajous
 from softfin.robot.simulation import Orders, RobotSimulation
-from softfin.robot.trial import Disturbances, Record, run_trial
+from softfin.robot.trial import Disturbances, Record, rest_commands, run_trial, stack_commands
 from softfin.robot.wrench_driver import WrenchDriver
 from softfin.tank import Tank
 
@@ -115,16 +116,13 @@ def evaluate_robot(
         "reach_n": [round(each.reach, 3) for each in gaits],
     }
     records: dict[str, Record] = {}
+    wrenches = draw_wrenches(robot, gaits, config)
     done = 0
     total = len(config.tasks) * config.seeds
     for task in config.tasks:
         if task == "wrenches":
-            figures[task] = wrench_errors(
-                simulation, drivers["whole"], draw_wrenches(robot, gaits, config)
-            )
-            free = wrench_errors(
-                simulation, drivers["without phases"], draw_wrenches(robot, gaits, config)
-            )
+            figures[task] = wrench_errors(simulation, drivers["whole"], wrenches)
+            free = wrench_errors(simulation, drivers["without phases"], wrenches)
             figures[task]["roll_ripple_ratio"] = (
                 figures[task]["ripple"]["roll"] / free["ripple"]["roll"]
             )
@@ -142,16 +140,14 @@ def evaluate_robot(
         figures["baselines"] = {}
         for name, driver in drivers.items():
             report(0.99, f"baseline: {name}")
-            figures["baselines"][name] = {
-                "wrenches": wrench_errors(simulation, driver, draw_wrenches(robot, gaits, config))
-            } | {
-                task: [
-                    trial(simulation, driver, task, config, config.seed + seed)[1]
-                    for seed in range(config.seeds)
-                ]
-                for task in config.tasks
-                if task != "wrenches"
-            }
+            scores: JsonObject = {"wrenches": wrench_errors(simulation, driver, wrenches)}
+            for task in config.tasks:
+                if task != "wrenches":
+                    seeds = range(config.seed, config.seed + config.seeds)
+                    scores[task] = [
+                        trial(simulation, driver, task, config, seed)[1] for seed in seeds
+                    ]
+            figures["baselines"][name] = scores
     report(1.0, "")
     return RobotEvaluation(figures, records)
 
@@ -171,34 +167,27 @@ def trial(
 ) -> tuple[Record, JsonObject]:
     """Run one trial of a task, and score it."""
     random = named_generator(seed, f"robot/{task}")
-    seconds = float(config.hold_s if task == "hold" else config.path_s)
-    speed = config.lissajous_m_s if task == "lissajous" else config.lemniscate_m_s
-    path = (
-        hold_place()
-        if task == "hold"
-        else (lissajous if task == "lissajous" else lemniscate)(speed)
-    )
     trouble = Disturbances()
     settled_from_s = config.settled_s
-    push_at_s = None
+    seconds = float(config.path_s)
     told: JsonObject = {"seed": seed}
     if task == "hold":
+        seconds = float(config.hold_s)
+        path = hold_place()
         current, push = random.uniform(-np.pi, np.pi, 2)
-        at = random.uniform(1, 2) * config.settled_s
         trouble = trouble._replace(
-            current_m_s=(
-                config.current_m_s * np.cos(current),
-                config.current_m_s * np.sin(current),
-                0.0,
-            ),
-            push_n_s=(config.push_n_s * np.cos(push), config.push_n_s * np.sin(push), 0.0),
-            push_at_s=at,
+            current_m_s=_horizontal(config.current_m_s, current),
+            push_n_s=_horizontal(config.push_n_s, push),
+            push_at_s=random.uniform(1, 2) * config.settled_s,
         )
-        push_at_s = at
-        told |= {
-            "current_from_deg": round(float(np.degrees(current)) % 360 - 180),
-            "push_at_s": round(at, 1),
-        }
+        told["current_from_deg"] = round(float(np.degrees(current)) % 360 - 180)
+        told["push_at_s"] = round(trouble.push_at_s, 1)
+    elif task == "lissajous":
+        speed = config.lissajous_m_s
+        path = lissajous(speed)
+    else:
+        speed = config.lemniscate_m_s
+        path = lemniscate(speed)
     if config.dead:
         fins = list(simulation.robot.fins)
         fin = seed % len(fins)
@@ -211,10 +200,9 @@ def trial(
     # shorter than `seconds`.
     ticks = np.arange(len(record.time))
     counted = ticks >= settled_from_s * RATE_HZ
-    if push_at_s is not None:
-        counted &= (ticks < push_at_s * RATE_HZ) | (
-            ticks >= (push_at_s + config.settled_s) * RATE_HZ
-        )
+    if task == "hold":
+        settled_again_s = trouble.push_at_s + config.settled_s
+        counted &= (ticks < trouble.push_at_s * RATE_HZ) | (ticks >= settled_again_s * RATE_HZ)
     position = record.position_error()[counted]
     attitude = record.attitude_error()[counted]
     told |= {
@@ -222,11 +210,15 @@ def trial(
         "position_worst_m": float(position.max()),
         "attitude_rms_deg": float(np.degrees(_rms(attitude))),
         "attitude_worst_deg": float(np.degrees(attitude.max())),
-        "given_up": {WRENCH_AXES[i]: float(record.given_up[:, i].mean()) for i in range(6)},
+        "given_up": dict(zip(WRENCH_AXES, record.given_up.mean(axis=0).tolist(), strict=True)),
     }
     if task != "hold":
         told["speed_m_s"] = float(speed)
     return record, told
+
+
+def _horizontal(size: float, angle: float) -> Three:
+    return size * np.cos(angle), size * np.sin(angle), 0.0
 
 
 def _rms(values: Float[np.ndarray, "n"]) -> float:
@@ -257,19 +249,20 @@ def wrench_errors(
 ) -> JsonObject:
     """Compare mean wrenches over a window with the requested ones, on a fixed body; also return
     their ripple."""
-    held = _held(
-        simulation, [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
-    )
+    orders = [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
+    held = _held(simulation, orders)
     window = slice(-WINDOW, None)
     error = held[:, window].mean(axis=1) - wrenches
+    force_error = np.linalg.norm(error[:, :3], axis=1)
+    moment_error = np.linalg.norm(error[:, 3:], axis=1)
     ripple = np.sqrt(held[:, window].var(axis=1).mean(axis=0))
     return {
         "count": len(wrenches),
-        "force_error_n": float(np.linalg.norm(error[:, :3], axis=1).mean()),
-        "force_error_worst_n": float(np.linalg.norm(error[:, :3], axis=1).max()),
-        "moment_error_nm": float(np.linalg.norm(error[:, 3:], axis=1).mean()),
-        "moment_error_worst_nm": float(np.linalg.norm(error[:, 3:], axis=1).max()),
-        "ripple": dict(zip(WRENCH_AXES, map(float, ripple), strict=True)),
+        "force_error_n": float(force_error.mean()),
+        "force_error_worst_n": float(force_error.max()),
+        "moment_error_nm": float(moment_error.mean()),
+        "moment_error_worst_nm": float(moment_error.max()),
+        "ripple": dict(zip(WRENCH_AXES, ripple.tolist(), strict=True)),
     }
 
 
@@ -277,12 +270,10 @@ def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
     """Return the orders of a driver for one wrench, from rest, ``(actions, fins)``."""
     state = driver.init()
     orders = []
-    before = Command(
-        np.zeros(len(driver.gaits)), np.array([each.limits.velocity_min for each in driver.gaits])
-    )
+    before = rest_commands(driver)
     for _ in range(WRENCH_ACTIONS):
         state, driven = driver.act(state, wrench)
-        now = Command(*map(np.array, zip(*driven.commands, strict=True)))
+        now = stack_commands(driven.commands)
         orders.append(Orders(before, now, jnp.asarray(driven.delays)))
         before = now
     stacked: Orders = jax.tree.map(lambda *rows: np.stack(rows), *orders)
@@ -291,9 +282,6 @@ def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
 
 def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
     """Return the wrenches that the fins make on a fixed body."""
-    all_of_them = jax.tree.map(lambda *rows: jnp.asarray(np.stack(rows)), *orders)
-    single = jax.tree.map(
-        lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, all_of_them
-    )
-    wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(single), float)
+    together = jax.tree.map(lambda *rows: np.stack(rows), *orders)
+    wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(together), float)
     return wrenches.reshape(len(orders), -1, 6)[:, np.array(valid_rows(WRENCH_ACTIONS))]

@@ -21,6 +21,10 @@ MOVING = 0.85
 """Fraction of an action in which the shaft moves; the rest is time to accelerate and to brake."""
 
 
+FinVector = Float[AnyArray, "2"]
+"""(x, y) in the axes of a fin."""
+
+
 class FinGaits(NamedTuple):
     """Gaits of a fin by their mean force; the first is rest."""
 
@@ -50,9 +54,7 @@ class FinGaits(NamedTuple):
         """Return the ripple of mean forces."""
         return np.stack([np.interp(force_n, self.force, part) for part in self.ripple.T], axis=1)
 
-    def lost(
-        self, force: Float[AnyArray, "2"], velocity: Float[AnyArray, "2"]
-    ) -> Float[AnyArray, "2"]:
+    def lost(self, force: FinVector, velocity: FinVector) -> FinVector:
         """Return the loss of a mean force while the fin moves through the water [N]; both in the
         fin's axes [N, m/s]."""
         xp = select_operations(force, velocity).xp

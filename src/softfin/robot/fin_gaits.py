@@ -35,14 +35,17 @@ pushing, and across."""
 def find_fin_gaits(tank: Tank) -> FinGaits:
     """Simulate strokes about angle 0, and keep those whose mean force grows with the amplitude."""
     amplitudes = jnp.asarray(STROKES_RAD)
-    (forces, moments), *streams = [
-        [np.asarray(each, float) for each in _strokes(tank, amplitudes, jnp.asarray(stream))]
-        for stream in ((0.0, 0.0), (STREAM_M_S, 0.0), (0.0, STREAM_M_S))
-    ]
+
+    def mean_force(velocity_m_s: tuple[float, float]) -> np.ndarray:
+        forces, _ = _strokes(tank, amplitudes, jnp.asarray(velocity_m_s))
+        return np.asarray(np.asarray(forces, float).mean(axis=1))
+
+    still = _strokes(tank, amplitudes, jnp.zeros(2))
+    forces, moments = (np.asarray(each, float) for each in still)
     mean = forces.mean(axis=1)
-    loss = np.stack(
-        [(mean - moving[0].mean(axis=1))[:, axis] for axis, moving in enumerate(streams)], axis=1
-    )
+    along = mean - mean_force((STREAM_M_S, 0.0))
+    across = mean - mean_force((0.0, STREAM_M_S))
+    loss = np.stack([along[:, 0], across[:, 1]], axis=1)
     # The amplitude of a sine at the stroke frequency, half that of the actions; a stroke to the
     # positive side begins at 0.
     turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))

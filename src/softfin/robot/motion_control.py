@@ -22,9 +22,17 @@ from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.errors import RunError
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
-from softfin.robot.dynamics import Dynamics, SixVector
+from softfin.robot.dynamics import Dynamics
 from softfin.robot.paths import PathPoint, path_error, path_twist
-from softfin.robot.rotation import cross, from_euler, matrix, multiply, normalized
+from softfin.robot.rotation import (
+    SixVector,
+    cross,
+    from_euler,
+    matrix,
+    multiply,
+    normalized,
+    six,
+)
 
 ACTION_S = 1 / ACTION_RATE_HZ
 
@@ -32,21 +40,25 @@ SEEN_ACTIONS = 2
 """Number of actions over which an error is averaged: one whole period of the strokes."""
 
 
+AxisEstimates = Float[np.ndarray, "6 3"]
+AxisTransitions = Float[np.ndarray, "6 3 3"]
+
+
 class AxisFilter(NamedTuple):
     """Filters of the six axes: x = (error, its rate, disturbance's acceleration), u = acceleration
     by the fins."""
 
-    forward: Float[np.ndarray, "6 3 3"]
+    forward: AxisTransitions
     """Transition from one action to the next."""
-    driven: Float[np.ndarray, "6 3"]
+    driven: AxisEstimates
     gain: Float[np.ndarray, "6 3 2"]
     """Steady-state gain of the Kalman filter."""
     back: Float[np.ndarray, "6 2 3"]
     """Mean error and rate over the last two actions, from the state now."""
     driven_back: Float[np.ndarray, "6 2"]
-    ahead: Float[np.ndarray, "6 3 3"]
+    ahead: AxisTransitions
     """Transition to the time at which new forces act."""
-    driven_ahead: Float[np.ndarray, "6 3"]
+    driven_ahead: AxisEstimates
     deviation: Float[np.ndarray, "6"]
     """Standard deviation of the estimated disturbance [m/s2, rad/s2]."""
 
@@ -62,11 +74,13 @@ class AxisFilter(NamedTuple):
         the noise is that of error and rate."""
         rows = []
         for axis in range(6):
+            # d/dt (error, rate, disturbance, u): the body's own spring and damper, driven by the
+            # disturbance and by the fins. The disturbance and u are constant within an action.
             slope = np.array(
                 [[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]]
             )
             step = _exponential(slope * ACTION_S)
-            half = np.linalg.inv(_exponential(slope * ACTION_S))
+            half = np.linalg.inv(step)
             forward = step[:3, :3]
             driven = step[:3, 3]
             back = half[:2, :3]
@@ -76,6 +90,7 @@ class AxisFilter(NamedTuple):
             spread[2, 2] += walk
             measured = np.diag(noise[axis] ** 2)
             covariance = np.eye(3)
+            # Kalman's recursion, repeated until its gain has settled.
             for _ in range(STEADY):
                 ahead = forward @ covariance @ forward.T + spread
                 gain = ahead @ back.T @ np.linalg.inv(back @ ahead @ back.T + measured)
@@ -114,7 +129,7 @@ STEADY = 600
 class ControlState(NamedTuple):
     """State of the controller between actions."""
 
-    estimate: Float[np.ndarray, "6 3"]
+    estimate: AxisEstimates
     """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per
     s, per s2]."""
     accelerations: Float[np.ndarray, "2 6"]
@@ -177,7 +192,8 @@ class MotionController:
             raise RunError(
                 "robot: its state holds numbers that are not finite; check what estimates it"
             )
-        middle, now, ahead = (_turned(target, state.heading) for target in (middle, now, ahead))
+        middle = _turned(middle, state.heading)
+        ahead = _turned(ahead, state.heading)
         estimate = np.asarray(self.observed(state.estimate, state.accelerations, seen, middle))
         correction = self.corrected(estimate, state.accelerations)
         surge_n, side, heading = self._weathervane(state, estimate, now)
@@ -186,11 +202,11 @@ class MotionController:
 
     def observed(
         self,
-        estimate: Float[np.ndarray, "6 3"],
+        estimate: AxisEstimates,
         accelerations: Float[np.ndarray, "2 6"],
         seen: Sequence[np.ndarray],
         middle: PathPoint,
-    ) -> Float[np.ndarray, "6 3"]:
+    ) -> AxisEstimates:
         """Return the estimate after observing two actions."""
         position = seen[0].mean(axis=0)
         twist = seen[2].mean(axis=0)
@@ -203,13 +219,11 @@ class MotionController:
         acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
         guess = np.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted
         expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
-        updated: Float[np.ndarray, "6 3"] = guess + np.einsum(
-            "aij,aj->ai", f.gain, measured - expected
-        )
+        updated: AxisEstimates = guess + np.einsum("aij,aj->ai", f.gain, measured - expected)
         return updated
 
     def corrected(
-        self, estimate: Float[np.ndarray, "6 3"], accelerations: Float[np.ndarray, "2 6"]
+        self, estimate: AxisEstimates, accelerations: Float[np.ndarray, "2 6"]
     ) -> SixVector:
         """Return the acceleration that corrects an error [m/s2, rad/s2]."""
         f = self._filter
@@ -222,7 +236,7 @@ class MotionController:
         return correction
 
     def _weathervane(
-        self, state: ControlState, estimate: Float[np.ndarray, "6 3"], now: PathPoint
+        self, state: ControlState, estimate: AxisEstimates, now: PathPoint
     ) -> tuple[float, float, float]:
         """Return surge force, side and heading of the next state; the heading turns into a current
         that comes too much from the side."""
@@ -242,7 +256,7 @@ class MotionController:
         turn_rad = self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0)
         return surge_n, side, float(state.heading + side * turn_rad)
 
-    def _outside_wrench(self, estimate: Float[np.ndarray, "6 3"]) -> SixVector:
+    def _outside_wrench(self, estimate: AxisEstimates) -> SixVector:
         """Return the wrench from outside in the axes of the path [N, N m].
 
         Each axis has its own filter, which models only the restoring moment and the drag of this
@@ -266,8 +280,8 @@ class MotionController:
         twist = path_twist(target)
         velocity = twist[:3]
         turn = twist[3:]
-        acceleration = np.concatenate(
-            [target.acceleration @ axes - cross(turn, velocity), target.turning @ axes]
+        acceleration = six(
+            target.acceleration @ axes - cross(turn, velocity), target.turning @ axes
         )
         d = self.dynamics
         needed: SixVector = (
@@ -280,11 +294,9 @@ class MotionController:
 
 
 def _turned(target: PathPoint, heading: float) -> PathPoint:
-    return (
-        target._replace(attitude=multiply(target.attitude, from_euler(0.0, 0.0, heading)))
-        if heading
-        else target
-    )
+    if not heading:
+        return target
+    return target._replace(attitude=multiply(target.attitude, from_euler(0.0, 0.0, heading)))
 
 
 def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

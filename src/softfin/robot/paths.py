@@ -4,14 +4,19 @@ from collections.abc import Callable
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
-from softfin.core.operations import select_operations
-from softfin.core.quantities import AnyArray
-from softfin.robot.rotation import from_euler, inverse_rotation, matrix, multiply, to_vector
+from softfin.robot.rotation import (
+    Quaternion,
+    SixVector,
+    Vector,
+    from_euler,
+    inverse_rotation,
+    matrix,
+    multiply,
+    six,
+    to_vector,
+)
 
-Vector = Float[AnyArray, "3"]
-SixVector = Float[AnyArray, "6"]
 CurvePoint: TypeAlias = tuple[float | int, float | int, float | int]
 
 
@@ -20,7 +25,7 @@ class PathPoint(NamedTuple):
 
     position: Vector
     """[m]"""
-    attitude: Float[AnyArray, "4"]
+    attitude: Quaternion
     """Unit quaternion from body to world axes."""
     velocity: Vector
     """[m/s]"""
@@ -35,20 +40,14 @@ class PathPoint(NamedTuple):
 def path_twist(target: PathPoint) -> SixVector:
     """Return the twist of a body on the path, in its own axes [m/s, rad/s]."""
     axes = matrix(target.attitude)
-    twist: SixVector = select_operations(axes).xp.concatenate(
-        [target.velocity @ axes, target.turn @ axes]
-    )
-    return twist
+    return six(target.velocity @ axes, target.turn @ axes)
 
 
-def path_error(target: PathPoint, position: Vector, attitude: Float[AnyArray, "4"]) -> SixVector:
+def path_error(target: PathPoint, position: Vector, attitude: Quaternion) -> SixVector:
     """Return the position relative to the path, in the path's axes [m], and the rotation vector
     from its attitude [rad]."""
     moved = (position - target.position) @ matrix(target.attitude)
-    error: SixVector = select_operations(position, attitude, *target).xp.concatenate(
-        [moved, to_vector(multiply(inverse_rotation(target.attitude), attitude))]
-    )
-    return error
+    return six(moved, to_vector(multiply(inverse_rotation(target.attitude), attitude)))
 
 
 Path: TypeAlias = Callable[[float], PathPoint]
@@ -66,12 +65,13 @@ def hold_place(position: CurvePoint = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -
     return lambda time: still
 
 
-def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: float | int) -> Path:
+def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
     """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, with a slow start and the nose
     along the path."""
+    points = np.array([curve(u) for u in np.linspace(0, 1, 2001)])
+    rate = speed_m_s / float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
     def part(time: float) -> float:
-        rate = speed_m_s / length_m
         if time < STARTING_S:
             # A smooth start: the integral of a smoothstep.
             u = max(time, 0.0) / STARTING_S
@@ -87,10 +87,12 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: fl
         return float(np.arctan2(ahead[1], ahead[0]))
 
     def target(time: float) -> PathPoint:
-        before, now, after = (place(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1))
-        yaws = np.unwrap([heading(time + k * DIFFERENCE_STEP_S) for k in (-1, 0, 1)])
+        times = (time - DIFFERENCE_STEP_S, time, time + DIFFERENCE_STEP_S)
+        before, now, after = map(place, times)
+        yaws = np.unwrap([heading(at) for at in times])
         turn = np.zeros(3)
         turning = np.zeros(3)
+        # Central differences: (f(t + h) - f(t - h)) / 2h, and (f(t + h) - 2 f(t) + f(t - h)) / h^2.
         turn[2] = (yaws[2] - yaws[0]) / (2 * DIFFERENCE_STEP_S)
         turning[2] = (yaws[2] - 2 * yaws[1] + yaws[0]) / DIFFERENCE_STEP_S**2
         return PathPoint(
@@ -105,35 +107,22 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int, length_m: fl
     return target
 
 
-def _length(curve: Callable[[float], Vector]) -> float:
-    points = np.array([curve(u) for u in np.linspace(0, 1, 2001)])
-    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-
-
-def lemniscate(
-    speed_m_s: float | int, length_m: float | int = 2.0, width_m: float | int = 1.0
-) -> Path:
-    """Follow a figure of eight in the horizontal plane (Gerono's lemniscate) with the given length
-    and width."""
+def lemniscate(speed_m_s: float | int) -> Path:
+    """Follow a figure of eight in the horizontal plane (Gerono's), 2 m long and 1 m wide."""
 
     def curve(u: float) -> Vector:
         s = 2 * np.pi * u
-        return np.array([length_m / 2 * np.sin(s), width_m / 2 * np.sin(2 * s), 0.0])
+        return np.array([np.sin(s), 0.5 * np.sin(2 * s), 0.0])
 
-    return along(curve, speed_m_s, _length(curve))
+    return along(curve, speed_m_s)
 
 
-def lissajous(speed_m_s: float | int, size_m: CurvePoint = (2.0, 1.0, 0.5)) -> Path:
-    """Follow a three-dimensional Lissajous curve of the given size with frequencies 1, 2 and 1."""
+def lissajous(speed_m_s: float | int) -> Path:
+    """Follow a three-dimensional Lissajous curve of 2 m by 1 m by 0.5 m with frequencies 1, 2 and
+    1."""
 
     def curve(u: float) -> Vector:
         s = 2 * np.pi * u
-        return np.array(
-            [
-                size_m[0] / 2 * np.sin(s),
-                size_m[1] / 2 * np.sin(2 * s),
-                size_m[2] / 2 * (np.cos(s) - 1),
-            ]
-        )
+        return np.array([np.sin(s), 0.5 * np.sin(2 * s), 0.25 * (np.cos(s) - 1)])
 
-    return along(curve, speed_m_s, _length(curve))
+    return along(curve, speed_m_s)

@@ -4,8 +4,15 @@ in programs."""
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from softfin.core.operations import Array, select_operations
+from softfin.core.quantities import AnyArray
+
+Vector = Float[AnyArray, "3"]
+Quaternion = Float[AnyArray, "4"]
+SixVector = Float[AnyArray, "6"]
+"""A twist or a wrench: three numbers of translation, three of rotation."""
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 """Body axes along world axes."""
@@ -15,12 +22,18 @@ def _namespace(*arrays: Array) -> Any:
     return select_operations(*arrays).xp
 
 
+def six(first: Array, second: Array) -> SixVector:
+    """Return two vectors ``(3,)`` as one of six numbers."""
+    joined: SixVector = _namespace(first, second).concatenate([first, second])
+    return joined
+
+
 def cross(a: Array, b: Array) -> Array:
     """Return the vector product of two vectors ``(3,)``; much faster than NumPy's own for such
     short vectors."""
     xp = _namespace(a, b)
-    (a0, a1, a2) = a
-    (b0, b1, b2) = b
+    a0, a1, a2 = a
+    b0, b1, b2 = b
     return xp.asarray([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
@@ -40,8 +53,8 @@ def matrix(quaternion: Array) -> Array:
 def multiply(a: Array, b: Array) -> Array:
     """Return the rotation by `b` first, then by `a`."""
     xp = _namespace(a, b)
-    (aw, ax, ay, az) = a
-    (bw, bx, by, bz) = b
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
     return xp.asarray(
         [
             aw * bw - ax * bx - ay * by - az * bz,
@@ -81,6 +94,5 @@ def to_vector(quaternion: Array) -> Array:
 def from_euler(roll: float, pitch: float, yaw: float) -> np.ndarray:
     """Return the rotation by yaw about z, pitch about the new y, roll about the new x [rad] (REP
     103)."""
-    turns = (np.array([roll, 0.0, 0.0]), np.array([0.0, pitch, 0.0]), np.array([0.0, 0.0, yaw]))
-    x, y, z = (from_vector(turn) for turn in turns)
+    x, y, z = map(from_vector, np.diag([roll, pitch, yaw]))
     return np.asarray(multiply(z, multiply(y, x)))

@@ -1,7 +1,8 @@
 """A robot in the water: its body, and each fin in a virtual tank on a mount that moves with the
 body."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks
+from softfin.core.plant import Ticks
 from softfin.core.quantities import Command
 from softfin.robot.description import RobotConfig
 from softfin.robot.dynamics import BodyState, Dynamics
@@ -18,13 +20,16 @@ from softfin.tank import Tank, TankState
 from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
+BodyVector = Float[Array, "6"]
+"""A twist or a wrench in body axes."""
+
 
 class Ambient(NamedTuple):
     """Current, and a push from outside, during an action."""
 
     current: Float[Array, "3"]
     """Velocity of the water, steady, in world axes [m/s]."""
-    push: Float[Array, "6"]
+    push: BodyVector
     """Wrench on the body, in body axes [N, N m]."""
 
 
@@ -49,7 +54,7 @@ class RobotState(NamedTuple):
     """State of body and fins."""
 
     body: BodyState
-    acceleration: Float[Array, "6"]
+    acceleration: BodyVector
     """Rate of change of the twist relative to the water in the last tick."""
     fins: TankState
 
@@ -64,6 +69,10 @@ class RobotTicks(NamedTuple):
     """Shaft and outer end of each plate, in each fin's axes [m]."""
 
 
+Advanced = tuple[RobotState, RobotTicks]
+"""State after an action, and its ticks."""
+
+
 class RobotSimulation:
     """A robot and its fins, simulated by compiled programs."""
 
@@ -74,7 +83,7 @@ class RobotSimulation:
         self._matrix = robot.matrix()
         # One program for all of them.
         self.tanks: Tank = jax.tree.map(lambda *x: jnp.stack(x), *tanks)
-        self._advance = eqx.filter_jit(self._held)
+        self._advance = eqx.filter_jit(self._advance_action)
 
     def init(self, key: PRNGKeyArray, body: BodyState | None = None) -> RobotState:
         """Return fins at rest on a body, which is at rest unless its state is given."""
@@ -83,24 +92,18 @@ class RobotSimulation:
         start = jax.tree.map(jnp.float32, body or BodyState.rest())
         return RobotState(start, jnp.zeros(6), fins)
 
-    def advance(
-        self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
-    ) -> tuple[RobotState, RobotTicks]:
+    def advance(self, state: RobotState, orders: Orders, around: Ambient, ticks: Ticks) -> Advanced:
         """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` are
         valid."""
-        advanced: tuple[RobotState, RobotTicks] = self._advance(state, orders, around, ticks)
+        advanced: Advanced = self._advance(state, orders, around, ticks)
         return advanced
 
-    def _held(
-        self, state: RobotState, orders: Orders, around: Ambient, ticks: Int[Array, ""] | int
-    ) -> tuple[RobotState, RobotTicks]:
-        def one(state: RobotState, index: Int[Array, ""]) -> tuple[RobotState, RobotTicks]:
-            after, row = self.tick(state, orders.at(index), around)
-            return jax.tree.map(
-                lambda new, old: jnp.where(index < ticks, new, old), after, state
-            ), row
-
-        return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
+    def _advance_action(
+        self, state: RobotState, orders: Orders, around: Ambient, ticks: Ticks
+    ) -> Advanced:
+        return _scan_ticks(
+            lambda state, index: self.tick(state, orders.at(index), around), state, ticks
+        )
 
     def held(self, orders: Orders) -> Float[Array, "actions ticks 6"]:
         """Return the wrench of the fins on a fixed body, from rest, under orders ``(actions,
@@ -114,25 +117,20 @@ class RobotSimulation:
         def action(fins: PyTree, now: tuple[Orders, Array]) -> tuple[Any, Array]:
             orders, ticks = now
 
-            def one(fins: PyTree, index: Array) -> tuple[Any, Array]:
-                after, loads, _ = self._fins(fins, orders.at(index), still)
-                return jax.tree.map(
-                    lambda new, old: jnp.where(index < ticks, new, old), after, fins
-                ), self._wrench(loads)
+            def tick(fins: PyTree, index: Array) -> tuple[Any, Array]:
+                fins, loads, _ = self._fins(fins, orders.at(index), still)
+                return fins, self._wrench(loads)
 
-            return jax.lax.scan(one, fins, jnp.arange(MAX_ACTION_TICKS))
+            return _scan_ticks(tick, fins, ticks)
 
-        return jax.lax.scan(
-            action, start.fins, (orders, jnp.asarray(action_ticks(len(orders.delays))))
-        )[1]
+        ticks = jnp.asarray(action_ticks(len(orders.delays)))
+        return jax.lax.scan(action, start.fins, (orders, ticks))[1]
 
-    def _wrench(self, loads: Load) -> Float[Array, "6"]:
+    def _wrench(self, loads: Load) -> BodyVector:
         wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
         return wrench.at[3:].add(loads.torque @ self._fin_mounts.shafts)
 
-    def tick(
-        self, state: RobotState, commands: Command, around: Ambient
-    ) -> tuple[RobotState, RobotTicks]:
+    def tick(self, state: RobotState, commands: Command, around: Ambient) -> Advanced:
         """Advance by one tick of 10 ms."""
         mounts = self._mounts(
             jnp.asarray(self.dynamics.relative_twist(state.body, around.current)),
@@ -144,7 +142,7 @@ class RobotSimulation:
         body = self.dynamics.step(state.body, wrench + around.push, around.current)
         return RobotState(body, jnp.asarray(acceleration), fins), RobotTicks(body, wrench, shapes)
 
-    def _mounts(self, twist: Float[Array, "6"], acceleration: Float[Array, "6"]) -> Mount:
+    def _mounts(self, twist: BodyVector, acceleration: BodyVector) -> Mount:
         """Return the motion of each fin's mount through the water, in its own axes."""
         velocity = twist[:3]
         turn = twist[3:]
@@ -171,3 +169,16 @@ class RobotSimulation:
             self.tanks, states, commands, mounts
         )
         return advanced
+
+
+def _scan_ticks(
+    tick: Callable[[Any, Array], tuple[Any, Any]], state: PyTree, ticks: Ticks
+) -> tuple[Any, Any]:
+    """Take the ticks of an action; rows of 34, and a state to which only the first `ticks`
+    count."""
+
+    def one(state: PyTree, index: Array) -> tuple[Any, Any]:
+        after, row = tick(state, index)
+        return jax.tree.map(partial(jnp.where, index < ticks), after, state), row
+
+    return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))

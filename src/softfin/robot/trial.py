@@ -89,15 +89,12 @@ def run_trial(
         jax.random.key(seed), BodyState(start.position, start.attitude, np.zeros(6))
     )
     deviation = np.zeros((1, 12))
-    (kept, new) = noise.decay(TICK_S)
+    kept, new = noise.decay(TICK_S)
     control = controller.init()
     driving = driver.init()
-    before = stack_commands([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
+    before = rest_commands(driver)
     rows = []
-    asked = []
-    expected = []
-    forces = []
-    given_up = []
+    actions = []
     seen: list[tuple[np.ndarray, ...]] = [
         (np.asarray(start.position)[None], np.asarray(start.attitude)[None], np.zeros((1, 6)))
     ]
@@ -120,7 +117,8 @@ def run_trial(
         orders = Orders(before, commands, jnp.asarray(driven.delays))
         before = commands
         for fin in driver.dead:
-            orders = _stopped(orders, fin)
+            # A drive brakes under a command of any angle at no velocity.
+            orders = Orders(_stopped(orders.before, fin), _stopped(orders.now, fin), orders.delays)
         push = np.zeros(6)
         if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
             push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
@@ -134,14 +132,11 @@ def run_trial(
             [1.0], [1.0, -kept], new * random.normal(size=(ticks, 12)), axis=0, zi=deviation
         )
         seen = [*seen[-1:], estimated(happened.body, noisy * noise.deviations())]
-        asked.append(wrench)
-        expected.append(driven.wrench)
-        forces.append(driven.forces)
-        given_up.append(driven.given_up)
+        actions.append((wrench, driven.wrench, driven.forces, driven.given_up))
         time += ticks * TICK_S
     happened = jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
     times = TICK_S * np.arange(1, len(happened.wrench) + 1)
-    targets = [path(float(at)) for at in times]
+    targets = [path(time) for time in times.tolist()]
     return Record(
         times,
         BodyState(*(np.asarray(part, float) for part in happened.body)),
@@ -149,20 +144,17 @@ def run_trial(
         np.array([target.attitude for target in targets]),
         np.asarray(happened.wrench, float),
         happened.shapes,
-        np.array(asked),
-        np.array(expected),
-        np.array(forces),
-        np.array(given_up),
+        *map(np.array, zip(*actions, strict=True)),
     )
 
 
-def _stopped(orders: Orders, fin: int) -> Orders:
-    """Return orders under which a fin's drive brakes and stays: any angle with velocity 0."""
-    before, now = (
-        command._replace(velocity=jnp.asarray(command.velocity).at[fin].set(0.0))
-        for command in (orders.before, orders.now)
-    )
-    return orders._replace(before=before, now=now)
+def _stopped(commands: Command, fin: int) -> Command:
+    return commands._replace(velocity=jnp.asarray(commands.velocity).at[fin].set(0.0))
+
+
+def rest_commands(driver: WrenchDriver) -> Command:
+    """Return the commands under which fins at rest at angle 0 stay there, fields ``(fins,)``."""
+    return stack_commands([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
 
 
 def stack_commands(commands: Sequence[Command]) -> Command:

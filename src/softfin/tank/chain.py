@@ -15,14 +15,18 @@ from jaxtyping import Array, Float
 
 PerPlate = Float[Array, " plates"]
 Scalar = Float[Array, ""]
+PlanarVector = Float[Array, "2"]
+"""(x, y)."""
+
+PlateMatrix = Float[Array, "plates plates"]
 
 
 class Pose(NamedTuple):
     """Effect of the rotation of plate j on the inner end of plate i > j; rows i, columns j, zero
     elsewhere [m]."""
 
-    normal: Float[Array, "plates plates"]
-    along: Float[Array, "plates plates"]
+    normal: PlateMatrix
+    along: PlateMatrix
 
 
 class PlateMotion(NamedTuple):
@@ -65,7 +69,7 @@ class Moments(NamedTuple):
         )
 
 
-def pose(angles: PerPlate, plate_length: Float[Array, ""]) -> Pose:
+def pose(angles: PerPlate, plate_length: Scalar) -> Pose:
     """Return the pose of a chain whose plates are at absolute `angles` [rad]."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
@@ -81,7 +85,7 @@ def motion(pose: Pose, rates: PerPlate) -> PlateMotion:
     return PlateMotion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
 
 
-def components(angles: PerPlate, velocity: Float[Array, "2"]) -> PlateMotion:
+def components(angles: PerPlate, velocity: PlanarVector) -> PlateMotion:
     """Resolve one velocity (x, y) [m/s] along every plate's axes."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
@@ -95,7 +99,7 @@ def project(pose: Pose, wrench: PlateWrench) -> PerPlate:
     return levers.sum(0) + wrench.moment
 
 
-def momentum_matrix(pose: Pose, moments: Moments) -> Float[Array, "plates plates"]:
+def momentum_matrix(pose: Pose, moments: Moments) -> PlateMatrix:
     """Return the symmetric matrix that maps angular velocities to generalised momenta, or to the
     moments that resist them."""
     normal = pose.normal
@@ -120,7 +124,7 @@ def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrenc
     )
 
 
-def resultant(angles: PerPlate, wrench: PlateWrench) -> Float[Array, "2"]:
+def resultant(angles: PerPlate, wrench: PlateWrench) -> PlanarVector:
     """Return the sum of the forces in the axes of the tank, (x, y)."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
@@ -133,7 +137,7 @@ def resultant(angles: PerPlate, wrench: PlateWrench) -> Float[Array, "2"]:
 
 
 def condense(
-    matrix: Float[Array, "plates plates"], right: PerPlate
+    matrix: PlateMatrix, right: PerPlate
 ) -> tuple[Scalar, Scalar, Callable[[Scalar], PerPlate]]:
     """Eliminate all plates but the first from ``matrix @ rates = right``, the matrix symmetric
     positive definite.

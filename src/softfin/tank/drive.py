@@ -11,12 +11,13 @@ torques and inertias refer to the fin's side of the gearbox.
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S, Command
+from softfin.tank.chain import Scalar
 from softfin.tank.fin import Shaft
 from softfin.tank.sensor import config_arrays, to_multiple
 
@@ -58,15 +59,15 @@ class DriveConfig(Configuration):
 class DriveState(NamedTuple):
     """State of the profile and of the motor, and the commands in the queue."""
 
-    profile_angle: Float[Array, ""]
+    profile_angle: Scalar
     """Angle of the profile [rad]."""
-    profile_velocity: Float[Array, ""]
+    profile_velocity: Scalar
     """Angular velocity of the profile [rad/s]."""
-    angle: Float[Array, ""]
+    angle: Scalar
     """Angle of the motor [rad]."""
-    rate: Float[Array, ""]
+    rate: Scalar
     """Angular velocity of the motor [rad/s]."""
-    torque: Float[Array, ""]
+    torque: Scalar
     """Mean torque of the motor in the last step [N m]."""
     waiting: Command
     """Commands of the last ticks, newest first."""
@@ -75,14 +76,14 @@ class DriveState(NamedTuple):
 class Drive(eqx.Module):
     """Parameters of the drive as arrays."""
 
-    acceleration: Float[Array, ""]
-    dead_time: Float[Array, ""]
-    lag: Float[Array, ""]
-    stiffness: Float[Array, ""]
-    inertia: Float[Array, ""]
-    torque_limit: Float[Array, ""]
-    backlash: Float[Array, ""]
-    encoder_step: Float[Array, ""]
+    acceleration: Scalar
+    dead_time: Scalar
+    lag: Scalar
+    stiffness: Scalar
+    inertia: Scalar
+    torque_limit: Scalar
+    backlash: Scalar
+    encoder_step: Scalar
 
     def __init__(self, config: DriveConfig):
         (
@@ -105,10 +106,8 @@ class Drive(eqx.Module):
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
         """Add the command issued now; also return the one that the profile obeys during the next
         tick."""
-        queue = Command(
-            *(jnp.append(new, old) for new, old in zip(command, state.waiting, strict=True))
-        )
-        waiting = Command(*(channel[:-1] for channel in queue))
+        queue = jax.tree.map(jnp.append, command, state.waiting)
+        waiting = jax.tree.map(lambda channel: channel[:-1], queue)
         return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)
 
     def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
@@ -126,14 +125,14 @@ class Drive(eqx.Module):
         before: DriveState,
         planned: DriveState,
         seconds: float,
-        carried: Float[Array, ""] | float = 0.0,
+        carried: Scalar | float = 0.0,
     ) -> Shaft:
         """Return the shaft that drives the fin while the profile goes from one state to the
         next."""
         half = seconds / 2
         pull, grip, rotor = self._servo(before, planned, half)
 
-        def turn(load: Float[Array, ""], drag: Float[Array, ""]) -> Float[Array, ""]:
+        def turn(load: Scalar, drag: Scalar) -> Scalar:
             free = (rotor * before.rate + pull + load) / (rotor + grip + drag)
             torque = pull - grip * free
             limited = jnp.clip(torque, -self.torque_limit, self.torque_limit)
@@ -144,7 +143,7 @@ class Drive(eqx.Module):
         return Shaft(before.angle, self.backlash, turn, carried)
 
     def follow(
-        self, before: DriveState, planned: DriveState, mean: Float[Array, ""], seconds: float
+        self, before: DriveState, planned: DriveState, mean: Scalar, seconds: float
     ) -> DriveState:
         """Return the state after a step in which the motor turned at a mean rate [rad/s]."""
         pull, grip, _ = self._servo(before, planned, seconds / 2)
@@ -153,13 +152,13 @@ class Drive(eqx.Module):
             angle=before.angle + seconds * mean, rate=2 * mean - before.rate, torque=torque
         )
 
-    def read(self, state: DriveState) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    def read(self, state: DriveState) -> tuple[Scalar, Scalar]:
         """Return the readings of the encoder: angle [rad] and velocity [rad/s]."""
         return to_multiple(state.angle, self.encoder_step), state.rate
 
     def _servo(
         self, before: DriveState, planned: DriveState, half: float
-    ) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    ) -> tuple[Scalar, Scalar, Scalar]:
         """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; the third number is
         its inertia over half a step.
 
@@ -174,12 +173,12 @@ class Drive(eqx.Module):
 
 
 def next_velocity(
-    angle: Float[Array, ""],
-    velocity: Float[Array, ""],
+    angle: Scalar,
+    velocity: Scalar,
     command: Command,
-    acceleration: Float[Array, ""],
+    acceleration: Scalar,
     seconds: float,
-) -> Float[Array, ""]:
+) -> Scalar:
     """Return the fastest velocity from which the profile, in discrete time steps, stops at the
     target without overshoot."""
     ahead = command.angle - angle - seconds * velocity / 2
@@ -190,7 +189,7 @@ def next_velocity(
     return velocity + jnp.clip(change, -gain, gain)
 
 
-def delayed(commands: Command, delay: Float[Array, ""]) -> Command:
+def delayed(commands: Command, delay: Scalar) -> Command:
     """Return the command from `delay` ticks ago, out of the last ones, newest first.
 
     A fractional delay interpolates between the two neighbouring commands, so that it has a
@@ -198,4 +197,4 @@ def delayed(commands: Command, delay: Float[Array, ""]) -> Command:
     """
     age = jnp.arange(commands.angle.shape[0], dtype=delay.dtype)
     weights = jnp.maximum(1 - jnp.abs(age - delay), 0.0)
-    return Command(*((weights * channel).sum() for channel in commands))
+    return Command((weights * commands.angle).sum(), (weights * commands.velocity).sum())

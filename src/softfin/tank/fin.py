@@ -21,7 +21,15 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.tank import chain
-from softfin.tank.chain import Moments, PerPlate, PlateMotion, PlateWrench, Scalar
+from softfin.tank.chain import (
+    Moments,
+    PerPlate,
+    PlanarVector,
+    PlateMatrix,
+    PlateMotion,
+    PlateWrench,
+    Scalar,
+)
 
 PlateSeries: TypeAlias = NDArray[np.floating[Any]]
 
@@ -134,9 +142,9 @@ class Mount(NamedTuple):
     edgewise.
     """
 
-    velocity: Float[Array, "2"]
+    velocity: PlanarVector
     """Velocity (x, y) relative to the water far away, which is at rest [m/s]."""
-    acceleration: Float[Array, "2"]
+    acceleration: PlanarVector
     """Acceleration (x, y) relative to that water [m/s2]."""
     turn: Scalar
     """Angular velocity about the shaft, in the sense of the shaft's angle [rad/s]."""
@@ -162,19 +170,19 @@ class Surroundings(NamedTuple):
 
     inertia: Moments
     """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
-    stream: Float[Array, "2"]
+    stream: PlanarVector
     """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion
     relative to it."""
     loads: Callable[[PlateMotion], tuple[Moments, PlateWrench]]
     """Effects of water on moving plates other than inertia: resistance [kg/s] and forces [N]."""
-    acceleration: Float[Array, "2"] | None = None
+    acceleration: PlanarVector | None = None
     """Acceleration (x, y) of the mount through the water [m/s2]; None if it stands still."""
 
 
 class Fin(eqx.Module):
     """Plates and joints of the fin as arrays."""
 
-    plate_length: Float[Array, ""]
+    plate_length: Scalar
     stiffness: PerPlate
     """Stiffness of the joint at the inner end of each plate [N m/rad]."""
     damping: PerPlate
@@ -199,7 +207,8 @@ class Fin(eqx.Module):
 
     def rest(self) -> FinState:
         """Return the state of a straight fin at angle 0, at rest."""
-        return FinState(*(jnp.zeros_like(self.stiffness) for _ in FinState._fields))
+        still = jnp.zeros_like(self.stiffness)
+        return FinState(still, still, still, still)
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
         """Return the shaft and the outer end of each plate, in the axes of the tank [m]."""
@@ -214,9 +223,7 @@ class Fin(eqx.Module):
         relative: PlateMotion = jax.tree.map(jnp.subtract, self._motion(state), stream)
         return relative
 
-    def momenta(
-        self, state: FinState, around: Surroundings
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    def momenta(self, state: FinState, around: Surroundings) -> tuple[PlanarVector, PlanarVector]:
         """Return the momenta of the fin itself and of the water it carries, in the axes of the tank
         [N s]."""
         return (
@@ -224,19 +231,17 @@ class Fin(eqx.Module):
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
-    def inertial_force(
-        self, state: FinState, around: Surroundings, mount: Mount
-    ) -> Float[Array, "2"]:
+    def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> PlanarVector:
         """Return the part of the momenta's rate of change that is due to the mount's motion, in its
         axes [N].
 
         The rest is the change of `momenta` in those axes, at the mount's velocity.
         """
 
-        def turned(vector: Float[Array, "2"]) -> Float[Array, "2"]:
+        def turned(vector: PlanarVector) -> PlanarVector:
             return mount.turn * jnp.stack([vector[1], -vector[0]])
 
-        def needed(inertia: Moments, acceleration: Float[Array, "2"]) -> Float[Array, "2"]:
+        def needed(inertia: Moments, acceleration: PlanarVector) -> PlanarVector:
             return chain.resultant(
                 state.angles, inertia.times(chain.components(state.angles, acceleration))
             )
@@ -251,7 +256,7 @@ class Fin(eqx.Module):
 
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
-    ) -> tuple[FinState, Scalar, Float[Array, "2"]]:
+    ) -> tuple[FinState, Scalar, PlanarVector]:
         """Take one time step; also return the shaft's mean rate [rad/s] and the mean force of the
         loads [N] in it."""
         half = seconds / 2
@@ -347,7 +352,7 @@ def _between(torques: PerPlate) -> PerPlate:
     return inner - jnp.append(inner[1:], 0.0)
 
 
-def _joint_matrix(joints: PerPlate) -> Float[Array, "plates plates"]:
+def _joint_matrix(joints: PerPlate) -> PlateMatrix:
     """Return the tridiagonal matrix that maps plate angles to the moments of the joints between
     plates."""
     inner = joints.at[0].set(0.0)

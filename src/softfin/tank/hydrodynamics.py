@@ -27,7 +27,14 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
-from softfin.tank.chain import Moments, PerPlate, PlateMotion, PlateWrench, Scalar
+from softfin.tank.chain import (
+    Moments,
+    PerPlate,
+    PlanarVector,
+    PlateMotion,
+    PlateWrench,
+    Scalar,
+)
 from softfin.tank.fin import FinConfig, Surroundings, plate_moments
 from softfin.tank.sensor import remaining
 
@@ -79,7 +86,7 @@ GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
 class Flow(NamedTuple):
     """Motion that the fin has left in the water."""
 
-    stream: Float[Array, "2"]
+    stream: PlanarVector
     """Velocity of the water round the fin, (x, y) [m/s]."""
     excursion: PerPlate
     """Recent displacement of each plate's middle along its normal [m]."""
@@ -90,8 +97,8 @@ class Flow(NamedTuple):
 class Water(eqx.Module):
     """Loads of the water as arrays, per length of each plate."""
 
-    plate_length: Float[Array, ""]
-    temperature: Float[Array, ""]
+    plate_length: Scalar
+    temperature: Scalar
     """Temperature of the water [degrees Celsius]."""
     inertia: Moments
     """Added mass of each plate [kg, kg m, kg m2]."""
@@ -104,10 +111,10 @@ class Water(eqx.Module):
     for the last [kg/m]."""
     span: PerPlate
     """Span at the middle of each plate [m]."""
-    drag_exponent: Float[Array, ""]
-    wake_memory: Float[Array, ""]
-    stream_mass: Float[Array, ""]
-    stream_decay: Float[Array, ""]
+    drag_exponent: Scalar
+    wake_memory: Scalar
+    stream_mass: Scalar
+    stream_decay: Scalar
 
     def __init__(self, config: WaterConfig, fin: FinConfig):
         rho = _density(config.temperature_c)
@@ -169,7 +176,7 @@ class Water(eqx.Module):
         drag = self.drag * number**-self.drag_exponent
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
 
-    def stirred(self, flow: Flow, motion: PlateMotion, force: Float[Array, "2"]) -> Flow:
+    def stirred(self, flow: Flow, motion: PlateMotion, force: PlanarVector) -> Flow:
         """Return the flow one tick later, given the plates' motion relative to it and the mean
         force of its loads [N]."""
         share = remaining(self.stream_decay)

@@ -10,13 +10,13 @@ from typing import TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import TICK_S, Command, Limits, Reading
-from softfin.tank.chain import Scalar
+from softfin.tank.chain import PlanarVector, Scalar
 from softfin.tank.drive import DEAD_TICKS
 from softfin.tank.tank import Tank, TankState
 
@@ -62,13 +62,15 @@ class DomainRandomization(Configuration):
             )
         usual = cls()
         share = min(1.0, part / USUAL_PART)
-        own = {
-            name: share * getattr(usual, name)
-            for name in ("temperature_c", "drift", "misalignment_rad")
-        }
-        return usual.merged(
-            own | dict.fromkeys(("stiffness", "drag", "added_mass", "lag", "dead_time"), part),
-            "spread",
+        return cls(
+            temperature_c=share * usual.temperature_c,
+            stiffness=part,
+            drag=part,
+            added_mass=part,
+            lag=part,
+            dead_time=part,
+            drift=share * usual.drift,
+            misalignment_rad=share * usual.misalignment_rad,
         )
 
     @property
@@ -157,7 +159,7 @@ class RandomizedTank(eqx.Module):
         tank = sample_tank(self.tank, parameters, self.widths)
         return tank, tank.init(own)
 
-    def true_force(self, state: RandomizedTankState) -> Float[Array, "2"]:
+    def true_force(self, state: RandomizedTankState) -> PlanarVector:
         """Return the mean force of the sampled tank's fin on its mount over the last tick [N]."""
         tank, inner = state
         return tank.true_force(inner)

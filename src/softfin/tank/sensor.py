@@ -20,14 +20,13 @@ from pydantic import Field
 
 from softfin.core.configuration import Configuration
 from softfin.core.quantities import TICK_S
+from softfin.tank.chain import PlanarVector, Scalar
 
 MIN_TIME_CONSTANT_S = 1e-6
 """Shortest time constant [s] in computations; it keeps derivatives finite where one is zero."""
 
 
-def config_arrays(
-    config: Configuration, without: Collection[str] = ()
-) -> Iterator[Float[Array, ""]]:
+def config_arrays(config: Configuration, without: Collection[str] = ()) -> Iterator[Scalar]:
     """Yield the numbers of a configuration as arrays, in the order of its fields."""
     return (
         jnp.asarray(value, float)
@@ -36,13 +35,13 @@ def config_arrays(
     )
 
 
-def remaining(time_constant: Float[Array, ""]) -> Float[Array, ""]:
+def remaining(time_constant: Scalar) -> Scalar:
     """Return the fraction of a deviation that remains after a sample of 10 ms; 0 if the time
     constant [s] is 0."""
     return jnp.exp(-TICK_S / jnp.maximum(time_constant, MIN_TIME_CONSTANT_S))
 
 
-def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[Array, "*shape"]:
+def to_multiple(value: Float[Array, "*shape"], step: Scalar) -> Float[Array, "*shape"]:
     """Return the nearest multiple of `step`, or `value` itself if the step is 0; its derivative is
     1 in both cases."""
     positive = jnp.where(step > 0, step, 1.0)
@@ -50,7 +49,7 @@ def to_multiple(value: Float[Array, "*shape"], step: Float[Array, ""]) -> Float[
     return value + jax.lax.stop_gradient(rounded - value)
 
 
-def mean_of_past(duration: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def mean_of_past(duration: Scalar) -> tuple[Scalar, Scalar]:
     """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants depends
     on its present value.
 
@@ -97,25 +96,25 @@ IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, r
 class SensorState(NamedTuple):
     """State of the sensor, each (x, y) [N]."""
 
-    filtered: Float[Array, "2"]
+    filtered: PlanarVector
     """Output of the low-pass filter."""
-    drift: Float[Array, "2"]
+    drift: PlanarVector
     """Drift since the sensor was installed."""
-    zero: Float[Array, "2"]
+    zero: PlanarVector
     """Mean reading at rest before the experiment; it is subtracted from every reading."""
 
 
 class Sensor(eqx.Module):
     """Parameters of the sensor as arrays."""
 
-    filter_time: Float[Array, ""]
-    misalignment: Float[Array, ""]
-    noise: Float[Array, ""]
-    drift: Float[Array, ""]
-    drift_time: Float[Array, ""]
-    resolution: Float[Array, ""]
-    range: Float[Array, ""]
-    zero_time: Float[Array, ""]
+    filter_time: Scalar
+    misalignment: Scalar
+    noise: Scalar
+    drift: Scalar
+    drift_time: Scalar
+    resolution: Scalar
+    range: Scalar
+    zero_time: Scalar
 
     def __init__(self, config: SensorConfig):
         (
@@ -148,8 +147,8 @@ class Sensor(eqx.Module):
         return SensorState(jnp.zeros_like(drift), drift, jnp.where(self.zero_time > 0, zero, 0.0))
 
     def read(
-        self, state: SensorState, force: Float[Array, "2"], key: PRNGKeyArray
-    ) -> tuple[SensorState, Float[Array, "2"]]:
+        self, state: SensorState, force: PlanarVector, key: PRNGKeyArray
+    ) -> tuple[SensorState, PlanarVector]:
         """Read one sample of 10 ms, in which the mean force was `force` [N]."""
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
         filtered = force + (state.filtered - force) * remaining(self.filter_time)

@@ -15,6 +15,7 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.plant import check_commands
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.tank.chain import PlanarVector, Scalar
 from softfin.tank.drive import Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
@@ -46,7 +47,7 @@ class TankState(NamedTuple):
     fin: FinState
     flow: Flow
     sensor: SensorState
-    force: Float[Array, "2"]
+    force: PlanarVector
     """True mean force on the mount over the last tick (x, y) [N]."""
     key: PRNGKeyArray
 
@@ -54,9 +55,9 @@ class TankState(NamedTuple):
 class Load(NamedTuple):
     """Mean load of a fin on its mount over a tick, without sensor errors."""
 
-    force: Float[Array, "2"]
+    force: PlanarVector
     """Force (x, y) [N]."""
-    torque: Float[Array, ""]
+    torque: Scalar
     """Torque about the shaft, in the sense of the shaft's angle [N m]."""
 
 
@@ -111,7 +112,7 @@ class Tank(eqx.Module):
 
         return jax.lax.scan(tick, state, length=ticks)
 
-    def true_force(self, state: TankState) -> Float[Array, "2"]:
+    def true_force(self, state: TankState) -> PlanarVector:
         """Return the mean force on the mount over the last tick, without the errors of the sensor
         [N]."""
         return state.force
@@ -140,7 +141,7 @@ class Tank(eqx.Module):
 
         def step(
             moving: tuple[DriveState, FinState], _: None
-        ) -> tuple[tuple[DriveState, FinState], tuple[Float[Array, "2"], Float[Array, ""]]]:
+        ) -> tuple[tuple[DriveState, FinState], tuple[PlanarVector, Scalar]]:
             drive, fin = moving
             planned = self.drive.plan(drive, obeyed, seconds)
             fin, rate, force = self.fin.step(
@@ -154,11 +155,10 @@ class Tank(eqx.Module):
         )
         # The force of the fin on its mount is that of the water on the fin, minus the change of the
         # fin's own momentum.
-        own, added = (
-            (after - before) / TICK_S
-            for before, after in zip(
-                self.fin.momenta(state.fin, around), self.fin.momenta(fin, around), strict=True
-            )
+        own, added = jax.tree.map(
+            lambda before, after: (after - before) / TICK_S,
+            self.fin.momenta(state.fin, around),
+            self.fin.momenta(fin, around),
         )
         loads = forces.mean(0)
         force = loads - added - own

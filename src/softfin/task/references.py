@@ -22,7 +22,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from softfin.core.configuration import Configuration, read_yaml
 from softfin.core.errors import ConfigurationError
-from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Reachable, bounding_box
+from softfin.gaits.reachable import PAPER_REFERENCES, Cell, Cells, Reachable, bounding_box
 from softfin.task.notation import read_cells, read_range
 
 PAPER_CELLS = tuple(Cell.around(reference) for reference in PAPER_REFERENCES)
@@ -42,6 +42,11 @@ MOST = 1024
 error."""
 
 
+ForcePoint = Float[Array, "2"]
+ForceBatch = Float[Array, "*batch 2"]
+"""(x, y) [N]."""
+
+
 class References(NamedTuple):
     """A box from which references are drawn, as arrays, so that one program works for many
     boxes."""
@@ -58,16 +63,16 @@ class References(NamedTuple):
             jnp.asarray(cell.low, jnp.float32), jnp.asarray(cell.high, jnp.float32), reachable
         )
 
-    def draw(self, key: PRNGKeyArray) -> Float[Array, "2"]:
+    def draw(self, key: PRNGKeyArray) -> ForcePoint:
         """Draw one reference, uniform over the box."""
         return self.at(jax.random.uniform(key, (2,)))
 
-    def at(self, place: Float[Array, "2"]) -> Float[Array, "2"]:
+    def at(self, place: ForcePoint) -> ForcePoint:
         """Return the reference at a relative position (0 to 1, 0 to 1) of the box; outside the
         fin's reach, the nearest one on its edge."""
         return self.nearest(self.low + place * (self.high - self.low))
 
-    def nearest(self, force: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    def nearest(self, force: ForceBatch) -> ForceBatch:
         """Return the reference of the box that is nearest to a force; outside the fin's reach, the
         nearest one on its edge."""
         inside = jnp.clip(force, self.low, self.high)
@@ -84,14 +89,14 @@ def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) 
 class CellsFile(Configuration):
     """Content of a YAML file of cells."""
 
-    cells: tuple[Cell, ...]
+    cells: Cells
     """Boxes of references [N], in the order of the policies."""
     allow_gaps: bool = False
     """Whether references between the cells may lack their own policy; the nearest cell is used for
     them."""
 
 
-def parse_cells(text: str, within: Cell) -> tuple[Cell, ...]:
+def parse_cells(text: str, within: Cell) -> Cells:
     """Parse the cells; a lattice fills `within`, the others have their own position.
 
     Raises:
@@ -114,7 +119,7 @@ def parse_range(text: str) -> Cell:
     return Cell.build({"low": (x0, y0), "high": (x1, y1)}, f"--range {text}")
 
 
-def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
+def lattice(columns: int, rows: int, within: Cell) -> Cells:
     """Equal cells, `columns` along x and `rows` along y, that fill a range, in the order of x."""
     asked = f"--cells {columns}x{rows}"
     if not 1 <= columns * rows <= MOST:
@@ -123,10 +128,8 @@ def lattice(columns: int, rows: int, within: Cell) -> tuple[Cell, ...]:
         )
     check_width(within, f"{asked}: the range ({within})")
     # Neighbours share exactly the same edge.
-    xs, ys = (
-        np.linspace(low, high, count + 1).tolist()
-        for low, high, count in zip(within.low, within.high, (columns, rows), strict=True)
-    )
+    xs = np.linspace(within.low[0], within.high[0], columns + 1).tolist()
+    ys = np.linspace(within.low[1], within.high[1], rows + 1).tolist()
     return tuple(
         Cell(low=(x0, y0), high=(x1, y1)) for x0, x1 in pairwise(xs) for y0, y1 in pairwise(ys)
     )
@@ -165,12 +168,12 @@ def check_cells(cells: Sequence[Cell], allow_gaps: bool, source: str) -> None:
         check_width(cell, f"{source}: cell {number} ({cell})")
     check_apart(cells, source)
     # The cells do not overlap, so areas add up.
-    gaps = area(bounding_box(cells)) - sum(map(area, cells))
+    box = bounding_box(cells)
+    gaps = area(box) - sum(map(area, cells))
     if not allow_gaps and gaps > GAP_N2:
         raise ConfigurationError(
-            f"{source}: the cells leave {gaps:.3g} N^2 of their bounding box "
-            f"({bounding_box(cells)}) uncovered; add "
-            "cells there, or write allow_gaps: true in the file"
+            f"{source}: the cells leave {gaps:.3g} N^2 of their bounding box ({box}) uncovered; "
+            "add cells there, or write allow_gaps: true in the file"
         )
 
 

@@ -22,13 +22,15 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, LogError, one_line
 from softfin.core.quantities import RATE_HZ, TICK_S
+from softfin.gaits.reachable import format_force
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import check_reference_file
 
 ReferenceForce = tuple[FiniteFloat, FiniteFloat]
 
+TickTimes = Float[np.ndarray, " ticks"]
 ReferenceSamples = Float[np.ndarray, "ticks 2"]
-"""(x, y) [N], float32."""
+"""(x, y) [N]; float32 where they leave this module."""
 
 CLOCK_S = 1e-6
 """Times this close to a tick belong to that tick, because sums of decimal fractions are rarely
@@ -50,7 +52,7 @@ class Signal(Configuration):
     kind: str
 
     @abstractmethod
-    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+    def _at(self, time_s: TickTimes) -> ReferenceSamples:
         """The reference (x, y) [N] at each time."""
 
     def sample(self, ticks: int) -> ReferenceSamples:
@@ -69,11 +71,12 @@ class Step(Signal):
     at_s: NonNegativeFloat = 10.0
     """Time of the step [s]; a whole second is a moment at which controllers act."""
 
-    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+    def _at(self, time_s: TickTimes) -> ReferenceSamples:
         return np.where(time_s[:, None] >= self.at_s - CLOCK_S, self.to_n, self.start_n)
 
     def __str__(self) -> str:
-        return f"step {_pair(self.start_n)} to {_pair(self.to_n)} N at {self.at_s:g} s"
+        start, to = map(format_force, (self.start_n, self.to_n))
+        return f"step {start} to {to} N at {self.at_s:g} s"
 
 
 class Ramp(Signal):
@@ -97,15 +100,13 @@ class Ramp(Signal):
             )
         return self
 
-    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+    def _at(self, time_s: TickTimes) -> ReferenceSamples:
         part = np.clip((time_s[:, None] - self.begin_s) / (self.end_s - self.begin_s), 0, 1)
         return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n))
 
     def __str__(self) -> str:
-        return (
-            f"ramp {_pair(self.start_n)} to {_pair(self.to_n)} N from {self.begin_s:g} s to "
-            f"{self.end_s:g} s"
-        )
+        start, to = map(format_force, (self.start_n, self.to_n))
+        return f"ramp {start} to {to} N from {self.begin_s:g} s to {self.end_s:g} s"
 
 
 class Sinusoid(Signal):
@@ -119,15 +120,13 @@ class Sinusoid(Signal):
     period_s: PositiveFloat = 10.0
     """Period [s]; ten are five windows of the moving average."""
 
-    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+    def _at(self, time_s: TickTimes) -> ReferenceSamples:
         turn = np.sin(2 * np.pi * time_s[:, None] / self.period_s)
         return np.asarray(np.asarray(self.centre_n) + turn * np.asarray(self.amplitude_n))
 
     def __str__(self) -> str:
-        return (
-            f"sine about {_pair(self.centre_n)} N, amplitude {_pair(self.amplitude_n)} N, of "
-            f"{self.period_s:g} s"
-        )
+        centre, amplitude = map(format_force, (self.centre_n, self.amplitude_n))
+        return f"sine about {centre} N, amplitude {amplitude} N, of {self.period_s:g} s"
 
 
 class Recorded(Signal):
@@ -165,7 +164,7 @@ class Recorded(Signal):
         before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
         return int(np.ceil(2 * last - before - CLOCK_S))
 
-    def _at(self, time_s: Float[np.ndarray, " ticks"]) -> Float[np.ndarray, "ticks 2"]:
+    def _at(self, time_s: TickTimes) -> ReferenceSamples:
         return np.asarray(self.force_n)[
             np.searchsorted(self.time_s, time_s + CLOCK_S, side="right") - 1
         ]
@@ -174,10 +173,6 @@ class Recorded(Signal):
         if len(self.force_n) == 2:
             return str(Step(start_n=self.force_n[0], to_n=self.force_n[1], at_s=self.time_s[1]))
         return f"recorded, {len(self.time_s)} rows over {self.time_s[-1]:g} s"
-
-
-def _pair(force: ReferenceForce) -> str:
-    return f"({force[0]:g}, {force[1]:g})"
 
 
 def read_reference_file(path: Path) -> Recorded:

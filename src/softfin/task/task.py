@@ -25,10 +25,13 @@ from softfin.core.operations import jax_operations
 from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
 from softfin.core.quantities import Command, Limits, action_to_command
 from softfin.core.window import sobolev, window_error, window_mean
-from softfin.task.references import References
+from softfin.task.references import ForceBatch, ForcePoint, References
 
 Action = Float[Array, "2"]
 """(angle, velocity) normalised to [-1, 1], the plant's limits."""
+
+PastActions = Float[Array, "remembered 2"]
+ForceWindow = Float[Array, "window 2"]
 
 FORCE_BLOCKS = 8
 """Number of parts of the window whose mean forces the critic observes; they show which forces are
@@ -38,9 +41,9 @@ about to leave the window."""
 class RewardTerms(NamedTuple):
     """Terms of the reward for each axis [N]."""
 
-    error: Float[Array, "*batch 2"]
+    error: ForceBatch
     """|F_e|: distance of the window's mean force from its target."""
-    smoothness: Float[Array, "*batch 2"]
+    smoothness: ForceBatch
     """Sobolev term of the window."""
 
 
@@ -114,17 +117,17 @@ class TaskState(NamedTuple):
     plant: State
     angle: Float[Array, ""]
     """Angle of the shaft at the last reading [rad]."""
-    reference: Float[Array, "2"]
-    drift: Float[Array, "2"]
+    reference: ForcePoint
+    drift: ForcePoint
     """Change of the reference with each action [N]."""
     references: References
     """Distribution of references."""
-    actions: Float[Array, "remembered 2"]
+    actions: PastActions
     """Past actions, the last one first."""
-    forces: Float[Array, "window 2"]
+    forces: ForceWindow
     """The last readings, the newest at the end; only the last `samples` of them were recorded since
     the reset."""
-    past_references: Float[Array, "window 2"]
+    past_references: ForceWindow
     """The reference at each of these [N]."""
     samples: Int[Array, ""]
     age: Int[Array, ""]
@@ -138,7 +141,7 @@ class Outcome(NamedTuple):
     reward: Float[Array, ""]
     terms: RewardTerms
     """Terms that the reward was computed from."""
-    force_error: Float[Array, "2"]
+    force_error: ForcePoint
     """F_e: the window's mean force minus its target [N]."""
     forces: Float[Array, "ticks 2"]
     """Forces while the action was held [N]; the last of the 34 rows is valid only for an action of
@@ -228,7 +231,7 @@ class ForceTracking:
         ), Outcome(config.value(terms), terms, force_error, jnp.asarray(reading.force))
 
     def shifted(
-        self, observation: Float[Array, "*batch n"], shift: Float[Array, "*batch 2"]
+        self, observation: Float[Array, "*batch n"], shift: ForceBatch
     ) -> Float[Array, "*batch n"]:
         """Return observations, privileged or not, as if the references were shifted by `shift`
         [N]."""
@@ -239,9 +242,7 @@ class ForceTracking:
         return state.age >= self.config.episode_actions
 
 
-def _last(
-    before: Float[Array, "window 2"], rows: Float[Array, "34 2"], ticks: Ticks
-) -> Float[Array, "window 2"]:
+def _last(before: ForceWindow, rows: Float[Array, "34 2"], ticks: Ticks) -> ForceWindow:
     """Return the window with `ticks` more rows."""
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
@@ -249,8 +250,8 @@ def _last(
 def observation(
     config: TaskConfig,
     angle: Float[Array, ""],
-    reference: Float[Array, "2"],
-    actions: Float[Array, "remembered 2"],
+    reference: ForcePoint,
+    actions: PastActions,
     age: Int[Array, ""],
 ) -> Float[Array, "observations"]:
     """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and
@@ -275,11 +276,11 @@ def command_to_action(limits: Limits, command: Command) -> Action:
     return 2 * jnp.stack([jnp.asarray(angle), jnp.asarray(velocity)]) - 1
 
 
-def rest_actions(config: TaskConfig, limits: Limits) -> Float[Array, "remembered 2"]:
+def rest_actions(config: TaskConfig, limits: Limits) -> PastActions:
     """The past actions of a fin that has been at rest for long."""
     return jnp.tile(command_to_action(limits, rest_command(limits)), (config.past_actions + 1, 1))
 
 
-def remember(actions: Float[Array, "remembered 2"], action: Action) -> Float[Array, "remembered 2"]:
+def remember(actions: PastActions, action: Action) -> PastActions:
     """The past actions with a new one in front, without the oldest."""
     return jnp.concatenate([action[None], actions[:-1]])

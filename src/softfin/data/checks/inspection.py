@@ -119,10 +119,10 @@ def inspect(
     return Inspection(merge_issues(issues), statistics)
 
 
-def _spread(known: Sequence[tuple[float, str]]) -> dict[str, float] | None:
-    if not known:
+def _spread(measured: Sequence[tuple[float, str]]) -> dict[str, float] | None:
+    if not measured:
         return None
-    lags, _ = zip(*known, strict=True)
+    lags, _ = zip(*measured, strict=True)
     return {
         "median": round(float(np.median(lags)), 1),
         "least": round(min(lags), 1),

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from softfin.core.action_clock import ACTION_RATE_HZ
 from softfin.core.canvas import with_canvas
 from softfin.core.json_object import JsonObject
-from softfin.core.quantities import RATE_HZ
+from softfin.core.quantities import RATE_HZ, AnyArray
 from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.robot.trial import Record
 from softfin.storage import artifact as artifacts
@@ -31,21 +31,16 @@ FIN_SPAN_M = 0.081
 def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
     """Write the page; it needs no network."""
     folder = importlib.resources.files("softfin.robot.view")
-    template, script = (
-        folder.joinpath(name).read_text("utf-8") for name in ("page.html.jinja", "page.js")
-    )
+    template = folder.joinpath("page.html.jinja").read_text("utf-8")
+    script = folder.joinpath("page.js").read_text("utf-8")
     library = base64.b64encode(folder.joinpath("three.module.min.js").read_bytes()).decode()
-    page = (
-        jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-        .from_string(template)
-        .render(
-            title=title,
-            trial=Markup(
-                json.dumps(record_to_dict(robot, record), separators=(",", ":"), allow_nan=False)
-            ),
-            library=Markup(library),
-            script=Markup(with_canvas(script)),
-        )
+    trial = json.dumps(record_to_dict(robot, record), separators=(",", ":"), allow_nan=False)
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    page = environment.from_string(template).render(
+        title=title,
+        trial=Markup(trial),
+        library=Markup(library),
+        script=Markup(with_canvas(script)),
     )
     artifacts.write_file(path, page)
 
@@ -57,14 +52,14 @@ def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
         (record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1
     )
     series = {
-        "position": (record.body.position[frames], 4),
-        "attitude": (record.body.attitude[frames], 5),
-        "target": (record.target_position[frames], 4),
-        "asked": (record.asked[actions], 3),
-        "driven": (_recent_mean(record.fin_wrench)[frames], 3),
-        "off_cm": (100 * record.position_error()[frames], 2),
-        "tilt_deg": (np.degrees(record.attitude_error()[frames]), 2),
-        "given_up": (record.given_up[actions].astype(int), 0),
+        "position": _rounded(record.body.position[frames], 4),
+        "attitude": _rounded(record.body.attitude[frames], 5),
+        "target": _rounded(record.target_position[frames], 4),
+        "asked": _rounded(record.asked[actions], 3),
+        "driven": _rounded(_recent_mean(record.fin_wrench)[frames], 3),
+        "off_cm": _rounded(100 * record.position_error()[frames], 2),
+        "tilt_deg": _rounded(np.degrees(record.attitude_error()[frames]), 2),
+        "given_up": _rounded(record.given_up[actions].astype(int), 0),
     }
     fins = [
         {
@@ -83,14 +78,15 @@ def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
         "size": robot.size_m,
         "fins": fins,
         "span": FIN_SPAN_M,
-        **{
-            name: [round(float(x), digits) for x in np.ravel(values)]
-            for name, (values, digits) in series.items()
-        },
+        **series,
         "shape_unit": ROBOT_SHAPE_UNIT_M,
         "points": shapes.shape[2],
         "shapes": np.rint(shapes / ROBOT_SHAPE_UNIT_M).astype(int).ravel().tolist(),
     }
+
+
+def _rounded(values: AnyArray, digits: int) -> list[float]:
+    return [round(float(x), digits) for x in np.ravel(values)]
 
 
 def _recent_mean(wrench: np.ndarray) -> np.ndarray:
@@ -98,6 +94,6 @@ def _recent_mean(wrench: np.ndarray) -> np.ndarray:
     on the body."""
     ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
-    start = np.maximum(np.arange(len(wrench)) + 1 - ticks, 0)
     end = np.arange(len(wrench)) + 1
+    start = np.maximum(end - ticks, 0)
     return np.asarray((total[end] - total[start]) / (end - start)[:, None])

@@ -17,9 +17,10 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from softfin.core.action_clock import WINDOW
+from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.progress import Progress
+from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, Command, Log
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, save_figure, styled
@@ -77,21 +78,19 @@ class Calibration:
 
         def write(folder: Path) -> None:
             artifacts.write_description(folder, "calibration", summary)
-            for name, config, head in (
-                ("tank", self.tank, "The fitted tank."),
-                (
-                    "recording",
-                    self.recording,
-                    "How the logs differ from the readings of that tank.",
-                ),
-            ):
-                text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-                (folder / f"{name}.yaml").write_text(f"# {head}\n{text}")
+            _write_yaml(folder / "tank.yaml", self.tank, "The fitted tank.")
+            head = "How the logs differ from the readings of that tank."
+            _write_yaml(folder / "recording.yaml", self.recording, head)
             save_figure(calibration_figure(self.test, modelled, unseen), folder, "calibration")
             extra_files(folder)
 
         artifacts.write_folder(out, write, overwrite)
         return summary
+
+
+def _write_yaml(file: Path, config: Configuration, head: str) -> None:
+    text = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+    file.write_text(f"# {head}\n{text}")
 
 
 def prepared(
@@ -129,7 +128,7 @@ def calibrate_tank(
 ) -> Calibration:
     """Fit a tank to the training logs; continues from the run directory's checkpoint if there is
     one."""
-    tell = progress or (lambda stage, fraction, note: None)
+    tell = progress or silent
     space, fitted, unseen = prepared(config, train, test)
     weights = np.array([getattr(config.weights, channel) for channel in FITTED_CHANNELS])
     weights /= weights.sum()
@@ -138,6 +137,7 @@ def calibrate_tank(
     errors = rough.errors(fitted, config.population)
     generations = -(-config.evaluations // config.population)
     done = 0
+    # NaN: not tried yet.
     losses = np.full((generations, config.population), np.nan, np.float32)
     if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
         losses = np.asarray(resumed[0])
@@ -226,10 +226,9 @@ def calibration_figure(
         panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.3, 0.98), borderaxespad=0)
         panels[-1].set_xlabel("time [s]")
         end = test.warm_up + (measured.shape[1] - test.warm_up) // WINDOW * WINDOW
-        ours, theirs = (
-            readings[:, test.warm_up : end].reshape(-1, WINDOW, len(FITTED_CHANNELS)).mean(axis=1)
-            for readings in (modelled, measured)
-        )
+        windows = (-1, WINDOW, len(FITTED_CHANNELS))
+        ours = modelled[:, test.warm_up : end].reshape(windows).mean(axis=1)
+        theirs = measured[:, test.warm_up : end].reshape(windows).mean(axis=1)
         axes = parts[1].subplots()
         axes.axline((0, 0), slope=1, color=GREY, linewidth=0.8)
         for index, colour, marker in ((1, BLUE, "o"), (2, ORANGE, "s")):

@@ -113,9 +113,8 @@ class Parameter(NamedTuple):
 
     def scaled(self, value: float) -> float:
         """Return the scaled coordinate of a value: 0 .. 1 within the range."""
-        low, high, at = (
-            np.log([self.low, self.high, value]) if self.low > 0 else (self.low, self.high, value)
-        )
+        numbers = np.array([self.low, self.high, value])
+        low, high, at = np.log(numbers) if self.low > 0 else numbers
         return float((at - low) / (high - low))
 
     def value(self, scaled: float) -> float:
@@ -126,46 +125,47 @@ class Parameter(NamedTuple):
 
     def slope(self, scaled: float) -> float:
         """Return the derivative of the value by the scaled coordinate."""
-        width = (
-            np.log(self.high / self.low) * self.value(scaled)
-            if self.low > 0
-            else self.high - self.low
-        )
-        return float(width)
+        if self.low > 0:
+            return float(np.log(self.high / self.low) * self.value(scaled))
+        return self.high - self.low
 
 
 def every_range(free: Mapping[str, CalibrationRange] = FREE) -> Ranges:
     """Return all numbers of a tank and a recording by group, with the range of those that are
     free."""
-    groups = {group: value for group, value in TankConfig() if isinstance(value, Configuration)}
-    return {
-        group: {
-            name: free.get(f"{group}.{name}") for name, value in values if isinstance(value, float)
-        }
-        for group, values in {**groups, "recording": RecordingConfig()}.items()
-    }
+    ranges: Ranges = {}
+    for group, values in (*TankConfig(), ("recording", RecordingConfig())):
+        if isinstance(values, Configuration):
+            numbers = [name for name, value in values if isinstance(value, float)]
+            ranges[group] = {name: free.get(f"{group}.{name}") for name in numbers}
+    return ranges
 
 
 def list_parameters(ranges: Ranges) -> list[Parameter]:
     """Return the free parameters; raises ConfigurationError for an unknown name or a range that is
     not ascending."""
-    allowed = [f"{group}.{name}" for group, names in every_range().items() for name in names]
-    given = {
-        f"{group}.{name}": limits
-        for group, names in ranges.items()
-        for name, limits in names.items()
-    }
-    for name, limits in given.items():
+    allowed = _by_full_name(every_range())
+    parameters = []
+    for name, limits in _by_full_name(ranges).items():
         if name not in allowed:
             (close,) = difflib.get_close_matches(name, allowed, n=1, cutoff=0)
             raise ConfigurationError(f"parameters: there is no {name!r}; did you mean {close!r}?")
-        if limits is not None and not limits[0] < limits[1]:
+        if limits is None:
+            continue
+        if not limits[0] < limits[1]:
             raise ConfigurationError(
                 f"parameters.{name} = {list(limits)}: write [low, high] with low below high"
             )
-    return [
-        Parameter(name, *map(float, limits)) for name, limits in given.items() if limits is not None
-    ]
+        parameters.append(Parameter(name, float(limits[0]), float(limits[1])))
+    return parameters
+
+
+def _by_full_name(ranges: Ranges) -> dict[str, CalibrationRange | None]:
+    found = {}
+    for group, names in ranges.items():
+        for name, limits in names.items():
+            found[f"{group}.{name}"] = limits
+    return found
 
 
 class Weights(Configuration):

@@ -62,35 +62,34 @@ class Segments(eqx.Module):
         return jnp.std(self.compared, axis=(0, 1))
 
 
-def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, part: str) -> Segments:
+def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) -> Segments:
     """Cut segments of `rows` readings, from all logs in turn; fewer than `count` if the logs are
     too short."""
+    longest = max((len(log.reading.time) for log in logs), default=0)
     places = [
         (log, slice(start, start + rows))
-        for start in range(0, max((len(log.reading.time) for log in logs), default=0) - rows, rows)
+        for start in range(0, longest - rows, rows)
         for log in logs
         if start + rows < len(log.reading.time)
     ][:count]
     if not places:
         raise LogError(
-            f"{part} logs: none has {rows + 1} rows, one segment of {rows / RATE_HZ:g} s; lower "
+            f"{split} logs: none has {rows + 1} rows, one segment of {rows / RATE_HZ:g} s; lower "
             "segment_s"
         )
-    command = (
-        jnp.stack([np.asarray(log.command[i][rows], np.float32) for log, rows in places])
-        for i in range(2)
-    )
-    readings = [
-        np.column_stack([log.reading.angle, log.reading.force])[1:][rows] for log, rows in places
-    ]
-    segments = Segments(Command(*command), jnp.asarray(np.stack(readings), np.float32), warm_up)
-    for channel, deviation in zip(
-        FITTED_CHANNELS, np.asarray(segments.deviation).tolist(), strict=True
-    ):
+    commands = []
+    readings = []
+    for log, part in places:
+        commands.append(Command(log.command.angle[part], log.command.velocity[part]))
+        # The first reading follows no command of the log.
+        readings.append(np.column_stack([log.reading.angle, log.reading.force])[1:][part])
+    command = jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts), np.float32), *commands)
+    segments = Segments(command, jnp.asarray(np.stack(readings), np.float32), warm_up)
+    for channel, deviation in zip(FITTED_CHANNELS, segments.deviation, strict=True):
         if deviation == 0:
             raise LogError(
-                f"{part} logs: {channel} never changes, so nothing can be fitted to it; record "
-                "motion"
+                f"{split} logs: {channel} never changes, so nothing can be fitted to it; "
+                "record motion"
             )
     return segments
 
@@ -119,7 +118,8 @@ def material(
             f"{path}: holds no test logs to judge the fit on; put some of the logs into "
             f"{path / 'test'}"
         )
-    train, test = (list(dataset.load(part)) for part in (dataset.train, dataset.test))
+    train = list(dataset.load(dataset.train))
+    test = list(dataset.load(dataset.test))
     return train, test, {"data_hash": dataset.data_hash}
 
 
@@ -144,11 +144,9 @@ def _of_plant(
             simulate([within] * count, keys, rows, config.excitation, count, lambda done: None)
         )
 
-    return (
-        excited("train", config.segments),
-        excited("test", config.test_segments),
-        {"plant": identity(plant, computed=True)},
-    )
+    train = excited("train", config.segments)
+    test = excited("test", config.test_segments)
+    return train, test, {"plant": identity(plant, computed=True)}
 
 
 Errors = Callable[

@@ -114,18 +114,15 @@ class Linear(NamedTuple):
 def linearised(errors: Errors, point: CalibrationPoint, weights: ChannelWeights) -> Linear:
     """Return the linear model around a point; central differences inside the box, one-sided ones at
     its faces."""
-    up, down = (
-        np.clip(point + sign * DIFFERENCE * np.eye(len(point)), 0.0, 1.0) for sign in (1, -1)
-    )
+    steps = DIFFERENCE * np.eye(len(point))
+    up = np.clip(point + steps, 0.0, 1.0)
+    down = np.clip(point - steps, 0.0, 1.0)
     middle, *sides = errors([point, *up, *down])
     scale = _scale(middle, weights)
-    highs = sides[: len(point)]
-    lows = sides[len(point) :]
-    widths = (up - down).sum(axis=1).astype(np.float32)
-    rise = [
-        (high - low) / width * scale for high, low, width in zip(highs, lows, widths, strict=True)
-    ]
-    return Linear(point, middle * scale, np.stack(rise))
+    highs = np.stack(sides[: len(point)])
+    lows = np.stack(sides[len(point) :])
+    widths = (up - down).sum(axis=1).astype(np.float32)[:, None, None, None]
+    return Linear(point, middle * scale, (highs - lows) / widths * scale)
 
 
 def polish(
@@ -208,28 +205,18 @@ def determination(
     jacobian = linear.jacobian[free].astype(np.float64)
     residuals = linear.residuals.astype(np.float64)
     count_within = max(residuals.shape[1] // block_ticks, 1)
-    blocks = [
-        (slopes[:, k].reshape(free.size, -1), errors[k].reshape(-1))
-        for slopes, errors in zip(
-            np.array_split(jacobian, count_within, axis=2),
-            np.array_split(residuals, count_within, axis=1),
-            strict=True,
-        )
-        for k in range(len(residuals))
-    ]
-    # Least squares, because without the only block that determines a parameter its estimate is
-    # arbitrary.
-    moved = np.asarray(
-        [
-            np.linalg.lstsq(
-                np.eye(free.size) - inverse @ slopes @ slopes.T,
-                inverse @ slopes @ errors,
-                rcond=1e-9,
-            )[0]
-            for slopes, errors in blocks
-        ]
-    )
-    covariance = moved.T @ moved * (len(blocks) - 1) / len(blocks)
+    # How far the estimate moves without one block b: with N = J^T J and what the block adds to it,
+    # (1 - N^-1 J_b^T J_b) move = N^-1 J_b^T r_b. Least squares, because without the only block that
+    # determines a parameter its estimate is arbitrary.
+    moves = []
+    for ticks in np.array_split(np.arange(residuals.shape[1]), count_within):
+        for segment in range(len(residuals)):
+            slopes = jacobian[:, segment, ticks].reshape(free.size, -1)
+            left = np.eye(free.size) - inverse @ slopes @ slopes.T
+            right = inverse @ slopes @ residuals[segment, ticks].reshape(-1)
+            moves.append(np.linalg.lstsq(left, right, rcond=1e-9)[0])
+    moved = np.asarray(moves)
+    covariance = moved.T @ moved * (len(moves) - 1) / len(moves)
 
     jackknife = np.sqrt(np.diag(covariance))
     # Without correlation, each channel's variance is that of its own errors.
@@ -238,46 +225,41 @@ def determination(
     error = np.full(len(parameters), np.nan)
     error[free] = np.maximum(jackknife, np.sqrt(uncorrelated))
     correlation = covariance / np.outer(jackknife, jackknife)
-    names = [parameters[i].name for i in free]
-    pairs = [
-        (float(correlation[i, j]), [names[i], names[j]])
-        for i, j in combinations(range(free.size), 2)
-    ]
+    trades: list[JsonObject] = []
+    for i, j in combinations(range(free.size), 2):
+        if abs(correlation[i, j]) > TRADING:
+            pair = [parameters[free[i]].name, parameters[free[j]].name]
+            trades.append({"parameters": pair, "correlation": float(correlation[i, j])})
+    trades.sort(key=lambda trade: -abs(trade["correlation"]))
     rows = {}
     for i, parameter in enumerate(parameters):
-        undetermined = (
-            "no effect" if idle[i] else "low end" if low[i] else "high end" if high[i] else None
-        )
-        rows[parameter.name] = _row(parameter, float(at[i]), float(error[i]), undetermined)
-    return {
-        "parameters": rows,
-        "trades": [
-            {"parameters": pair, "correlation": value}
-            for value, pair in sorted(pairs, key=lambda pair: -abs(pair[0]))
-            if abs(value) > TRADING
-        ],
-        "blocks": len(blocks),
-    }
+        reason = None
+        if idle[i]:
+            reason = "no effect"
+        elif low[i]:
+            reason = "low end"
+        elif high[i]:
+            reason = "high end"
+        rows[parameter.name] = _row(parameter, float(at[i]), float(error[i]), reason)
+    return {"parameters": rows, "trades": trades, "blocks": len(moves)}
 
 
 def _row(parameter: Parameter, at: float, error: float, undetermined: str | None) -> JsonObject:
-    row = {
+    row: JsonObject = {
         "value": parameter.value(at),
         "unit": parameter.unit,
         "range": [parameter.low, parameter.high],
+        "standard_error": None,
+        "interval": None,
+        "left": None,
+        "determined": undetermined,
     }
-    if undetermined is not None:
-        return row | {
-            "standard_error": None,
-            "interval": None,
-            "left": None,
-            "determined": undetermined,
-        }
-    left = float(error / RANGE_DEVIATION)
-    ends = np.clip(at + 1.96 * np.array([-error, error]), -FARTHEST, FARTHEST)
-    return row | {
-        "standard_error": float(error * parameter.slope(at)),
-        "interval": [parameter.value(float(end)) for end in ends],
-        "left": left,
-        "determined": next(verdict for verdict, most in VERDICTS if left < most),
-    }
+    if undetermined is None:
+        left = float(error / RANGE_DEVIATION)
+        # 1.96 standard deviations to either side hold 95% of a normal distribution.
+        ends = np.clip(at + 1.96 * np.array([-error, error]), -FARTHEST, FARTHEST)
+        row["standard_error"] = float(error * parameter.slope(at))
+        row["interval"] = [parameter.value(float(end)) for end in ends]
+        row["left"] = left
+        row["determined"] = next(verdict for verdict, most in VERDICTS if left < most)
+    return row
