@@ -58,8 +58,9 @@ def collect_logs(
     plant's name, goes into ``dataset.json``.
     """
     plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
-    keys = [named_key(config.seed, f"collect/train/{index}") for index in range(config.logs)]
-    keys += [named_key(config.seed, f"collect/test/{index}") for index in range(config.test_logs)]
+    keys = []
+    for part, count in (("train", config.logs), ("test", config.test_logs)):
+        keys += [named_key(config.seed, f"collect/{part}/{index}") for index in range(count)]
     total_rows = len(plants) * config.rows
     finished_rows = 0
 

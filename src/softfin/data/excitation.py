@@ -39,7 +39,9 @@ class ExcitationConfig(Configuration):
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
         """Make one command per tick, fields ``(rows,)``: all three random quantities uniform."""
-        shortest, longest = (round(hold * RATE_HZ) for hold in (self.hold_min_s, self.hold_max_s))
+        shortest = round(self.hold_min_s * RATE_HZ)
+        longest = round(self.hold_max_s * RATE_HZ)
+        # Enough even if all holds are the shortest.
         holds = -(-rows // shortest)
         angle_key, velocity_key, hold_key = jax.random.split(key, 3)
         angle = jax.random.uniform(
@@ -49,5 +51,6 @@ class ExcitationConfig(Configuration):
             velocity_key, (holds,), minval=limits.velocity_min, maxval=limits.velocity_max
         )
         ends = jnp.cumsum(jax.random.randint(hold_key, (holds,), shortest, longest + 1))
+        # The hold of a row is the first that ends after it.
         current = jnp.searchsorted(ends, jnp.arange(rows), side="right")
         return Command(angle[current], velocity[current])

@@ -128,7 +128,7 @@ def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarra
     worst = 0.0
     names = [each.name for each in session.get_outputs()]
     readings = {name: np.asarray(getattr(reading, name)) for name in COMPARED_OUTPUTS}
-    angles, velocities = (np.asarray(part, np.float32) for part in commands)
+    angles, velocities = map(np.asarray, commands)
     for index, (angle, velocity) in enumerate(zip(angles, velocities, strict=True)):
         now = {"command_angle": np.asarray(angle), "command_velocity": np.asarray(velocity)}
         values = session.run(None, now | state)

@@ -41,6 +41,8 @@ def keep_best_nets(
             "again"
         )
 
+    # `better` has an entry for each network or member. It gets the further axes of the weights, so
+    # that it is broadcast along their first one.
     def pick(better: Array, new: PyTree, old: PyTree) -> Any:
         return jax.tree.map(
             lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y),

@@ -114,12 +114,14 @@ def frame_correlations(
     """Compute the correlation of the force, read in each of `FORCE_FRAMES`, with the best fit of a
     model fin."""
     across, along, rate, acceleration = _motion(angle)
+    # Drag, added mass, and thrust in its quadratic and its linear part.
     terms = [
         -rate * np.abs(rate) * across,
         -acceleration * across,
         rate**2 * along,
         np.abs(rate) * along,
     ]
+    # A force that lags by n ticks is compared with the motion n ticks earlier.
     ticks = round(lag_ms * RATE_HZ / 1e3)
     count = len(angle) - abs(ticks)
     model = np.stack(terms, axis=-1)[:, max(-ticks, 0) :][:, :count]

@@ -112,6 +112,7 @@ def velocity_slope(columns: LogColumns) -> tuple[float, float]:
     if rate.std() < REST_RATE_RAD_S or columns.velocity.std() == 0:
         return 0.0, 0.0
     correlation = float(np.corrcoef(rate, columns.velocity)[0, 1])
+    # The slope of a least-squares line is r std(y) / std(x).
     return correlation, correlation * float(columns.velocity.std() / rate.std())
 
 

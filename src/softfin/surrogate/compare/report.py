@@ -106,13 +106,12 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
                 label=f"{group.row['name']}, {axis}",
             )
     if (second := comparison.noise_floor) is not None:
-        means = [
-            np.mean([row[f"force_{axis}_rmse_n"]["mean"] for axis in AXES])
-            for row in second.row["horizons"]
-        ]
-        axes.plot(
-            places, means, color=GREY, linewidth=1.6, label=f"{second.row['name']}, mean of x and y"
-        )
+        errors = np.zeros((len(AXES), len(places)))
+        for number, axis in enumerate(AXES):
+            for index, row in enumerate(second.row["horizons"]):
+                errors[number, index] = row[f"force_{axis}_rmse_n"]["mean"]
+        label = f"{second.row['name']}, mean of x and y"
+        axes.plot(places, errors.mean(axis=0), color=GREY, linewidth=1.6, label=label)
     axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.summary["horizons_s"]])
     axes.set(
         xlabel="horizon [s]",

@@ -74,6 +74,7 @@ class Conv1D(BaseLayer):
         matrix is used."""
         batch, steps, features = x.shape
         kernel = parameters["kernel"]
+        # Keras's padding "same": an even kernel reaches one step further to the right.
         left = (self.kernel - 1) // 2
         empty = jnp.zeros((features, self.filters), kernel.dtype)
 
@@ -109,6 +110,7 @@ class LSTM(BaseLayer):
         kernel = parameters["kernel"]
         bias = parameters["bias"]
         both = jnp.concatenate([kernel, parameters["recurrent"]])
+        # c' = sigmoid(f) c + sigmoid(i) tanh(g), h = sigmoid(o) tanh(c')
         i, g, o = jnp.split(
             x[:, 0] @ self._without_forget(kernel) + self._without_forget(bias), 3, axis=-1
         )
@@ -309,6 +311,7 @@ def gather(
 def _chunk(
     network: Network, table: Float[Array, "rows channels"], first: Int[Array, ""]
 ) -> Float[Array, "chunk out"]:
+    # The last chunk repeats the last window, so that one compiled program serves all chunks.
     starts = jnp.minimum(
         first + jnp.arange(MAX_CHUNK_WINDOWS), table.shape[0] - 1 - network.config.window
     )

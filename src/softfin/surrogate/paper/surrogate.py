@@ -105,15 +105,19 @@ class Surrogate(eqx.Module):
         self, state: SurrogateState, command: Command, rows: int, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
         """Return readings with a fixed number of rows, of which the first `ticks` are valid."""
+        # Window k ends with the k-th held command and the angle at which it was issued; from it the
+        # networks predict angle and force one sample later.
         held = jnp.tile(self._scaled(command)[:, None], rows)
         commands = jnp.concatenate([state.commands, held], axis=1)
         passed = windows(commands[:, 1:], self.window)
         angles = jnp.concatenate([state.angles, self.posnet(passed)[:, 0]])
         motion = jnp.concatenate([windows(angles[None, :-1], self.window), passed], axis=1)
         force = self.scaling.physical(FORCES, self.forcenet(motion))
+        # One more angle, because the velocity is the difference of two.
         angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
         time = (state.tick + 1 + jnp.arange(rows)) * jnp.float32(TICK_S)
         reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
+        # The state keeps the window that ends at the last valid row.
         commands, angles = (
             jax.lax.dynamic_slice_in_dim(x, ticks, self.window, -1) for x in (commands, angles)
         )

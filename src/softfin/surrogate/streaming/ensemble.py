@@ -265,6 +265,7 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     memory = np.concatenate(
         [_memories(single(nets), each)[burn_in::EVERY] for each in some]
     ).astype(np.float64)
+    # With the covariance V diag(s) V^T, the Mahalanobis distance is |(m - mean) V / sqrt(s)|.
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
     # In a direction without any variation, rounding errors would look like a large distance.

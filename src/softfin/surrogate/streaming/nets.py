@@ -76,13 +76,18 @@ class MirrorCore(eqx.Module):
     def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
         """Advance by one tick: (memory, inputs) -> (memory, outputs)."""
         n = self.units
+        # A linear map without bias keeps odd inputs odd; the magnitudes of the mixtures are even,
+        # so they may enter the gates.
         candidates, mixtures = jnp.split(jnp.concatenate([memory.odd, inputs.odd]) @ self.odd_in, 2)
         sizes = magnitude(mixtures)
         gates = jnp.concatenate([memory.even, inputs.even, sizes]) @ self.even_in + self.bias
         opening = jax.nn.sigmoid(gates[: 2 * n])
+        # h' = h + u (c - h). A product of an odd candidate and an even factor is odd, and so is its
+        # tanh.
         even = memory.even + opening[:n] * (jnp.tanh(gates[2 * n : 3 * n]) - memory.even)
         odd = memory.odd + opening[n:] * (jnp.tanh(candidates * gates[3 * n :]) - memory.odd)
         hidden = jnp.tanh(jnp.concatenate([even, sizes]) @ self.hidden_in + self.hidden_bias)
+        # The odd outputs are linear in the odd memory, with weights that depend on the even part.
         factors = self.odd_out.T + (hidden @ self.odd_factors).reshape(-1, n)
         return Parity(even, odd), Parity(hidden @ self.even_out, factors @ odd)
 
