@@ -22,7 +22,7 @@ from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.safety import SafetyConfig
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
-from softfin.stages.live import collect_live, evaluate_live, find_bags
+from softfin.stages.live import collect_live, evaluate_live, find_bags, log_from_samples
 from softfin.storage.dataset import Dataset
 from softfin.tank import Tank
 from tests.control.folders import folder_option
@@ -122,6 +122,27 @@ def test_a_controller_is_judged_on_a_fin_that_moves_by_itself(tmp_path):
     # got.
     (imported,) = open_logs(bag).logs
     np.testing.assert_allclose(imported.log.reading.force[:, 1], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("job", ["evaluate", "collect"])
+def test_a_log_is_computed_without_power(tmp_path, monkeypatch, job):
+    """It takes longer than a tick may be late."""
+    machine = FreeFin(SimulatedClock())
+    robot = RobotSetup(machine, SafetyConfig.build(SAFETY, "safety"), settle_s=0.1)
+    powered = []
+
+    def computed(*given):
+        powered.append(machine.enabled)
+        return log_from_samples(*given)
+
+    monkeypatch.setattr("softfin.stages.live.log_from_samples", computed)
+    if job == "evaluate":
+        config = EvaluateConfig(references=((1.0, -1.0),), seconds=3, seeds=1)
+        evaluate_live(folder_option("single", tmp_path), robot, tmp_path / "out", config, yes)
+    else:
+        config = CollectConfig(logs=1, test_logs=0, rows=400)
+        collect_live(robot, tmp_path / "out", config, yes)
+    assert powered == [False]
 
 
 def test_a_controller_of_another_fin_is_refused_before_anything_is_opened(tmp_path, monkeypatch):

@@ -63,7 +63,7 @@ config)."""
 
 
 class StreamingConfig(Configuration):
-    """How an ensemble of streaming networks is fitted; docs/surrogates.md has the measurements
+    """How an ensemble of streaming networks is fitted; docs/appendix/surrogates.md has the measurements
     behind the choices."""
 
     drive: DriveNetConfig = DriveNetConfig()
