@@ -63,8 +63,8 @@ config)."""
 
 
 class StreamingConfig(Configuration):
-    """How an ensemble of streaming networks is fitted; docs/appendix/surrogates.md has the measurements
-    behind the choices."""
+    """Configuration of the fit of a streaming ensemble; docs/appendix/surrogates.md has the
+    measurements behind the choices."""
 
     drive: DriveNetConfig = DriveNetConfig()
     """Commands to motion."""
