@@ -83,8 +83,9 @@ def nearest_trackable(
     cells = controller_cells(controller) or (Cell(low=low, high=high),)
     near = reachable.nearest_within(cells, forces[beyond])
     if np.isnan(near).any():
-        outside = forces[beyond][0]
-        nearest_cell = min(cells, key=lambda cell: cell.distance(outside.tolist()))
+        x, y = forces[beyond][0].tolist()
+        outside = (x, y)
+        nearest_cell = min(cells, key=lambda cell: cell.distance(outside))
         x, y = reachable.nearest(outside).tolist()
         raise CoverageError(
             f"reference {format_force(outside)} N: this fin cannot make it, nor any other force "

@@ -113,7 +113,7 @@ def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
     run_directory.save({"x": np.zeros(2)}, {"epoch": 1})
     with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
         RunDirectory(tmp_path / "s", {"seed": 0})
-    with pytest.raises(ArtifactError, match=r"of another run .seed was 0 and is 1"):
+    with pytest.raises(ArtifactError, match=r"belongs to another run .seed was 0 and is 1"):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
     assert (
         RunDirectory(tmp_path / "s", {"seed": 1}, overwrite=True).load({"x": np.zeros(2)}) is None

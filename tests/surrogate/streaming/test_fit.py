@@ -156,7 +156,7 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return jax.tree.map(lambda x: x + np.float32(1e30), ensemble(*parts))
 
     monkeypatch.setattr(module, "ensemble", far_off)
-    message = r"loss of the drive networks is not finite; lower learning_rate \(--set\), start"
+    message = r"loss of the drive networks is not finite; lower learning_rate \(--set\) and start"
     with pytest.raises(RunError, match=message):
         fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 

@@ -103,7 +103,7 @@ def fit_paper(
         scalars = {}
         for part, values in (("train", np.mean(losses, axis=0)), ("held_out", held_out)):
             for net, value in zip(Nets._fields, values, strict=True):
-                scalars[f"{part}/{net}_mse"] = value
+                scalars[f"{part}/{net}_mse"] = float(value)
         record.write(epoch + 1, **scalars)
         run_directory.save(state, done)
     record.close()
