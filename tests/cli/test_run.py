@@ -155,7 +155,7 @@ def test_enter_on_the_terminal_stops_and_a_typed_reference_is_taken(
         terminal.type("2,0.5\n")
         terminal.wait_for("reference (+2.00, +0.50) N")
         terminal.type("hello\n")
-        terminal.wait_for("write X,Y in newton")
+        terminal.wait_for("type X,Y in newtons")
         terminal.type("\n")
         assert terminal.ended() == 3
         assert terminal.said.rstrip().endswith(

@@ -27,8 +27,8 @@ class Clock:
         return time.time()
 
     def suspended(self) -> float:
-        """Return how long the computer has slept since its start [s]; 0 if the platform does not
-        count it."""
+        """Return how long the computer has been suspended since boot [s]; 0 if the platform does
+        not track it."""
         if not hasattr(time, "CLOCK_BOOTTIME"):
             return 0.0
         # This thread may be preempted between two readings, which would look like a short sleep.

@@ -1,7 +1,7 @@
 """The evaluation window: controllers are rewarded and judged by the mean force over 200 samples
 (paper, Sec. IV-B).
 
-    mean = sum(f) / 200        error = |mean - reference|
+    mean = sum(f) / 200        error = mean - reference
 
 Everything that computes such a mean, its error or an interval on a mean does it here; functions of
 forces take NumPy and JAX arrays.

@@ -65,8 +65,11 @@ class GaitTable(NamedTuple):
         node = i * rows + j
         # Bilinear interpolation.
         blend = (1 - x) * (1 - y) * ops.row(table, node) + (1 - x) * y * ops.row(table, node + 1)
-        node = node + rows
-        return blend + x * (1 - y) * ops.row(table, node) + x * y * ops.row(table, node + 1)
+        return (
+            blend
+            + x * (1 - y) * ops.row(table, node + rows)
+            + x * y * ops.row(table, node + rows + 1)
+        )
 
     def references(self) -> Float[np.ndarray, "x y 2"]:
         """References of the nodes [N]."""

@@ -102,8 +102,8 @@ class Machine(Protocol):
 
 
 def machine_clock(machine: object) -> Clock:
-    """Return the clock of a machine's times: its own `clock`, as in simulated time, else the real
-    one."""
+    """Return the clock of a machine's timestamps: its own `clock` if it has one, as in simulated
+    time, otherwise the real one."""
     clock: Clock = getattr(machine, "clock", REAL)
     return clock
 

@@ -1,4 +1,5 @@
-"""Safety limits, checked by the loop at every tick: a violation stops the fin; nothing is clipped.
+"""Safety limits, checked by the session at every tick: a violation stops the fin; nothing is
+clipped.
 
 The guard's only state is its memory of recent samples: samples and targets go in, a reason to stop
 comes out. Below it, the drive has limits of its own (position, following error, current,

@@ -113,8 +113,8 @@ class RobotConfig(Configuration):
         )
 
     def matrix(self) -> Float[np.ndarray, "6 columns"]:
-        """Return the wrenches of unit forces of the fins in body axes: columns x and y of the first
-        fin, then of the second."""
+        """Return the wrenches, in body axes, of unit forces at the fins: columns are x and y of the
+        first fin, then of the second."""
         places, axes, _ = self.mounts()
         columns = [
             np.concatenate([a, np.cross(place, a, axisb=0).T])

@@ -23,8 +23,8 @@ present one's: a fin that changes its phase misses a stroke, and a robot that ho
 a new wrench in every action."""
 
 METRES_PER_RADIAN = 2.0
-"""Weight of ripple in attitude relative to ripple in position: a degree counts like 3.5 cm, because
-fins tilt a body but hardly move it."""
+"""Weight of attitude ripple relative to position ripple: one degree counts as much as 3.5 cm,
+because the fins tilt the body but hardly move it."""
 
 Phases = Int[np.ndarray, "fins"]
 

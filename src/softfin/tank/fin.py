@@ -162,7 +162,7 @@ class Shaft(NamedTuple):
     """Function from load and drag to the shaft's mean rate [rad/s]; the fin exerts load - drag *
     rate on it."""
     carried: Scalar | float = 0.0
-    """Angular velocity of the mount, to which the shaft's own rate adds [rad/s]."""
+    """Angular velocity of the mount, to be added to the shaft's own rate [rad/s]."""
 
 
 class Surroundings(NamedTuple):

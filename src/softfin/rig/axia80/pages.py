@@ -49,7 +49,7 @@ TORQUE_UNITS = {
     "lbf-ft": POUND_FORCE_N * FOOT_M,
     "kgf-cm": KILOGRAM_FORCE_N / 100,
 }
-"""Units of torque in newton metre."""
+"""Units of torque, in newton metres."""
 
 
 def _read_factor(units: dict[str, float]) -> pydantic.BeforeValidator:

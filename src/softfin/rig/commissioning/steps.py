@@ -82,7 +82,7 @@ MAX_DRIFT_N = 0.1
 
 
 class Way(NamedTuple):
-    """A way to stop that a person provokes while the fin swings."""
+    """A way of stopping that the operator triggers while the fin swings."""
 
     instruction: str
     causes: frozenset[str]
@@ -133,7 +133,7 @@ class StepContext:
         return Rig(config or self.config, self.clock if self.is_simulated else None)
 
     def bag(self, name: str) -> Path:
-        """Return the file of a recording of this step."""
+        """Return the path of a recording of this step."""
         return self.folder / f"{name}.mcap"
 
 

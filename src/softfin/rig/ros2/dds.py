@@ -236,5 +236,5 @@ def _offered(deadline_s: float | None) -> Any:
 
 @functools.cache
 def _open_domain(number: int, network: str | None) -> Any:
-    """The domain with our configuration, shared by all of this process."""
+    """The DDS domain with our configuration, shared by the whole process."""
     return Domain(number, configuration(network))
