@@ -21,7 +21,7 @@ actions (paper, Sec. IV-B)."""
 
 
 def action_ticks(actions: int) -> list[int]:
-    """Number of ticks that each of the first `count` actions is held."""
+    """Number of ticks that each of the first `actions` actions is held."""
     return [ACTION_TICKS[action % len(ACTION_TICKS)] for action in range(actions)]
 
 

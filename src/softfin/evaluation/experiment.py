@@ -75,7 +75,7 @@ class RealTime(Protocol):
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run every reference `repeats` times, one after the other, each from rest."""
+        """Run every reference `repetitions` times, one after the other, each from rest."""
         ...
 
 

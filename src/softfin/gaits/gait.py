@@ -45,7 +45,7 @@ class GaitTable(NamedTuple):
         return cls.empty(cell.low, cell.high, (x, y))
 
     def halved(self, times: int = 1) -> "GaitTable":
-        """Return an empty table over the same box, with its spacing halved `halvings` times."""
+        """Return an empty table over the same box, with its spacing halved `times` times."""
         x, y = ((count - 1) * 2**times + 1 for count in self.nodes)
         return self._replace(actions=np.zeros((x, y, CYCLE_ACTIONS, 2), np.float32))
 

@@ -213,7 +213,7 @@ class LiveFin:
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run every reference `repeats` times, one after the other, each from rest."""
+        """Run every reference `repetitions` times, one after the other, each from rest."""
         runs: list[tuple[Command, Reading]] = []
         shape = (len(references), repetitions)
         for index, repetition in np.ndindex(shape):
