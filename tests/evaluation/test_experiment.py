@@ -108,6 +108,12 @@ def test_a_reference_that_moves_is_seen_as_it_is_when_the_controller_acts():
     np.testing.assert_array_equal(recording.reference, moving)
 
 
+def test_a_moving_reference_of_another_length_is_refused():
+    moving = np.repeat(REFERENCES[:1, None], 150, axis=1)
+    with pytest.raises(ValueError, match="150 references are not one per tick of 2 s"):
+        run(Echo(), AnalyticFin(), moving, 2, KEYS[:1])
+
+
 def test_a_moving_reference_that_stays_does_as_a_constant_one(recording):
     stays = np.repeat(REFERENCES[:, None], 200, axis=1)
     np.testing.assert_allclose(

@@ -77,7 +77,7 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
 
     with pytest.raises(
         RunError,
-        match=r"thing: is in use by now; the finished result is in .*thing.finished-1: move",
+        match=r"thing: is now in use; the finished result is in .*thing.finished-1: move",
     ):
         artifacts.write_folder(tmp_path / "thing", write)
     assert (tmp_path / "thing.finished-1" / "result").read_text() == "hours of work"

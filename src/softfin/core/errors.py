@@ -51,7 +51,7 @@ class DeviceError(RunError):
 
 
 class SafetyStop(RunError):
-    """Something was wrong or somebody asked for a stop: the fin was stopped and the motor
+    """Something was wrong or a stop was requested: the fin was stopped and the motor
     disabled."""
 
     exit_code = 3

@@ -31,7 +31,6 @@ from softfin.evaluation.experiment import (
 )
 from softfin.evaluation.figures import error_map_figure, experiments_figure, moving_figure
 from softfin.evaluation.moving_references import (
-    MovingPlan,
     MovingScores,
     moving_together,
     plan_moving,
@@ -226,7 +225,7 @@ def score_controller(
     return dataclasses.replace(
         evaluation,
         warnings=tuple(warnings),
-        moving=tuple(map(MovingPlan.score, plans, moving)),
+        moving=tuple(plan.score(recording) for plan, recording in zip(plans, moving, strict=True)),
         error_map=error_map,
         random=random,
     )

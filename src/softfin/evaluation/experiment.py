@@ -113,7 +113,9 @@ def run_together(
     # Tick at which each action begins, and at which the controller observes the reference.
     starts = np.cumsum([0, *action_ticks(actions)])[:-1]
     observed = []
-    for asked, _ in series:
+    for asked, seconds in series:
+        if asked.ndim == 3 and asked.shape[1] != seconds * RATE_HZ:
+            raise ValueError(f"{asked.shape[1]} references are not one per tick of {seconds} s")
         asked = asked[:, None] if asked.ndim == 2 else asked
         # After its end the last force is held, and the result is left out below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])

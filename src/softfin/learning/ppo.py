@@ -250,10 +250,8 @@ class PPO:
         shift = reference - rollout.reference
         force_error = rollout.force_error - shift
         # Only the force error depends on the reference; every other term cancels.
-        change = RewardTerms(
-            error=jnp.abs(force_error) - jnp.abs(rollout.force_error),
-            smoothness=jnp.zeros_like(force_error),
-        )
+        change = RewardTerms(*(jnp.zeros_like(force_error) for _ in RewardTerms._fields))
+        change = change._replace(error=jnp.abs(force_error) - jnp.abs(rollout.force_error))
         observation = self.task.shifted(rollout.observation, shift)
         mean = _replay(policy, start, observation, rollout.is_first)
         log_prob = policy.log_prob(mean, rollout.pre_tanh_action)

@@ -90,8 +90,8 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     """Let `write` fill a folder beside `path`, then rename it to `path`; `overwrite` replaces an
     existing folder.
 
-    Raises ArtifactError if `path` may not be written, and RunError if renaming fails: the filled
-    folder is then kept, and the message names it.
+    Raises ArtifactError if `path` may not be written, and RunError if filling or renaming fails.
+    After a failed renaming the filled folder is kept, and the message names it.
     """
     check_vacant(path, overwrite)
     path = path.resolve()
@@ -108,7 +108,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         if not isinstance(error, OSError):
             raise
         raise RunError(
-            f"{path}: cannot be written ({error.strerror or error}); the existing one is unchanged"
+            f"{path}: cannot be written ({error.strerror or error}); nothing else was changed"
         ) from None
     try:
         check_vacant(path, overwrite)
@@ -123,7 +123,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         while (kept := path.with_name(f"{path.name}.finished-{number}")).exists():
             number += 1
         beside.rename(kept)
-        reason = "is in use by now"
+        reason = "is now in use"
         if isinstance(error, OSError):
             reason = f"cannot be written ({error.strerror or error})"
         raise RunError(
@@ -145,7 +145,7 @@ def sync(place: Path) -> None:
 
 
 def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> None:
-    """Write a file next to its destination and rename it once it is on the disk; `content` may be a
+    """Write a file next to its destination and rename it once it is on the disk; `data` may be a
     function that writes in pieces."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

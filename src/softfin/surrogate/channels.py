@@ -103,7 +103,9 @@ class Scaling(Configuration):
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
         """Return some columns of a log, scaled, as float32."""
         columns = to_columns([log])
-        return np.stack([self.scaled(name, columns[name]) for name in names], axis=1)
+        return np.stack(
+            [self.scaled(name, columns[name]) for name in names], axis=1, dtype=np.float32
+        )
 
 
 def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:

@@ -114,7 +114,7 @@ def check_spikes(log: CheckedLog) -> Iterator[Issue]:
         if rows.size:
             message = (
                 f"{counted(rows.size, 'spike')}, up to {np.abs(values - calm)[rows].max():.3g} "
-                f"{unit} off the samples beside, where 98% of all lie within "
+                f"{unit} off the neighbouring samples, where 98% of all lie within "
                 f"{np.ptp(np.percentile(values, [1, 99])):.3g}"
             )
             fix = (
@@ -291,7 +291,7 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
     for axis, offset, deviation in zip(AXES, found.offset_n or (), found.force_std_n, strict=False):
         if abs(offset) > max(0.3, 0.2 * deviation):
             message = (
-                f"{offset:+.2f} N on the fin at rest, beside a standard deviation of "
+                f"{offset:+.2f} N on the fin at rest, with a standard deviation of "
                 f"{deviation:.2f} N"
             )
             fix = "tare the sensor in still water before each log, or subtract this from the column"
@@ -320,11 +320,11 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
                 if lag >= 0
                 else f"is {-lag:.0f} ms ahead of {second}"
             )
-            beside = ""
+            usually = ""
             if len(measured) > 1:
-                beside = f", {usual:.0f} ms in the median of {len(measured)} logs"
+                usually = f", {usual:.0f} ms in the median of {len(measured)} logs"
             message = (
-                f"{first} {relation}{beside}; plausible are {least:.0f} to {most:.0f} ms: a "
+                f"{first} {relation}{usually}; plausible are {least:.0f} to {most:.0f} ms: a "
                 "clock is off"
             )
             # If commands are stamped late, the angle seems early; if the force is stamped late, the

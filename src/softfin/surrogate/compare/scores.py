@@ -243,7 +243,7 @@ def score_segments(
         with np.errstate(divide="ignore", invalid="ignore"):
             variance = np.var(np.asarray(pair[1], np.float64))
             scores[f"{name}_r2"] = float(1 - np.square(error) / variance)
-        distance = np.mean(list(map(dtw_mae, *pair)))
+        distance = np.mean([dtw_mae(*one) for one in zip(*pair, strict=True)])
         distances.append([distance, distance / span])
     scores["angle_mae_rad"] = mae(predicted.angle, angle)
     scores["force_mae_n"] = mae(predicted.force, force)

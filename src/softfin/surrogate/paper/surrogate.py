@@ -124,7 +124,13 @@ class Surrogate(eqx.Module):
         return SurrogateState(state.tick + ticks, commands, angles), reading
 
     def _scaled(self, command: Command) -> Float[Array, "2"]:
-        return jnp.stack(list(map(self.scaling.scaled, COMMAND_COLUMNS, command)))
+        angle, velocity = COMMAND_COLUMNS
+        return jnp.stack(
+            [
+                self.scaling.scaled(angle, command.angle),
+                self.scaling.scaled(velocity, command.velocity),
+            ]
+        )
 
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
         """Return PosNet's angles from the commands of a log, for its rows from `window` on

@@ -132,7 +132,8 @@ def polish(
     iterations: int,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
 ) -> Linear:
-    """Return the linear model around the best point reached from `start` within `steps` steps."""
+    """Return the linear model around the best point reached from `start` within
+    `iterations` steps."""
     tried: list[float] = []
 
     def residuals(point: CalibrationPoint) -> Float[np.ndarray, "samples"]:
