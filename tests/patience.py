@@ -9,7 +9,7 @@ tests/test_time_limits.py finds others.
 import time
 from collections.abc import Callable
 
-HANG_S = 1800.0
+HANG_S = 600.0
 """Time after which something that a test waits for counts as hung [s]."""
 
 
