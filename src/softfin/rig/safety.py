@@ -100,8 +100,9 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
         if not math.isfinite(value):
             return Trip(
                 "not_a_number",
-                f"commanded {name} {value} {unit}: must be finite; the controller's weights or "
-                "inputs may be damaged, so evaluate it on a surrogate first",
+                f"commanded {name} {value} {unit}: this fin accepts only finite numbers; the "
+                "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
+                "first",
             )
         if not low - 1e-3 <= value <= high + 1e-3:
             return Trip(
