@@ -146,7 +146,8 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     zero_force(config, 0.2, behind.clock)
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
     with pytest.raises(
-        RigError, match=r"has serial number FT31415, but the sensor that was zeroed has FT00000; connect that sensor, or"
+        RigError,
+        match=r"has serial number FT31415, but the sensor that was zeroed has FT00000; connect that sensor, or",
     ):
         opened(config, behind.clock)
     zero_force(config, 0.2, behind.clock)

@@ -28,7 +28,11 @@ def values(ucat):
             "shaft_axis = .* has length 0.7071; use a unit vector",
         ),
         ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "at right angles to its shaft"),
-        ("fins.front_left.range_rad", [1.0, -1.0], "the first angle must be smaller than the second"),
+        (
+            "fins.front_left.range_rad",
+            [1.0, -1.0],
+            "the first angle must be smaller than the second",
+        ),
         ("body.inertia_kg_m2", [0.1, 0.0, 0.1], "singular"),
         ("fins", {}, "fins"),
         ("body.mas_kg", 3, "unknown key 'body.mas_kg'; did you mean 'mass_kg'"),

@@ -25,8 +25,8 @@ def design(rate_hz: float, cutoff_hz: float) -> Float[np.ndarray, " taps"]:
     # The transition band is centred at the cut-off. It extends up to 50 Hz or down to a third of
     # the cut-off, whichever is narrower.
     width = 2 * min(RATE_HZ / 2 - cutoff_hz, 2 / 3 * cutoff_hz) / rate_hz
-    # Kaiser's design formulas: number of taps - 1 = (A - 7.95) / (14.36 width), with width in cycles per sample, and the
-    # window's shape parameter beta for 21 dB < A < 50 dB.
+    # Kaiser's design formulas: number of taps - 1 = (A - 7.95) / (14.36 width), with the width in
+    # cycles per sample, and the window's shape parameter beta for 21 dB < A < 50 dB.
     half = int(np.ceil((ATTENUATION_DB - 7.95) / (14.36 * width) / 2))
     beta = 0.5842 * (ATTENUATION_DB - 21) ** 0.4 + 0.07886 * (ATTENUATION_DB - 21)
     taps = np.sinc(2 * cutoff_hz / rate_hz * np.arange(-half, half + 1)) * np.kaiser(

@@ -170,7 +170,7 @@ class MotionController:
         self._surge_noise_n = float(inertia[0] * self._filter.deviation[0])
 
     def init(self) -> ControlState:
-        """Return the initial state, before anything is known."""
+        """Return the initial state, with all estimates zero."""
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), heading=0.0, surge_n=0.0, side=0.0)
 
     def act(

@@ -3,7 +3,7 @@ gaits. NumPy only.
 
 driver = WrenchDriver(robot, gaits)
 state = driver.init()
-state, orders = driver.act(state, wrench)     # 3 times a second; orders.commands go to the fins
+state, orders = driver.act(state, wrench)     # 3 times per second; send orders.commands to the fins
 """
 
 from collections.abc import Sequence

@@ -430,7 +430,9 @@ def test_a_sensor_that_sends_nothing_is_said_with_what_was_tried():
         deaf = SimulatedSocket(sensor.clock, "127.0.0.1")
         port = deaf.address[1]
         client = Axia80(config_of(sensor, rdt_port=port), sensor.clock)
-        with pytest.raises(DeviceError, match=rf"no record arrived from UDP port {port} .*firewall"):
+        with pytest.raises(
+            DeviceError, match=rf"no record arrived from UDP port {port} .*firewall"
+        ):
             client.open()
         with pytest.raises(DeviceError, match="not open"):
             client.read()

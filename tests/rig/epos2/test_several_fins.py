@@ -167,13 +167,14 @@ def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(
         first.swim()
         assert first.drive.sync_id == 0x080
         assert first.drive.notes == (
-            "drive answers every program's SYNC; give each fin its own bus",
+            "drive responds to every program's SYNC; connect each fin to its own bus",
         )
         first.drive.command(Target(0.2, 3.0))
         made.clock.sleep(0.5)
         assert first.fin.now().angle == pytest.approx(0.2, abs=1e-3)
         with pytest.raises(
-            RigError, match="sends the SYNC that this drive answers; give each fin its own bus"
+            RigError,
+            match="sends the SYNC that this drive responds to; connect each fin to its own bus",
         ):
             second.drive.open()
 

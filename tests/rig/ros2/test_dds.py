@@ -263,7 +263,8 @@ def test_a_domain_that_is_none_is_told(monkeypatch, text):
 def test_rclpy_is_asked_for_only_where_it_is(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(
-        RigError, match="rclpy is not installed in this Python environment; source ROS 2's setup file"
+        RigError,
+        match="rclpy is not installed in this Python environment; source ROS 2's setup file",
     ):
         open_transport(TransportConfig(transport="rclpy"))
 

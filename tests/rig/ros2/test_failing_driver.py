@@ -104,7 +104,9 @@ def test_a_driver_that_vanishes_is_noticed_at_once_and_nobody_says_that_the_fin_
     reason = tail.swim(lambda: setattr(tail.driver, "is_there", False))
     assert tail.noticed_after() < 0.1
     assert reason.startswith("stopped: no new angle for ")
-    assert reason.endswith("BUT no new /joint, so the fin may still be turning; switch off its supply")
+    assert reason.endswith(
+        "BUT no new /joint, so the fin may still be turning; switch off its supply"
+    )
 
 
 def test_commands_that_nobody_reads_any_more_are_noticed_at_the_next_tick():

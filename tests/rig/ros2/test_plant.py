@@ -307,7 +307,9 @@ def test_a_reading_that_is_no_number_is_a_complaint(rig):
     rig.say(np.nan)
     sample = rig.machine.read()
     assert sample.angle == 0.25
-    assert sample.complaints == ("/joint: message rejected: its position is nan, not finite; correct its publisher",)
+    assert sample.complaints == (
+        "/joint: message rejected: its position is nan, not finite; correct its publisher",
+    )
     rig.say(0.3)
     assert rig.machine.read().complaints == ()
 

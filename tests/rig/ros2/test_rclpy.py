@@ -218,7 +218,8 @@ def test_an_installation_that_does_not_start_is_told_in_one_line(rclpy):
 
 def test_a_message_package_that_is_not_there_is_told(transport):
     with pytest.raises(
-        RigError, match="this ROS 2 installation does not have own/msg/Flipper; build and source its package"
+        RigError,
+        match="this ROS 2 installation does not have own/msg/Flipper; build and source its package",
     ):
         transport.publish("/x", "own/msg/Flipper")
     with pytest.raises(RigError, match="this ROS 2 installation does not have std_msgs/msg/Empty"):

@@ -239,7 +239,7 @@ def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> D
                 sample = session.tick()
                 if number * ticks + tick == moment:
                     return watch.watch(clock(), sample.angle)
-    raise AssertionError("swings go on for ever")
+    raise AssertionError("swings never end")
 
 
 def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag: Path) -> Death:

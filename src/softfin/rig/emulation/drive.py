@@ -1,7 +1,7 @@
 """An emulated EPOS2 on any python-can bus, with the protocol of a real one, driving an emulated
 fin.
 
-It was written from the same documents as our driver, so both share the same misreadings. canopen's
+It was written from the same documents as our driver, so it shares any misreading of them. canopen's
 LocalNode serves its objects. Methods such as `fault`, `go_silent` and `reboot` let tests provoke
 failures.
 """

@@ -41,7 +41,7 @@ class Epos2Config(Configuration):
     direction: Literal[1, -1] = 1
     """-1 if positive counts correspond to negative fin angles."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
-    """Angle of the fin where the drive counts zero [rad]."""
+    """Fin angle at which the drive's position is zero [rad]."""
     angle_min_rad: float = PAPER_LIMITS.angle_min
     """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
     angle_max_rad: float = PAPER_LIMITS.angle_max
@@ -122,7 +122,7 @@ class Units(NamedTuple):
     rpm_per_rad_s: float
     direction: int
     zero: float
-    """Angle of the fin where the drive counts zero [rad]."""
+    """Fin angle at which the drive's position is zero [rad]."""
 
     @classmethod
     def of(cls, config: Epos2Config) -> "Units":

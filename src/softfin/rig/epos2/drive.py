@@ -328,11 +328,11 @@ class Epos2(Exchange):
         self.sync_id = procedures.set_sync(self.connection, self.config)
         if self.sync_id != protocol.SYNC:
             return
-        self.notes += ("drive answers every program's SYNC; give each fin its own bus",)
+        self.notes += ("drive responds to every program's SYNC; connect each fin to its own bus",)
         if protocol.SYNC in self.foreign_ids:
             raise RigError(
-                f"{self.connection.name}: another program sends the SYNC that this drive answers; "
-                "give each fin its own bus, or end the other program"
+                f"{self.connection.name}: another program sends the SYNC that this drive responds "
+                "to; connect each fin to its own bus, or end the other program"
             )
 
     def _reset_communication(self) -> None:
