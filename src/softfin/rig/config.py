@@ -76,6 +76,7 @@ class RigConfig(RealFinConfig):
                     f"drive.{own} = {value:g} exceeds safety.{limit} = {most:g}; lower one or "
                     "raise the other"
                 )
+        # The delay of a symmetric filter is half its length.
         delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
         # After a gap too long to bridge, the filter takes twice its delay to refill, and the latest
         # force is one delay older than the gap. A shorter limit would stop the fin because of a

@@ -116,6 +116,7 @@ def _memory() -> Iterator[CheckResult]:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
         return
+    # A kB in /proc/meminfo is 1024 bytes, an MB here is 10^6 bytes.
     sizes = {
         line.partition(":")[0]: int(line.split()[1]) * 1024e-6
         for line in lines
@@ -202,6 +203,7 @@ def _can() -> CheckResult:
         return CheckResult(
             "CAN", "note", f"interfaces can be listed only on Linux; this is {platform.system()}"
         )
+    # Bit 0 of the flags is IFF_UP.
     states = {
         path.name: int((path / "flags").read_text(), 16) & 1
         for path in sorted(INTERFACES.iterdir())

@@ -65,6 +65,7 @@ class AntiAlias:
         if not self._held:
             self.newest += missing
         elif missing:
+            # Linear interpolation across the gap.
             before = self._ring[self.newest % len(self.taps)].copy()
             for number in range(1, missing + 1):
                 self._write(before + number / (missing + 1) * (values - before))

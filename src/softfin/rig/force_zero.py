@@ -106,6 +106,7 @@ def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_h
     the wall clock was wrong, not that the sensor restarted.
     """
     expected = zero.ft_sequence + ft_rate_hz * elapsed_s
+    # Close to 2^32, `missing` stands for a negative number: more samples than expected.
     missing = (expected - ft_sequence) % 2**32
     tolerance = ft_rate_hz * (CLOCK_ERROR * abs(elapsed_s) + CLOCK_ERROR_S)
     return tolerance < missing < 2**32 - ft_rate_hz * MAX_DATE_LAG_S

@@ -119,6 +119,7 @@ def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
     rows = np.zeros((2, 3))
     for row, axis in zip(rows, frame.split(","), strict=True):
         row["xy".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    # z = x cross y, so that the axes are right-handed.
     return np.vstack([rows, np.cross(*rows)])
 
 
@@ -126,5 +127,6 @@ def rotated(
     wrench: Sequence[float] | Float[np.ndarray, " 6"], turn: Float[np.ndarray, "3 3"]
 ) -> Wrench:
     """Return the wrench with its force and torque rotated."""
+    # Force and torque are the rows of a (2, 3) array.
     fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist()
     return fx, fy, fz, tx, ty, tz

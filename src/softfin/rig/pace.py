@@ -34,6 +34,7 @@ class Pace:
             self.clock.sleep(left)
         late = self.clock() - self._next
         skipped = int(late / TICK_S)
+        # Stay on the grid of absolute deadlines: missed ticks are skipped and not run in a burst.
         self._next += (1 + skipped) * TICK_S
         self.ticks += 1
         self.skipped += skipped
@@ -44,6 +45,7 @@ class Pace:
     def to_dict(self) -> dict[str, int | float]:
         """Return the counts and the median, 99th percentile and maximum of the lateness for JSON;
         percentiles have a resolution of 0.1 ms."""
+        # A percentile is the upper edge of its bin, but not above the maximum.
         reached = np.cumsum(self._late)
         p50, p99 = (
             min(

@@ -104,6 +104,7 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
                 "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
                 "first",
             )
+        # The tolerance is for rounding errors of a controller.
         if not low - 1e-3 <= value <= high + 1e-3:
             return Trip(
                 f"command_{name}",
@@ -204,6 +205,7 @@ class Guard:
         velocities = self._velocities
         if not velocities or sample.time > velocities[-1][0]:
             velocities.append((sample.time, sample.velocity))
+        # Mean acceleration over the last ticks, dv / dt.
         (start, before) = velocities[0]
         (end, after) = velocities[-1]
         rate = abs(after - before) / (end - start) if len(velocities) > ACCELERATION_TICKS else 0.0
@@ -273,6 +275,7 @@ class Guard:
             "force x": sample.wrench[0],
             "force y": sample.wrench[1],
         }
+        # Distance from the training range, as a multiple of its width.
         beyond = {
             name: max(bounds[0] - value, value - bounds[1], 0.0) / max(bounds[1] - bounds[0], 1e-6)
             for (name, value), bounds in zip(values.items(), self.trained, strict=True)

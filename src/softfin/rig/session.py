@@ -221,6 +221,7 @@ class Session:
         self.guard.restart()
         sample = self._await_good_ticks()
         limits = self.machine.limits
+        # The fin may rest slightly outside the command range.
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
         # Samples read without power are not part of the motion that starts here.

@@ -189,6 +189,7 @@ class _Condition(threading.Condition):
         me = threading.get_ident()
         while True:
             with self._clock._guard:
+                # 0 means that the lock is free; identifiers of threads are never 0.
                 if self._owner in (0, me):
                     self._owner = me
                     self._count = self._count + 1
@@ -215,6 +216,7 @@ class _Condition(threading.Condition):
         return bool(self.wait_for(lambda: self._news != before, timeout))
 
     def wait_for(self, predicate: Callable[[], object], timeout: float | None = None) -> Any:
+        # Release a re-entrant lock completely while waiting, as threading.Condition does.
         held = self._count
         self._count = 0
         self._owner = 0

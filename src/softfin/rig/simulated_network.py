@@ -136,6 +136,7 @@ class SimulatedSocket:
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         receiver: SimulatedSocket | None = self._clock.shared.get(address)
+        # A connected socket receives only from its peer.
         if receiver is not None and receiver._peer in (None, self.address) and receiver.has_room:
             receiver._received.append((bytes(data), self.date(), self.address))
         return len(data)

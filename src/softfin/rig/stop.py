@@ -159,6 +159,7 @@ class Watchdog:
         self._ended.set()
 
     def _watch(self) -> None:
+        # Four checks per timeout, so that the stop is late by at most a quarter of it.
         while not self._ended.wait(self._longest / 4):
             silence = self._clock() - self._fed
             if silence > self._longest:

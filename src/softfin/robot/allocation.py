@@ -73,11 +73,15 @@ class Allocator:
     def reach(self, reach: Float[np.ndarray, "fins"]) -> None:
         self._reach = np.asarray(reach, float)
         self._scale = np.repeat(self._reach, 2)
+        # The unknowns are x = f / r, so the constraints are |x_i| <= 1. With A = B r, the gradient
+        # is (A' Q A + ridge) x - A' Q w - ridge p / r.
         scaled = self.matrix * self._scale
         weighted = scaled.T * self._priority
         normal = weighted @ scaled + RIDGE * np.eye(len(self._scale))
         self._share = weighted
+        # Without constraints: x = p / r + (A' Q A + ridge)^-1 A' Q (w - B p).
         self._gain = np.linalg.inv(normal) @ weighted
+        # 1 / L, with the Lipschitz constant L of the gradient.
         self._step = 1 / float(np.linalg.eigvalsh(normal)[-1])
         self._descend = np.eye(len(self._scale)) - self._step * normal
 
@@ -87,9 +91,11 @@ class Allocator:
         unit = np.eye(6)[axis]
         low = 0.0
         high = float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
+        # Bisection: 12 halvings reduce the interval to 1/4096.
         for _ in range(12):
             middle = (low + high) / 2
             found = self.allocate(middle * unit)
+            # Each call makes only a few steps, so call repeatedly until the forces have converged.
             for _ in range(SETTLING):
                 found = self.allocate(middle * unit, start=found.forces)
             missing = np.abs(found.wrench - middle * unit).max()
@@ -134,6 +140,7 @@ class Allocator:
             # Restart if the momentum points uphill (O'Donoghue and Candes, gradient scheme).
             if (ahead - after).dot(moved) > 0:
                 momentum = 1.0
+            # Nesterov's sequence of momenta.
             following = (1 + (1 + 4 * momentum * momentum) ** 0.5) / 2
             ahead = after + (momentum - 1) / following * moved
             parts = after

@@ -53,6 +53,7 @@ class BodyConfig(Configuration):
         """Return the inertia about the origin as a matrix ``(6, 6)``, without the added mass
         (Fossen 2021, 3.3)."""
         x, y, z = self.centre_of_gravity_m
+        # M = [[m I, -m S], [m S, I_g - m S S]], with S v = r_g x v.
         lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         mass = self.mass_kg
         return np.block(
@@ -76,6 +77,7 @@ class BodyConfig(Configuration):
                 f"negative: its smallest principal moment is {least:.4g} kg m2; all must be "
                 "positive"
             )
+        # Triangle inequality of the principal moments, with a tolerance for flat bodies.
         if least + middle < most * (1 - 1e-6):
             raise ValueError(
                 f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}, but "

@@ -68,6 +68,7 @@ class BracedAllocation:
         """Return forces that cancel each other, with sizes around `brace_n`; the first is zero."""
         alive = np.repeat(self.allocator.reach > 0, 2)
         _, values, rows = np.linalg.svd(self.allocator.matrix[:, alive])
+        # Null space of the matrix: right singular vectors with a singular value of 0.
         free = rows[(values > 1e-6 * values.max(initial=0)).sum() :]
         least = self._config.brace_n
         found = [np.zeros(len(alive))]
@@ -110,6 +111,7 @@ def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 colum
     The rows of `free` span all such directions, but their rotation within the span depends on the
     linear algebra library.
     """
+    # Projection onto the null space; its rows are the projections of the unit vectors.
     left = free.T @ free
     found = np.zeros((2, free.shape[1]))
     for axis in found:

@@ -83,6 +83,7 @@ class FinMounts(NamedTuple):
     def velocities(self, twist: Float[AnyArray, "6"]) -> list[Float[AnyArray, "2"]]:
         """Return each mount's velocity in the fin's axes [m/s] for a twist of the body [m/s,
         rad/s]."""
+        # v + omega x r, in the axes of the fin.
         places = zip(self.places, self.axes, strict=True)
         return [(twist[:3] + cross(twist[3:], place)) @ axes for place, axes in places]
 
@@ -119,6 +120,7 @@ class RobotConfig(Configuration):
         """Return the allocation matrix: its columns are the wrenches on the body, in body axes, of
         unit forces along x and y of the first fin, then of the second, and so on."""
         places, axes, _ = self.mounts()
+        # For each fin, its axes (force) above place x axes (moment).
         columns = [
             np.concatenate([a, np.cross(place, a, axisb=0).T])
             for place, a in zip(places, axes, strict=True)

@@ -88,6 +88,7 @@ class Dynamics(NamedTuple):
     def restoring(self, attitude: Quaternion) -> SixVector:
         """Return the wrench of weight and buoyancy at an attitude."""
         up = matrix(attitude)[2]
+        # Moment of both forces about the origin: (B r_b - W r_g) x up.
         lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
         return six((self.buoyancy - self.weight) * up, cross(lever, up))
 
@@ -143,5 +144,7 @@ class Dynamics(NamedTuple):
         third = rates(after(second, seconds / 2))
         fourth = rates(after(third, seconds))
         slopes = zip(first, second, third, fourth, strict=True)
+        # Runge-Kutta weights 1/6, 2/6, 2/6, 1/6. The sum leaves the unit sphere, so normalise the
+        # quaternion.
         moved = after(BodyState(*((a + 2 * b + 2 * c + d) / 6 for a, b, c, d in slopes)), seconds)
         return moved._replace(attitude=normalized(moved.attitude))

@@ -233,6 +233,7 @@ def draw_wrenches(
     """Draw wrenches of random fin forces, uniform over disks of a fraction of each fin's reach."""
     random = named_generator(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
+    # The square root makes the distribution uniform over the disk.
     size = (
         config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
     )

@@ -81,6 +81,7 @@ def _strokes(
     )
 
     def each(amplitude: Float[Array, ""]) -> tuple[Float[Array, "ticks 2"], Float[Array, "ticks"]]:
+        # From one side to the other within the moving part of an action.
         velocity = jnp.clip(
             2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max
         )

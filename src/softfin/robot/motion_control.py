@@ -80,11 +80,13 @@ class AxisFilter(NamedTuple):
                 [[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]]
             )
             step = _exponential(slope * ACTION_S)
+            # The mean over the last two actions is about the state in their middle, one action ago.
             half = np.linalg.inv(step)
             forward = step[:3, :3]
             driven = step[:3, 3]
             back = half[:2, :3]
             driven_back = half[:2, 3]
+            # Variance of the random walk after one action.
             walk = config.disturbance[axis] ** 2 * ACTION_S
             spread = np.outer(driven, driven) * config.force_noise[axis] ** 2
             spread[2, 2] += walk
@@ -248,6 +250,7 @@ class MotionController:
         if np.linalg.norm(now.velocity) > STILL_M_S:
             return state.surge_n, state.side, state.heading
         surge, sway = -self._outside_wrench(estimate)[:2]
+        # First-order low-pass filter.
         surge_n = state.surge_n + ACTION_S / SURGE_MEMORY_S * (float(surge) - state.surge_n)
         excess = abs(sway) / (self._config.sway_part * self.sway_reach_n) - 1
         if excess <= 0:
@@ -286,10 +289,12 @@ class MotionController:
         twist = path_twist(target)
         velocity = twist[:3]
         turn = twist[3:]
+        # In rotating axes: dv/dt = R' a - omega x v.
         acceleration = six(
             target.acceleration @ axes - cross(turn, velocity), target.turning @ axes
         )
         d = self.dynamics
+        # Inverse dynamics: M dv/dt = wrench + gyroscopic + drag + restoring.
         needed: SixVector = (
             d.inertia @ acceleration
             - d.gyroscopic(twist)
@@ -308,6 +313,7 @@ def _turned(target: PathPoint, heading: float) -> PathPoint:
 def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Return the matrix exponential, by scaling and squaring of a Taylor series; NumPy does not
     have it."""
+    # exp(A) = exp(A / 64)^64.
     small = matrix / 64
     result = np.eye(len(matrix))
     term = np.eye(len(matrix))

@@ -57,9 +57,11 @@ def choose_phases(
 ) -> Phases:
     """Return the phases with the least motion of the body due to ripple; unless `starting`, keep
     the current ones if the gain is small."""
+    # At a fixed frequency, displacements are proportional to accelerations.
     moved = inverse_inertia @ ripple
     moved[3:] *= METRES_PER_RADIAN
     phases, turns = _patterns(len(present))
+    # Sum of squared amplitudes over the axes, for every pattern.
     costs = (np.abs(turns @ moved.T) ** 2).sum(axis=1)
     best = int(costs.argmin())
     part = 1.0 if starting else MUCH

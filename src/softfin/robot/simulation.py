@@ -128,6 +128,7 @@ class RobotSimulation:
 
     def _wrench(self, loads: Load) -> BodyVector:
         wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
+        # The fins' moments about their shafts add to the moments of their forces.
         return wrench.at[3:].add(loads.torque @ self._fin_mounts.shafts)
 
     def tick(self, state: RobotState, commands: Command, around: Ambient) -> Advanced:

@@ -65,6 +65,7 @@ class Record(NamedTuple):
 
     def attitude_error(self) -> Float[np.ndarray, "ticks"]:
         """Return the angle between the robot and the path [rad]."""
+        # |q1 . q2| = cos(angle / 2).
         between = np.abs((self.target_attitude * self.body.attitude).sum(axis=1))
         return np.asarray(2 * np.arccos(np.minimum(between, 1)))
 
@@ -120,6 +121,7 @@ def run_trial(
             orders = Orders(_stopped(orders.before, fin), _stopped(orders.now, fin), orders.delays)
         push = np.zeros(6)
         if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
+            # Constant force over the action: impulse / time.
             push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
         around = Ambient(
             jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32)
@@ -127,6 +129,7 @@ def run_trial(
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
+        # AR(1) noise; the state of the filter continues in the next action.
         noisy, deviation = lfilter(
             [1.0], [1.0, -kept], new * random.normal(size=(ticks, 12)), axis=0, zi=deviation
         )

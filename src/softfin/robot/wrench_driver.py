@@ -130,6 +130,7 @@ class WrenchDriver:
         commands = []
         for fin, gaits in enumerate(self.gaits):
             if fin in self.dead:
+                # A dead fin keeps its last target.
                 fins.append(state.fins[fin])
                 commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
@@ -151,6 +152,7 @@ class WrenchDriver:
         ripple = np.concatenate(
             [self.gaits[fin].stroke_ripple(sizes[fin : fin + 1]) for fin in range(len(sizes))]
         )
+        # At angle a the thrust points along (cos a, -sin a).
         directions = np.arctan2(-forces[:, 1], forces[:, 0])
         wrench = wrench_ripple(self.allocator.matrix, self._mounts.shafts, directions, ripple)
         phases = state.phases.copy()

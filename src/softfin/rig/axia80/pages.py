@@ -148,6 +148,8 @@ def parse_settings(page: bytes, calibration: bytes | None, source: str) -> Senso
 def _fields(page: bytes, source: str) -> dict[str, str]:
     """Return the non-empty texts of the XML elements by name."""
     try:
+        # The page comes from the network, and entities of a document type could expand without
+        # limit.
         root = defusedxml.ElementTree.fromstring(page, forbid_dtd=True)
     except (ParseError, ValueError, LookupError, RecursionError) as error:
         # ValueError includes defusedxml's errors for document types and entities.

@@ -235,6 +235,7 @@ class StreamClock:
 
     def estimate_time(self, place: int) -> float:
         """Return the monotonic time of a position near the latest ones [s]."""
+        # Every timestamp is late by an unknown delay, so the earliest estimate is the best.
         return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
 
 
@@ -303,6 +304,7 @@ class ForceStream:
             return
         self.taken = self._clock()
         self.status = 0
+        # The filter is as long as twice its delay.
         oldest_useful = self.taken - 2 * self.delay_s - BACKLOG_S
         newest = None
         for record, time in arrivals:

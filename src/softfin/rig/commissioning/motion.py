@@ -214,6 +214,7 @@ class DriveWatch:
                     off_since = None
                 elif off_since is None:
                     off_since = now
+                # A fin is at rest if its position has not changed for 0.1 s.
                 if off_since is not None and now - stood_since > 0.1:
                     seconds = max(stood_since, off_since) - died
                     return Death(seconds, abs(here - angle), self.fault())

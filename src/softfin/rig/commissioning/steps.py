@@ -290,6 +290,7 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
                 "could you turn it by hand half a second later?"
             )
             yield asked(operator, f"{name}, by eye and hand", question)
+    # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
     allowed_s = (
         narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
     )

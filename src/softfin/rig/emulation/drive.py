@@ -225,6 +225,7 @@ class EmulatedDrive:
         with self._lock:
             self._is_cut_off = False
             self._host_beat: float | None = None
+            # Communication objects are below 0x2000 (CiA 301).
             for index in [index for index in self._node.data_store if index < 0x2000]:
                 del self._node.data_store[index]
             self._process_data.enabled.clear()
@@ -286,6 +287,8 @@ class EmulatedDrive:
                     self._enter(State.FAULT)
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
                     self.fault(0x8611)
+                # CiA 301: time in ms in bits 0 to 15, with 0 for no monitoring, and node number in
+                # bits 16 to 23.
                 silence = self._value(protocol.HEARTBEAT_CONSUMER) & 0xFFFF
                 if (
                     silence

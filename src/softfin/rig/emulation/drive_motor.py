@@ -31,6 +31,7 @@ BY_ITSELF = {
 def next_state(state: State, word: int, before: int) -> State:
     """Return the state after controlword `word`, with `before` the previous one: CiA 402 with
     maxon's two additional states."""
+    # The reset is a rising edge of bit 7.
     if state is State.FAULT and word & ~before & protocol.FAULT_RESET:
         return State.SWITCH_ON_DISABLED
     if (
@@ -39,14 +40,18 @@ def next_state(state: State, word: int, before: int) -> State:
         or word & protocol.FAULT_RESET
     ):
         return state
+    # Bit 1, enable voltage, is 0.
     if not word & 2:
         return State.SWITCH_ON_DISABLED
+    # Bit 2, quick stop, is active low.
     if not word & 4:
         return State.QUICK_STOP_ACTIVE if state in protocol.POWERED else State.SWITCH_ON_DISABLED
     if state is State.QUICK_STOP_ACTIVE:
         return State.OPERATION_ENABLED if word & 9 == 9 else state
+    # Bit 0, switch on, is 0: shutdown.
     if not word & 1:
         return State.READY
+    # Bit 3, enable operation, is 0.
     if not word & 8:
         return state if state is State.SWITCH_ON_DISABLED else State.SWITCHED_ON
     return State.REFRESH if state is State.SWITCHED_ON else state

@@ -54,6 +54,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
     """Return the objects of a drive in factory state, set up for this motor and encoder but without
     our limits."""
     start = dict.fromkeys(protocol.OBJECTS, 0) | {
+        # CiA 402: device profile 402 (0x0192), servo drive (0x0002).
         protocol.DEVICE_TYPE: 0x00020192,
         protocol.SYNC_ID: protocol.SYNC,
         protocol.SERIAL_NUMBER: 0x36020000 + config.node,
@@ -148,6 +149,8 @@ class ProcessData:
         value = int.from_bytes(data, "little")
         number = index & ~0x200
         if index != number:
+            # CiA 301: the mapping may change only while the PDO is disabled, and entries only while
+            # their count is 0.
             is_on = not self._value(number, 1, "I") & protocol.INVALID
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)

@@ -88,6 +88,7 @@ class TankFin:
             angle = self._after[0]
             velocity = self._after[1]
             self.move(
+                # Braking distance: v^2 / (2 a).
                 angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)),
                 math.inf,
             )

@@ -108,6 +108,7 @@ class Epos2Config(Configuration):
                 f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
                 f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
             )
+        # The drive's velocities are integers in rpm: at 0 rpm it would never reach a target.
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(
                 f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 rpm at the motor; increase it"
@@ -127,6 +128,7 @@ class Units(NamedTuple):
     @classmethod
     def of(cls, config: Epos2Config) -> "Units":
         """Return the unit conversion for a drive."""
+        # Motor turns per radian of the fin.
         turns_per_rad = config.gear_ratio / (2 * math.pi)
         # Quadrature: each encoder line gives four edges, and the drive counts all of them.
         counts_per_rad = turns_per_rad * 4 * config.encoder_lines

@@ -100,6 +100,7 @@ class CanConnection:
     def close(self) -> None:
         """Close the bus; may be called repeatedly and never raises."""
         bus = self._bus
+        # First of all, because the receiver's thread runs until it sees another bus.
         self._bus = None
         if self._receiver is not None and not self.in_receiver:
             self._receiver.join(10 * RECEIVER_CYCLE_S)
@@ -153,12 +154,15 @@ class CanConnection:
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
         """Send an SDO request and return the answer, which must start with one of the allowed
         commands."""
+        # The receiver's thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
                 f"drive's {entry} cannot be accessed: another request is still unanswered; try "
                 "again"
             )
         try:
+            # Before sending, because the receiver's thread may get the answer before `send`
+            # returns.
             self._answered.clear()
             self._request = request
             self._answer = b""
@@ -247,4 +251,5 @@ def download(entry: Object, value: int) -> bytes:
             f"drive's {entry} cannot be set to {value}, which is outside its range; change the "
             "value in the rig's file"
         ) from None
+    # CiA 301: expedited download that indicates the number of unused bytes.
     return struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub) + data

@@ -365,6 +365,7 @@ class Epos2(Exchange):
             self.stopping.release()
         try:
             self.send_heartbeat()
+            # CiA 301, object 0x1016: node number in bits 16 to 23, time in ms in bits 0 to 15.
             silence = round(1000 * self.config.heartbeat_s)
             procedures.write(
                 self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host << 16 | silence

@@ -104,6 +104,8 @@ class DriveStatus:
 
     def synchronise(self, now: float) -> None:
         """Reset the answers before a SYNC is sent at time `now` [s]."""
+        # Counting starts with the first complete set of answers: before that, the node may not be
+        # operational yet.
         self.counters["syncs without all answers"] += self.time > 0 and not self.new
         self.answered = 0
         self.sync_time = now
@@ -111,6 +113,7 @@ class DriveStatus:
     def take(self, cob_id: int, data: bytes, now: float) -> str | None:
         """Decode one frame; frames from other nodes are ignored. Return a message if it reports a
         new fault."""
+        # CiA 301: bits 7 to 10 are the function code, bits 0 to 6 the node number.
         function = cob_id & 0x780
         node = cob_id & 0x7F
         if node != self._node or function not in _SIZES:
@@ -120,6 +123,7 @@ class DriveStatus:
             return None
         if function == protocol.HEARTBEAT:
             self.heartbeat_time = now
+            # Bit 7 is not part of the state (CiA 301).
             self.nmt = data[0] & 0x7F
             self.rebooted |= self.nmt == protocol.BOOT_UP
             return self.fault() if self.nmt == protocol.BOOT_UP else None
@@ -140,6 +144,7 @@ class DriveStatus:
                 self.limited_since = now
         elif which == 1:
             self.velocity = self._units.velocity(values[0])
+            # The drive sends mA.
             self.current = values[1] / 1000
         else:
             self.demand = self._units.angle(values[0])
@@ -186,6 +191,7 @@ class Handshake:
             else:
                 self.unanswered = self.unanswered + 1
                 self.repeated = self.repeated + 1
+                # Send the unacknowledged target again, unless there is a newer one.
                 self.waiting = self.waiting or self.current
             return True
         if self.waiting is None or (acknowledged and not late):
@@ -335,6 +341,7 @@ class Exchange:
     def brake(self) -> bool:
         """Quick-stop immediately, from any thread; nothing is enabled or moved afterwards. Return
         False if another thread hangs in a send."""
+        # If the lock is not available in time, go on without it: the stop must be sent in any case.
         locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
             self.armed = False

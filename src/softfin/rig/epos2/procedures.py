@@ -223,6 +223,7 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
     # overshoot by a few counts, and a drive that checks its actual position would then fault.
     lowest = units.counts(config.angle_min_rad - OVERSHOOT_RAD)
     highest = units.counts(config.angle_max_rad + OVERSHOOT_RAD)
+    # A negative direction swaps the ends.
     ends = sorted((lowest, highest))
     values = {
         protocol.HEARTBEAT_CONSUMER: 0,
@@ -237,6 +238,7 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
         protocol.PROFILE_TYPE: 0,
     }
     if config.current_limit_a is not None:
+        # The drive uses mA.
         values[protocol.CURRENT_LIMIT] = round(1000 * config.current_limit_a)
     for entry, value in values.items():
         write(connection, entry, value)
@@ -300,6 +302,7 @@ def _map(
     if not entries:
         return
     count = Object(number + 0x200, 0, "B", "mapped objects")
+    # CiA 301: set the count to 0, write the entries, then set the count.
     connection.write(count, 0)
     for place, entry in enumerate(entries, 1):
         write(connection, Object(number + 0x200, place, "I", "mapping"), entry.mapping)

@@ -116,6 +116,7 @@ Any of them may be stored in the drive as "no action". We have not verified that
 three objects.
 """
 
+# Collected from this module, so that the emulated drive has every object defined above.
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
 
 SENT = ((STATUSWORD, POSITION), (VELOCITY, MOTOR_CURRENT), (DEMAND,))

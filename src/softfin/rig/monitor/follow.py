@@ -144,6 +144,7 @@ class Follower:
         self._size = status.st_size
         if self._offset == 0:
             magic = file.read(len(MAGIC))
+            # A file that has just been created may still be shorter than the magic bytes.
             if not MAGIC.startswith(magic):
                 raise LogError(
                     "not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP"

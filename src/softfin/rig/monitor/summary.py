@@ -173,6 +173,7 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
         for rows in (joint.array(), wrench.array())
     )
     span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
+    # A full window of rows spans one tick less than WINDOW_S; half a tick is tolerance.
     is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
     has_mean = is_whole and bool((np.abs(forces[:, 1:]) < MAX_NUMBER).all())
     return {

@@ -94,6 +94,7 @@ class Server(socketserver.ThreadingTCPServer):
             },
             "summary": summary | told,
         }
+        # Browsers cannot parse NaN in JSON.
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
 
 

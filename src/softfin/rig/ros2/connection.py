@@ -113,6 +113,7 @@ class StampClock:
             return None
         self._newest = stamp_ns
         since = (stamp_ns - self._first) / SECOND_NS
+        # The offset is the minimum of (arrival - timestamp), i.e. that of the fastest message.
         released = self._offset + CREEP * (received - self._received)
         self._offset = min(released, received - since)
         self._received = received

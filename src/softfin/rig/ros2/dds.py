@@ -191,6 +191,7 @@ class DdsTransport:
             one.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
             for one in there
         ]
+        # ROS 2 adds the prefix "rt/" to topic names.
         pairs = zip((one.topic_name for one in there), kinds, strict=True)
         return dict(sorted((name[2:], kind) for name, kind in pairs if name.startswith("rt/")))
 

@@ -157,10 +157,12 @@ class SentCommands:
         self._recent.append((now, self._at(self.target, now)))
         while self._recent[0][0] < now - delay_s:
             self._recent.popleft()
+        # Signed distance of the angle from the interval of recent setpoints.
         setpoints = [setpoint for _, setpoint in self._recent]
         return max(min(setpoints) - angle, 0.0) + min(max(setpoints) - angle, 0.0)
 
     def _at(self, target: Target, now: float) -> float:
+        # A ramp at constant velocity from the setpoint at the time of the command.
         reach = target.velocity * (now - self._since)
         return self._setpoint + min(max(target.angle - self._setpoint, -reach), reach)
 

@@ -127,6 +127,7 @@ class RobotNode:
             self._once.report(
                 f"{self.robot.name}: accepts wrenches on {self.config.reference_topic}"
             )
+            # 33, 33 and 34 ticks: three actions per second.
             for ticks in itertools.cycle(ACTION_TICKS):
                 self.send_references()
                 for _ in range(ticks):
