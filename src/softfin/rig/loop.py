@@ -114,4 +114,5 @@ def recorded_reference(
     warnings = [warning for _, warning in resolved if warning is not None]
     if warnings:
         report(warnings[0] + (f" (and {len(warnings) - 1} more rows)" if len(warnings) > 1 else ""))
+    # The tolerance makes a row apply at its own time despite rounding.
     return lambda at: resolved[max(0, bisect_right(time, at + 1e-6) - 1)][0]

@@ -49,6 +49,7 @@ def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None
     if config.file is None:
         return None
     proof = load_record(config.file).stop_proof
+    # With another drive, timeout or node number, the drive may react differently.
     settings = (drive_serial, config.drive.heartbeat_s, config.drive.host)
     if proof is not None and (proof.drive_serial, proof.heartbeat_s, proof.host_node) == settings:
         return proof

@@ -203,6 +203,7 @@ class Guard:
                 "gear ratio",
             )
         velocities = self._velocities
+        # A repeated sample must not be counted twice: the time difference could become zero.
         if not velocities or sample.time > velocities[-1][0]:
             velocities.append((sample.time, sample.velocity))
         # Mean acceleration over the last ticks, dv / dt.
@@ -232,6 +233,7 @@ class Guard:
 
     def _check_loads(self, sample: Sample, now: float) -> Trip | None:
         config = self.config
+        # Unfiltered peaks if they are known, because the filter hides short ones.
         peaks = sample.peak or sample.wrench
         wrench = sample.wrench
         current = () if sample.current is None else (sample.current,)

@@ -35,6 +35,7 @@ class _Member:
         self.ready: Callable[[], Any] = lambda: True
         self.end = math.inf
         self.signal = threading.Lock()
+        # Locked until it is this member's turn.
         self.signal.acquire()
 
 
@@ -124,11 +125,14 @@ class SimulatedClock(Clock):
         with self._guard:
             if self._running is not None or not self._waiting:
                 return
+            # Members are in the order of their arrival, so the first that is ready has waited
+            # longest.
             chosen = next((each for each in self._waiting if each.ready()), None)
             if chosen is None:
                 chosen = min(self._waiting, key=lambda each: each.end)
                 if chosen.end == math.inf:
                     return
+                # Time never goes back, even if the end of the wait has already passed.
                 self._now = max(self._now, chosen.end)
             # In this order, so that a Ctrl-C in between does not lose the member.
             self._running = chosen

@@ -57,6 +57,7 @@ class SimulatedBus(can.BusABC):
         self._check_open()
         for bus in self._all:
             if bus is not self:
+                # A copy for each receiver, because its timestamp is set.
                 message = copy.copy(msg)
                 message.timestamp = self._clock()
                 bus._frames.append(message)

@@ -156,7 +156,10 @@ def evaluate_robot(
 
 def find_all_gaits(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
     """Find the gaits of each fin; fins with the same plant share them."""
-    found = {id(tank): find_fin_gaits(tank) for tank in {id(tank): tank for tank in tanks}.values()}
+    found: dict[int, FinGaits] = {}
+    for tank in tanks:
+        if id(tank) not in found:
+            found[id(tank)] = find_fin_gaits(tank)
     return tuple(found[id(tank)] for tank in tanks)
 
 
@@ -176,6 +179,7 @@ def trial(
     if task == "hold":
         seconds = float(config.hold_s)
         path = hold_place()
+        # Directions [rad].
         current, push = random.uniform(-np.pi, np.pi, 2)
         trouble = trouble._replace(
             current_m_s=_horizontal(config.current_m_s, current),
@@ -204,6 +208,7 @@ def trial(
     counted = ticks >= settled_from_s * RATE_HZ
     if task == "hold":
         settled_again_s = trouble.push_at_s + config.settled_s
+        # Exclude the time from the push until the robot has settled again.
         counted &= (ticks < trouble.push_at_s * RATE_HZ) | (ticks >= settled_again_s * RATE_HZ)
     position = record.position_error()[counted]
     attitude = record.attitude_error()[counted]

@@ -51,6 +51,7 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))
     ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
     count = 1
+    # Keep the monotonic part, which can be inverted.
     while count < len(mean) and mean[count, 0] > mean[count - 1, 0]:
         if abs(mean[count, 1]) > MAX_SIDE_FORCE_FRACTION * mean[count, 0] + 0.01:
             break
@@ -75,6 +76,7 @@ def _strokes(
     towed through the water."""
     mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
+    # Strokes to alternating sides, one per action.
     sides = np.repeat(
         [1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS),
         action_ticks(CYCLE_ACTIONS * HELD_WINDOWS),

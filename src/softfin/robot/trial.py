@@ -100,12 +100,9 @@ def run_trial(
     ]
     time = 0.0
     for ticks in action_ticks(round(seconds * ACTION_RATE_HZ)):
-        if (
-            trouble.dead_fin is not None
-            and time >= trouble.dead_at_s
-            and trouble.dead_fin not in driver.dead
-        ):
-            driver.declare_dead(trouble.dead_fin)
+        dying = trouble.dead_fin
+        if dying is not None and time >= trouble.dead_at_s and dying not in driver.dead:
+            driver.declare_dead(dying)
             controller.sway_reach_n = driver.allocator.reach_along(SWAY)
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
         middle = time - (len(last[0]) - 1) * TICK_S / 2
@@ -119,13 +116,7 @@ def run_trial(
         for fin in driver.dead:
             # A drive brakes on a command with zero velocity, whatever its angle.
             orders = Orders(_stopped(orders.before, fin), _stopped(orders.now, fin), orders.delays)
-        push = np.zeros(6)
-        if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
-            # Constant force over the action: impulse / time.
-            push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
-        around = Ambient(
-            jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32)
-        )
+        around = _ambient(trouble, time, ticks)
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
@@ -148,6 +139,15 @@ def run_trial(
         happened.shapes,
         *map(np.array, zip(*actions, strict=True)),
     )
+
+
+def _ambient(trouble: Disturbances, time: float, ticks: int) -> Ambient:
+    """Return the current and the push during the action of `ticks` that starts at `time` [s]."""
+    push = np.zeros(6)
+    if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
+        # Constant force over the action: impulse / time.
+        push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
+    return Ambient(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))
 
 
 def _stopped(commands: Command, fin: int) -> Command:

@@ -135,6 +135,7 @@ class WrenchDriver:
                 commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
             side = stroke_side(int(phases[fin]), state.action)
+            # Compensate for the force lost through the motion of the fin's mount.
             force = forces[fin] + gaits.lost(forces[fin], velocities[fin])
             moved, command = stroke(gaits, state.fins[fin], force, side)
             fins.append(moved)

@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 HEADER = 0x1234
 
+# Header, command, number of records.
 REQUEST = struct.Struct("!HHI")
+# RDT sequence, FT sequence, status, six counts.
 RECORD = struct.Struct("!IIIiiiiii")
 
 OVER_RANGE = 0xC0000000
@@ -78,6 +80,7 @@ def decode_record(datagram: bytes) -> RdtRecord | None:
 def wrapped_step(before: int, after: int) -> int:
     """Return the difference of two 32-bit sequence numbers, allowing for wrap-around; negative if
     it goes back."""
+    # Maps the difference to -2^31 .. 2^31 - 1.
     return (after - before + 2**31) % 2**32 - 2**31
 
 
@@ -137,6 +140,7 @@ def decode_status(status: int) -> tuple[StatusBit, ...]:
     summary = bool(status >> SUMMARY_BIT & 1)
     numbers = {number for number in range(SUMMARY_BIT) if status >> number & 1}
     bits = [bit for number, bit in STATUS_BITS.items() if number in numbers]
+    # A busy sensor sets the summary bit as well, as in `BUSY`.
     is_explained = BUSY_BIT in numbers or any(bit.is_error for bit in bits)
     if numbers - set(STATUS_BITS) or (summary and not is_explained):
         remedy = "check the sensor's web page, and switch the sensor off and on"

@@ -36,16 +36,13 @@ def commission_step(
     Raises ConfigurationError if an earlier step has not been passed.
     """
     form = load_form(rig)
-    missing = [
-        earlier
-        for earlier in STEP_TITLES
-        if earlier < number and not form.is_passed(earlier, config)
-    ]
-    if missing:
+    missing = form.next_step(config)
+    if missing is not None and missing < number:
         raise ConfigurationError(
-            f"step {number}: step {missing[0]} ({STEP_TITLES[missing[0]]}) has not been passed "
+            f"step {number}: step {missing} ({STEP_TITLES[missing]}) has not been passed "
             "with this drive and sensor; run the steps in order"
         )
+    # Before the step, which may take an hour.
     date = date_and_time()
     folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
     operator.tell(f"Step {number} of {len(STEP_TITLES)}: {STEP_TITLES[number]}")

@@ -158,7 +158,8 @@ def config_values(config: RigConfig) -> JsonObject:
 
 
 def _voiding_parts(rig: JsonObject) -> JsonObject:
-    return {
-        part: {name: value for name, value in rig[part].items() if name not in ADDRESS_FIELDS}
-        for part in VOIDING
-    }
+    # A change of address does not void a step: the devices are still the same.
+    parts = {}
+    for part in VOIDING:
+        parts[part] = {name: rig[part][name] for name in rig[part] if name not in ADDRESS_FIELDS}
+    return parts

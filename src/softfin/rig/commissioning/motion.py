@@ -83,6 +83,7 @@ def changed(
 
 def narrowed(config: RigConfig, angle_rad: float, velocity_rad_s: float) -> RigConfig:
     """Return a rig's configuration with commands limited to +-`angle_rad` and `velocity_rad_s`."""
+    # The minimum velocity must stay below the new maximum.
     slowest = min(config.drive.slowest_rad_s, 0.5 * velocity_rad_s)
     drive = {
         "angle_min_rad": -angle_rad,

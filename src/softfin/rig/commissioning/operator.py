@@ -121,6 +121,7 @@ class TerminalOperator:
     def _next_line(self) -> str | None:
         while True:
             with contextlib.suppress(queue.Empty):
+                # With a timeout, so that the main thread also handles signals.
                 return self._answers.get(timeout=SIGNAL_CHECK_S)
 
     def _read(self, lines: Iterable[str]) -> None:

@@ -3,7 +3,7 @@
 
 import math
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -272,60 +272,12 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     operator.wait("Next, the shaft will swing slowly several times; keep your hands away")
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
     for name, way in WAYS_TO_STOP.items():
-        stops = []
-        left_on = 0
-        for trial in range(TRIALS):
-            stops.append(_provoke(context, narrow, f"{name}-{trial + 1}", way.instruction))
-            operator.wait(
-                f"After {name}: put everything back and wait until the devices run again; then "
-                "keep your hands away, because the shaft may swing next"
-            )
-            left_on += _reset(context)
-        yield _compare_stops(name, way, stops)
-        value = f"still on after {left_on} of {TRIALS}" if left_on else "off"
-        yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
-        if way.is_cut:
-            question = (
-                f"In all {TRIALS} trials, did the fin stop within a quarter of a second, and "
-                "could you turn it by hand half a second later?"
-            )
-            yield asked(operator, f"{name}, by eye and hand", question)
-    # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
-    allowed_s = (
-        narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
-    )
+        yield from _try_way(context, narrow, name, way)
     for number in DEADLY_SIGNALS:
-        operator.wait(
-            f"Next, the shaft will swing {TRIALS} times, and {number.name} ends softfin each "
-            "time; no key stops it then, so keep your hands away and the switch within reach"
-        )
-        deaths = []
-        is_left_on = False
-        for trial in range(TRIALS):
-            death = _die(context, narrow, number, context.bag(f"{number.name}-{trial + 1}"))
-            deaths.append(death)
-            is_left_on = _reset(context)
-            fault = death.fault or "no fault"
-            operator.tell(f"        {number.name} {trial + 1}: {death.seconds:.2f} s, {fault}")
-            if is_left_on or death.seconds > allowed_s:
-                break
-        what = f"softfin ended by {number.name}"
-        worst_s = max(death.seconds for death in deaths)
-        passed = worst_s <= allowed_s and not is_left_on
-        yield measured(
-            f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s"
-        )
-        if not passed:
+        has_stopped = yield from _try_signal(context, narrow, number)
+        if not has_stopped:
             # Do not try again with a drive that does not stop by itself.
             return
-        faults = {death.fault or "no fault" for death in deaths}
-        is_expected = all("0x8130" in fault for fault in faults)
-        yield Item(
-            what=f"{what}: fault",
-            value="; ".join(sorted(faults)),
-            required="0x8130",
-            passed=is_expected,
-        )
     yield _zero_after_reset(context)
     for what, question in (
         (
@@ -581,6 +533,70 @@ def _refusal_of_wrong_lines(context: StepContext) -> Item:
     return Item(
         what="wrong encoder_lines", value=value, required="refused", passed=value == "refused"
     )
+
+
+def _try_way(context: StepContext, config: RigConfig, name: str, way: Way) -> Iterator[Item]:
+    """Try one way to stop several times."""
+    operator = context.operator
+    stops = []
+    left_on = 0
+    for trial in range(TRIALS):
+        stops.append(_provoke(context, config, f"{name}-{trial + 1}", way.instruction))
+        operator.wait(
+            f"After {name}: put everything back and wait until the devices run again; then "
+            "keep your hands away, because the shaft may swing next"
+        )
+        left_on += _reset(context)
+    yield _compare_stops(name, way, stops)
+    value = f"still on after {left_on} of {TRIALS}" if left_on else "off"
+    yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
+    if way.is_cut:
+        question = (
+            f"In all {TRIALS} trials, did the fin stop within a quarter of a second, and "
+            "could you turn it by hand half a second later?"
+        )
+        yield asked(operator, f"{name}, by eye and hand", question)
+
+
+def _try_signal(
+    context: StepContext, config: RigConfig, number: signal.Signals
+) -> Generator[Item, None, bool]:
+    """End softfin several times by a signal; return whether the drive stopped by itself in time."""
+    operator = context.operator
+    # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
+    braking_s = SLOW_RAD_S / config.drive.quick_stop_rad_s2
+    allowed_s = config.drive.heartbeat_s + braking_s + REST_MARGIN_S
+    operator.wait(
+        f"Next, the shaft will swing {TRIALS} times, and {number.name} ends softfin each "
+        "time; no key stops it then, so keep your hands away and the switch within reach"
+    )
+    deaths = []
+    is_left_on = False
+    for trial in range(TRIALS):
+        death = _die(context, config, number, context.bag(f"{number.name}-{trial + 1}"))
+        deaths.append(death)
+        is_left_on = _reset(context)
+        fault = death.fault or "no fault"
+        operator.tell(f"        {number.name} {trial + 1}: {death.seconds:.2f} s, {fault}")
+        if is_left_on or death.seconds > allowed_s:
+            break
+    what = f"softfin ended by {number.name}"
+    worst_s = max(death.seconds for death in deaths)
+    passed = worst_s <= allowed_s and not is_left_on
+    yield measured(
+        f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s"
+    )
+    if not passed:
+        return False
+    faults = {death.fault or "no fault" for death in deaths}
+    is_expected = all("0x8130" in fault for fault in faults)
+    yield Item(
+        what=f"{what}: fault",
+        value="; ".join(sorted(faults)),
+        required="0x8130",
+        passed=is_expected,
+    )
+    return True
 
 
 def _provoke(context: StepContext, config: RigConfig, name: str, instruction: str) -> Stopped:

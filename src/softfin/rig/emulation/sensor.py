@@ -92,6 +92,7 @@ class EmulatedAxia80:
         self._scale = np.repeat(
             [counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3
         )
+        # Counts are 32-bit integers, and the noise adds up to 1 count.
         self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 2)
         self._bias = np.zeros(6)
         self._powered_at = clock()

@@ -122,18 +122,28 @@ class DriveStatus:
             self.counters["malformed frames"] += 1
             return None
         if function == protocol.HEARTBEAT:
-            self.heartbeat_time = now
-            # Bit 7 is not part of the state (CiA 301).
-            self.nmt = data[0] & 0x7F
-            self.rebooted |= self.nmt == protocol.BOOT_UP
-            return self.fault() if self.nmt == protocol.BOOT_UP else None
+            return self._take_heartbeat(data, now)
         if function == protocol.EMERGENCY:
-            code = int.from_bytes(data[:2], "little")
-            # Keep the first code, which is the cause: subsequent errors must not hide it.
-            self.emergency = None if code == 0 else self.emergency or code
-            return protocol.fault_line(code) if code else None
-        was_well = self.fault() is None
-        which = protocol.TPDO.index(function)
+            return self._take_emergency(data)
+        return self._take_process_data(protocol.TPDO.index(function), data, now)
+
+    def _take_heartbeat(self, data: bytes, now: float) -> str | None:
+        self.heartbeat_time = now
+        # Bit 7 is not part of the state (CiA 301).
+        self.nmt = data[0] & 0x7F
+        if self.nmt != protocol.BOOT_UP:
+            return None
+        self.rebooted = True
+        return self.fault()
+
+    def _take_emergency(self, data: bytes) -> str | None:
+        code = int.from_bytes(data[:2], "little")
+        # Keep the first code, which is the cause: subsequent errors must not hide it.
+        self.emergency = None if code == 0 else self.emergency or code
+        return protocol.fault_line(code) if code else None
+
+    def _take_process_data(self, which: int, data: bytes, now: float) -> str | None:
+        had_fault = self.fault() is not None
         values = _SENT[which].unpack(data)
         if which == 0:
             self.statusword, self.position = values
@@ -151,7 +161,8 @@ class DriveStatus:
         self.answered |= 1 << which
         if self.new:
             self.time = self.sync_time
-        return self.fault() if which == 0 and was_well else None
+        # Only TPDO 1 contains the statusword.
+        return self.fault() if which == 0 and not had_fault else None
 
 
 class Handshake:

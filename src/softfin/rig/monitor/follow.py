@@ -133,26 +133,9 @@ class Follower:
             self._restart()
 
     def _read(self, file: io.BufferedIOBase) -> None:
-        status = os.fstat(file.fileno())
-        identity = (status.st_dev, status.st_ino)
-        if self._identity is not None and (
-            identity != self._identity or status.st_size < self._offset
-        ):
-            # Another file with the same name, e.g. after a copy or repair.
-            self._restart()
-        self._identity = identity
-        self._size = status.st_size
-        if self._offset == 0:
-            magic = file.read(len(MAGIC))
-            # A file that has just been created may still be shorter than the magic bytes.
-            if not MAGIC.startswith(magic):
-                raise LogError(
-                    "not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP"
-                )
-            if magic != MAGIC:
-                self._caught_up = True
-                return
-            self._offset = len(MAGIC)
+        self._check_identity(os.fstat(file.fileno()))
+        if self._offset == 0 and not self._read_magic(file):
+            return
         was_caught_up = self._caught_up
         before = self._count()
         end = self._offset + READ_BYTES
@@ -169,17 +152,43 @@ class Follower:
                 f"damaged ({error}); to save the intact part, use softfin bag recover"
             ) from None
         finally:
-            # Use the joint's time if there is one, so that wrong timestamps in another topic do not
-            # empty all traces.
-            lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
-            newest = next((last for last in lasts if last is not None), 0.0)
-            for role, trace in self.traces.items():
-                trace.settle(
-                    -float("inf") if role == "event" else newest - self._window, self._serials
-                )
-            self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
+            self._settle()
             if was_caught_up and self._count() > before:
                 self._grown_at = self._clock()
+
+    def _check_identity(self, status: os.stat_result) -> None:
+        """Start again if this is another file than at the last poll, or a shorter one."""
+        identity = (status.st_dev, status.st_ino)
+        is_other = self._identity is not None and identity != self._identity
+        is_shorter = self._identity is not None and status.st_size < self._offset
+        if is_other or is_shorter:
+            # Another file with the same name, e.g. after a copy or repair.
+            self._restart()
+        self._identity = identity
+        self._size = status.st_size
+
+    def _read_magic(self, file: io.BufferedIOBase) -> bool:
+        """Read the magic bytes; return False if the file does not contain all of them yet."""
+        magic = file.read(len(MAGIC))
+        # A file that has just been created may still be shorter than the magic bytes.
+        if not MAGIC.startswith(magic):
+            raise LogError("not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP")
+        if magic != MAGIC:
+            self._caught_up = True
+            return False
+        self._offset = len(MAGIC)
+        return True
+
+    def _settle(self) -> None:
+        """Decode the rows within the window."""
+        # Use the joint's time if there is one, so that wrong timestamps in another topic do not
+        # empty all traces.
+        lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
+        newest = next((last for last in lasts if last is not None), 0.0)
+        for role, trace in self.traces.items():
+            since = -float("inf") if role == "event" else newest - self._window
+            trace.settle(since, self._serials)
+        self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
 
     def _count(self) -> int:
         return sum(trace.count for trace in self.traces.values())

@@ -96,12 +96,14 @@ def sparkline(
         return "-", " " * TRACE_COLUMNS, "-"
     low = float(values.min())
     high = float(values.max())
+    # Bin 0 starts SHOWN_S before the latest row.
     bins = np.clip(
         ((times - times.max() + SHOWN_S) * TRACE_COLUMNS / SHOWN_S).astype(int),
         0,
         TRACE_COLUMNS - 1,
     )
     filled = np.bincount(bins, minlength=TRACE_COLUMNS)
+    # Sum divided by count; empty bins are drawn as spaces.
     means = np.bincount(bins, values, TRACE_COLUMNS) / np.maximum(filled, 1)
     heights = np.zeros(TRACE_COLUMNS) if high == low else (means - low) / (high - low)
     indices = np.clip((heights * len(BLOCKS)).astype(int), 0, len(BLOCKS) - 1)

@@ -20,7 +20,7 @@ from softfin.core.canvas import with_canvas
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
+from softfin.rig.monitor.summary import STATES, WINDOW_S, TraceRow, counts, finite
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -79,23 +79,25 @@ class Server(socketserver.ThreadingTCPServer):
         with self._reading:
             self._follower.poll()
             summary = self._follower.summary()
-            traces = self._follower.traces
-            rows = {
-                role: [trace.less_zero(row) for row in trace.rows if row.serial > since]
-                for role, trace in traces.items()
-                if role != "event"
-            }
-        told = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
-        answer = {
-            "next": max((row.serial for found in rows.values() for row in found), default=since),
-            "rows": {
-                role: [[finite(value) for value in (row.time, *row.values)] for row in found]
-                for role, found in rows.items()
-            },
-            "summary": summary | told,
-        }
+            new_rows = {}
+            for role, trace in self._follower.traces.items():
+                if role != "event":
+                    new_rows[role] = [
+                        trace.less_zero(row) for row in trace.rows if row.serial > since
+                    ]
+        latest = since
+        plain_rows = {}
+        for role, rows in new_rows.items():
+            latest = max([latest, *(row.serial for row in rows)])
+            plain_rows[role] = [_plain_row(row) for row in rows]
+        texts = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
+        answer = {"next": latest, "rows": plain_rows, "summary": summary | texts}
         # Browsers cannot parse NaN in JSON.
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _plain_row(row: TraceRow) -> list[float | None]:
+    return [finite(value) for value in (row.time, *row.values)]
 
 
 class _Handler(BaseHTTPRequestHandler):

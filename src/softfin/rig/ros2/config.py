@@ -40,6 +40,7 @@ class TransportConfig(Configuration):
 
     transport: TransportName = "auto"
     """auto: rclpy if it is installed, otherwise DDS."""
+    # RTPS uses the UDP ports from 7400 + 250 * domain, so 232 is the largest domain.
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain; None uses the environment variable ROS_DOMAIN_ID, or 0 if it is not set."""
     network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")

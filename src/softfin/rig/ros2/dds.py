@@ -184,16 +184,16 @@ class DdsTransport:
         if self._participant is None:
             return {}
         found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(1000)
-        there = [
-            one for one in found if str(one.key) not in self._own and one.sample_info.valid_data
-        ]
-        kinds = [
-            one.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
-            for one in there
-        ]
-        # ROS 2 adds the prefix "rt/" to topic names.
-        pairs = zip((one.topic_name for one in there), kinds, strict=True)
-        return dict(sorted((name[2:], kind) for name, kind in pairs if name.startswith("rt/")))
+        topics = []
+        for publication in found:
+            # Other fields are empty if the sample is not valid.
+            if str(publication.key) in self._own or not publication.sample_info.valid_data:
+                continue
+            # ROS 2 adds the prefix "rt" to topic names.
+            if publication.topic_name.startswith("rt/"):
+                kind = publication.type_name.replace("::dds_::", "::").removesuffix("_")
+                topics.append((publication.topic_name[2:], kind.replace("::", "/")))
+        return dict(sorted(topics))
 
     def close(self) -> None:
         """Release the participant; readers and writers still in use are closed with their last

@@ -48,6 +48,7 @@ def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str)
 def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
     """Return the page's data as plain numbers; series are flattened row by row."""
     frames = np.arange(0, len(record.time), FRAME_TICKS)
+    # The last tick of an action still belongs to it.
     actions = np.minimum(
         (record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1
     )
@@ -93,6 +94,7 @@ def _recent_mean(wrench: np.ndarray) -> np.ndarray:
     """Return the mean over the two strokes before each tick, which is the net effect of the fins on
     the body."""
     ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
+    # Running mean from differences of the cumulative sum.
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
     end = np.arange(len(wrench)) + 1
     start = np.maximum(end - ticks, 0)
