@@ -55,7 +55,9 @@ def test_a_file_that_describes_no_robot_is_refused_in_one_line(
 
 
 def test_a_robot_that_is_not_there_is_told_with_those_that_are():
-    with pytest.raises(ConfigurationError, match=r"robot nemo.yaml: .* or ucat"):
+    with pytest.raises(
+        ConfigurationError, match=r"robot nemo.yaml: file not found; .* built-in robot ucat"
+    ):
         load_robot("nemo.yaml")
 
 

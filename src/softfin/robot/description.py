@@ -58,7 +58,7 @@ class FinMountConfig(Configuration):
         if self.range_rad is not None and not self.range_rad[0] < self.range_rad[1]:
             raise ValueError(
                 f"range_rad = {list(self.range_rad)}: the first angle must be smaller than the "
-                "second; swap them"
+                "second; use ascending angles"
             )
         return self
 
