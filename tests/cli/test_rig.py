@@ -45,7 +45,7 @@ def test_a_rig_is_checked_without_moving(file, emulated, capsys):
     for what in ("rig file", "force sensor", "force at rest", "drive", "own stop", "angle", "zero"):
         assert rows[what]["state"] == "well", rows[what]
     assert rows["100 Hz loop"]["state"] == "note"
-    assert "in simulated time nothing is late" in rows["100 Hz loop"]["text"]
+    assert "nothing is late in simulated time" in rows["100 Hz loop"]["text"]
     assert emulated.fin.now().angle == 0.0
     assert emulated.drive.state is State.SWITCH_ON_DISABLED
 

@@ -133,7 +133,7 @@ def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(
     assert ended.value.code == 3
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].startswith("softfin run: stopped, motor disabled: force ")
-    assert said[-1].endswith("check what the fin touches")
+    assert said[-1].endswith("check whether the fin touches something")
     assert "stopped: force_peak: force " in events_of(bag)[-1]
     still(emulated)
 

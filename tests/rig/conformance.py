@@ -82,7 +82,7 @@ def _watch(machine: Machine, pace: Pace, ticks: int) -> list[float]:
         ).all():
             _fail(
                 machine,
-                f"a reading is not a finite number ({sample})",
+                f"a reading is not finite ({sample})",
                 "all are, or complaints tell",
             )
         for name in ("time", "force_time"):

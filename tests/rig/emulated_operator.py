@@ -65,7 +65,7 @@ class EmulatedOperator:
 
     def number(self, question: str) -> float:
         self.asked.append(question)
-        sheet = {"Lines": 500.0, "Turns": 111.0, "Nominal": 10.0}
+        sheet = {"Encoder lines": 500.0, "Motor turns": 111.0, "Nominal": 10.0}
         usual = next(value for word, value in sheet.items() if word in question)
         return float(self._answer(question, usual))
 

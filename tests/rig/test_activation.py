@@ -82,7 +82,7 @@ def test_a_force_that_came_up_in_a_pause_is_seen_before_the_motor_is_powered(ben
             wrench=(60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         )
         pause(behind, 3.0)
-        with pytest.raises(SafetyStop, match=r"force 60\.00 N: at most 30 N"):
+        with pytest.raises(SafetyStop, match=r"force 60\.00 N, but at most 30 N is allowed"):
             session.activate()
     assert moment.ages == []
 
@@ -95,7 +95,7 @@ def test_a_sensor_that_restarted_in_a_pause_is_named_before_the_motor_is_powered
         behind.sensor.reboot(2.0)
         pause(behind, 20.0)
         with pytest.raises(
-            SafetyStop, match=r"restarted, its zero is lost; .* softfin rig zero --force"
+            SafetyStop, match=r"restarted, so its zero is lost; .* softfin rig zero --force"
         ):
             session.activate()
     assert moment.ages == []

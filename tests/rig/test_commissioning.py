@@ -121,7 +121,7 @@ def test_every_step_passes_on_a_good_rig_and_the_form_says_so(site):
 
 
 def wrong_gear_on_the_data_sheet(site):
-    site.operator.answers["Turns of the motor"] = 66.0
+    site.operator.answers["Motor turns"] = 66.0
     return "gear ratio"
 
 
@@ -267,7 +267,7 @@ def test_no_step_moves_a_fin_whose_drive_is_not_proved(site, number):
 def test_steps_are_run_in_order(site):
     site.pass_until(2)
     with pytest.raises(
-        ConfigurationError, match=r"step 4: step 2 \(Checks and proof .*\) is not passed"
+        ConfigurationError, match=r"step 4: step 2 \(Checks and proof .*\) has not been passed"
     ):
         site.run(4)
 
@@ -374,7 +374,7 @@ class TestTerminal:
         assert operator.number("How much?") == 2.5
         assert operator.text("Signed by") == "A. Engineer"
         operator.wait("Let go")
-        assert "'much': not a number; type a number such as 2.5\n" in shown
+        assert "'much': not a number; type a number, e.g. 2.5\n" in shown
 
     def test_the_end_of_its_input_is_one_clear_line(self):
         operator = TerminalOperator(iter([]), lambda _: None)

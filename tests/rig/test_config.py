@@ -46,7 +46,7 @@ def test_a_whole_file_is_read(tmp_path):
         ),
         (
             lambda v: v["drive"].update(acceleration_rad_s2=300.0),
-            "300 is above safety.acceleration_rad_s2 = 200",
+            "300 exceeds safety.acceleration_rad_s2 = 200",
         ),
         (lambda v: v["safety"].update(force_peek_n=1), "force_pe.k_n"),
     ],

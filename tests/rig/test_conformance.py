@@ -85,7 +85,7 @@ class InAFault(FreeFin):
         return (
             super()
             .read()
-            ._replace(complaints=("drive fault 0x3220, under-voltage: look at the supply",))
+            ._replace(complaints=("drive fault 0x3220, under-voltage: check the supply",))
         )
 
 
@@ -99,7 +99,7 @@ class InAFault(FreeFin):
         (StopsInTheLoopOnly, "moved by .* after stop"),
         (TimeGoesBack, "time went back"),
         (Frozen, "time.* ago|stand still"),
-        (NotANumber, "not a finite number"),
+        (NotANumber, "not finite"),
         (Wordy, "read returns dict"),
         (Slow, "read takes 50 ms"),
         (InAFault, "0x3220"),

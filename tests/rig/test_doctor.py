@@ -101,7 +101,7 @@ def test_what_jax_raises_is_a_line(monkeypatch):
 
     monkeypatch.setattr("jax.devices", broken)
     assert results()["JAX"].state == "wrong"
-    assert "finds no device (no device)" in results()["JAX"].text
+    assert "no device found (no device)" in results()["JAX"].text
 
 
 def test_a_gpu_that_jax_does_not_use_is_a_note(tmp_path, monkeypatch):

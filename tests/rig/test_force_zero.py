@@ -59,7 +59,7 @@ def test_a_zero_that_is_never_set_is_an_error_and_leaves_no_record(bench):
     losing(behind, 3)
     with pytest.raises(
         DeviceError,
-        match=r"force is \(\+5\.00, \+1\.00, \+0\.00\) N after its zero was set 3 times",
+        match=r"force is still \(\+5\.00, \+1\.00, \+0\.00\) N after zeroing 3 times",
     ):
         zero_force(config, 0.2, behind.clock)
     assert not record_file(config.file).exists()
@@ -79,7 +79,7 @@ def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, ax
     behind.fin.now = swinging
     with pytest.raises(
         DeviceError,
-        match=r"force varies by \d\.\d\d N: at most .*; wait until the water is calm",
+        match=r"force varies by \d\.\d\d N, but at most .*; wait until the water is calm",
     ):
         zero_force(config, 2.0, behind.clock)
     assert not record_file(config.file).exists()
@@ -146,7 +146,8 @@ def test_another_sensor_than_the_one_that_was_zeroed_is_refused(bench):
     zero_force(config, 0.2, behind.clock)
     behind.sensor.pages.update(sensor_pages(("N", "N-m"), (1e6, 1e6), serial="FT31415"))
     with pytest.raises(
-        RigError, match=r"serial number FT31415, but FT00000 was zeroed; connect that one, or"
+        RigError,
+        match=r"has serial number FT31415, but the sensor that was zeroed has FT00000; connect that sensor, or",
     ):
         opened(config, behind.clock)
     zero_force(config, 0.2, behind.clock)

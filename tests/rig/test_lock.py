@@ -107,7 +107,7 @@ def test_a_device_that_cannot_be_locked_is_used_with_a_note(folder):
     lock = DeviceLock("drive 1", "can0", 1)
     lock.acquire(REAL)
     assert lock.note.startswith("drive 1: cannot be locked (")
-    assert lock.note.endswith("check that no other program uses it")
+    assert lock.note.endswith("make sure that no other program uses it")
     lock.release()
 
 

@@ -31,7 +31,7 @@ def test_a_line_that_is_no_reference_is_told_and_not_taken(line):
     references, told = said()
     references.set_from_text(line)
     assert references(0.0) == (1.0, 1.0)
-    assert "type X,Y in newtons, such as 2,-1; Enter alone stops the fin" in told[0]
+    assert "type X,Y in newtons, e.g. 2,-1, or press Enter to stop the fin" in told[0]
 
 
 @pytest.mark.parametrize("line", ["9,0", "nan,0", "inf,0"])

@@ -121,7 +121,7 @@ def test_a_fin_that_is_moved_is_not_zeroed():
         )
         with pytest.raises(
             DeviceError,
-            match=r"force varies by .* N: at most 0.3 N; wait until the water is calm",
+            match=r"force varies by .* N, but at most 0.3 N is allowed; wait until the water is calm",
         ):
             zero_force(robot.machine.config, seconds=0.3, clock=behind.clock)
 

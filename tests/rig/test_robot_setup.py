@@ -24,7 +24,8 @@ def test_a_controller_of_this_fin_within_its_limits_fits():
 
 def test_a_controller_of_another_fin_is_refused():
     with pytest.raises(
-        RigError, match="c: trained for fin 'red', but this rig has fin 'blue'; train one for it"
+        RigError,
+        match="c: trained for fin 'red', but this rig has fin 'blue'; train a controller for this fin",
     ):
         robot().check_fits("c", LIMITS, "red")
 

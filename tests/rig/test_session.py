@@ -97,7 +97,7 @@ def _late(made):
     ("provoke", "cause", "words"),
     [
         (
-            _altered(complaints=("drive fault 0x8611, following error: look for a blocked fin",)),
+            _altered(complaints=("drive fault 0x8611, following error: check for a blocked fin",)),
             "device",
             "0x8611",
         ),
@@ -106,12 +106,12 @@ def _late(made):
         (_altered(wrench=(16.0, 0.0, 0.0, 0.0, 0.0, 0.0)), "force_sustained", " N on average"),
         (_altered(current=5.0), "current_peak", "5.00 A"),
         (_altered(following_error=0.5), "following", "0.500 rad"),
-        (_altered(wrench=(math.nan,) * 6), "reading", "not a finite number"),
+        (_altered(wrench=(math.nan,) * 6), "reading", "not finite"),
         (_altered(time=100.0), "angle_stale", "no new angle"),
         (
-            _raising(DeviceError("drive does not answer; look at its supply")),
+            _raising(DeviceError("drive does not respond; check its supply")),
             "device",
-            "does not answer",
+            "does not respond",
         ),
         (_raising(ValueError("two\nlines")), "device", "ValueError: two lines"),
         (_failed_recording, "recording", "no space left on device"),
@@ -350,7 +350,7 @@ def test_the_first_command_is_to_stay_where_it_is():
 
 def test_a_fin_that_does_not_enable_is_stopped_and_the_session_stays_inactive():
     made = Made()
-    made.machine.enable = _raise(DeviceError("drive stays switched on; look at its supply"))
+    made.machine.enable = _raise(DeviceError("drive stays switched on; check its supply"))
     with made.session as session:
         with pytest.raises(DeviceError, match="stays switched on"):
             session.activate()

@@ -122,10 +122,10 @@ def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
 
 def test_notes_are_told_before_anything_moves(capsys):
     machine = FreeFin(SimulatedClock())
-    machine.notes = ("its forces are simulated",)
+    machine.notes = ("forces are simulated",)
     with pytest.raises(ConfigurationError, match="nothing moves without --arm"):
         Armed().confirm(RobotSetup(machine, CALM))
-    assert capsys.readouterr().err == "note: its forces are simulated\n"
+    assert capsys.readouterr().err == "note: forces are simulated\n"
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_notes_are_told_before_anything_moves(capsys):
         ),
         (
             {"safety": {"velocity_rad_s": 2.0}},
-            r"drive.fastest_rad_s = 3.14159 is above safety.velocity_rad_s = 2",
+            r"drive.fastest_rad_s = 3.14159 exceeds safety.velocity_rad_s = 2",
         ),
     ],
 )
@@ -158,7 +158,7 @@ def test_a_rig_tells_the_notes_of_its_sensor():
         behind.sensor.status = 1 << 28
         try:
             rig.open()
-            assert "its forces are simulated" in rig.notes[0]
+            assert "forces are simulated" in rig.notes[0]
         finally:
             rig.close()
         assert rig.notes == ()

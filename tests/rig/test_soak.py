@@ -166,13 +166,13 @@ def clock_jump(at: Scene) -> None:
 
 
 STOPS: dict[str, tuple[Inject, str]] = {
-    "bus off": (bus_off, "no new angle|heartbeat|did not accept a target"),
+    "bus off": (bus_off, "no new angle|heartbeat|did not acknowledge a target"),
     "adapter bus-off": (error_frame(0x040), "adapter is bus-off"),
     "adapter error passive": (error_frame(0x004, 0x20), "adapter is error passive"),
-    "bus takes no frames": (bus_lost, "takes no frames|angle"),
+    "bus takes no frames": (bus_lost, "does not accept frames|angle"),
     "cable of the drive cut": (
         lambda at: at.emulated.drive.go_silent(),
-        "no new angle|heartbeat|did not accept",
+        "no new angle|heartbeat|did not acknowledge",
     ),
     "heartbeat lost": (
         lambda at: at.emulated.drive.drop_heartbeat(),
@@ -182,7 +182,7 @@ STOPS: dict[str, tuple[Inject, str]] = {
     "over-current": (lambda at: at.emulated.drive.fault(0x2310), "0x2310, over-current"),
     "limit of the drive holds it back": (
         lambda at: setattr(at.emulated.drive, "at_limit", True),
-        "its own limits",
+        "its internal limits",
     ),
     "drive starts anew": (lambda at: at.emulated.drive.reboot(), "restarted|state"),
     "blocked fin": (lambda at: block(at.emulated.fin), "following|behind"),

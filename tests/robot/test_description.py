@@ -25,10 +25,14 @@ def values(ucat):
         (
             "fins.front_left.shaft_axis",
             [0.5, 0.5, 0.0],
-            "shaft_axis = .* has length 0.7071; give a unit vector",
+            "shaft_axis = .* has length 0.7071; use a unit vector",
         ),
         ("fins.front_left.zero_direction", [0.5, 0.8660254, 0.0], "at right angles to its shaft"),
-        ("fins.front_left.range_rad", [1.0, -1.0], "give the smaller angle first"),
+        (
+            "fins.front_left.range_rad",
+            [1.0, -1.0],
+            "the first angle must be smaller than the second",
+        ),
         ("body.inertia_kg_m2", [0.1, 0.0, 0.1], "singular"),
         ("fins", {}, "fins"),
         ("body.mas_kg", 3, "unknown key 'body.mas_kg'; did you mean 'mass_kg'"),
@@ -51,7 +55,9 @@ def test_a_file_that_describes_no_robot_is_refused_in_one_line(
 
 
 def test_a_robot_that_is_not_there_is_told_with_those_that_are():
-    with pytest.raises(ConfigurationError, match=r"robot nemo.yaml: .* or ucat"):
+    with pytest.raises(
+        ConfigurationError, match=r"robot nemo.yaml: file not found; .* built-in robot ucat"
+    ):
         load_robot("nemo.yaml")
 
 

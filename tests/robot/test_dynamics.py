@@ -153,7 +153,7 @@ def test_a_torque_free_body_turns_by_jacobi_s_elliptic_functions():
     ("change", "words"),
     [
         ({"inertia_kg_m2": (0.2, 0.0, 0.5)}, "singular"),
-        ({"inertia_kg_m2": (0.1, 0.1, 0.5)}, "sum of the others"),
+        ({"inertia_kg_m2": (0.1, 0.1, 0.5)}, "sum of the other two"),
         ({"inertia_kg_m2": ((1, 0.2, 0), (0, 1, 0), (0, 0, 1))}, "not symmetric"),
         ({"mass_kg": -1}, "mass_kg"),
     ],

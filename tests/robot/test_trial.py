@@ -55,7 +55,7 @@ def test_a_trial_may_last_for_any_time(ucat, simulation, gaits, task, dead, seco
 def test_a_trial_in_which_no_time_may_count_is_refused(dead):
     with pytest.raises(
         ValueError,
-        match=r"hold_s = 3.3: must be at least 3.3[45] s with settled_s = 1, otherwise no",
+        match=r"hold_s = 3.3: must be at least 3.3[45] s with settled_s = 1, otherwise nothing is evaluated",
     ):
         RobotEvaluateConfig(hold_s=3.3, settled_s=1, dead=dead)
 

@@ -73,7 +73,7 @@ def test_all_of_a_wrench_within_reach_is_made_without_one_fin(ucat, gaits):
 def test_what_is_given_up_is_told_in_words(ucat, gaits):
     wrench = np.array([0, 20, 0, 0, 0, 0], float)
     _, orders = acted(WrenchDriver(ucat, gaits), wrench, 12)
-    assert orders.told(wrench).startswith("beyond the fins' reach: sway 8.")
+    assert orders.told(wrench).startswith("out of the fins' reach: sway 8.")
     assert orders.told(wrench).endswith("of 20.00 N")
     assert acted(WrenchDriver(ucat, gaits), np.zeros(6), 2)[1].told(np.zeros(6)) == ""
 

@@ -1,4 +1,4 @@
-"""Check a rig part by part: disk, drive, sensor, limits and the 100 Hz loop; nothing moves."""
+"""Check the parts of a rig: disk, drive, sensor, limits and the 100 Hz loop. Nothing moves."""
 
 import shutil
 import tempfile
@@ -22,7 +22,7 @@ NEEDED_MB = 500
 
 
 class CheckResult(NamedTuple):
-    """One line of the table."""
+    """One line of the results table."""
 
     what: str
     state: Literal["well", "note", "wrong"]
@@ -32,7 +32,7 @@ class CheckResult(NamedTuple):
 def check_rig(
     config: RigConfig, folder: Path, seconds: float = 3.0, clock: Clock | None = None
 ) -> Iterator[CheckResult]:
-    """Yield each result when it is ready; test the loop for `seconds` without moving."""
+    """Yield each result as soon as it is available; the loop is tested for `seconds`."""
     drive = config.drive
     rig = Rig(config, clock)
     yield CheckResult(
@@ -43,7 +43,7 @@ def check_rig(
     yield check_disk(folder)
     all_well = True
     for what, results in (
-        # The drive first, as in Rig.open: another program may be using both.
+        # The drive comes first, as in `Rig.open`, in case another program is using both devices.
         ("drive", _check_drive(rig)),
         ("force sensor", _check_sensor(rig)),
         ("100 Hz loop", _check_loop(rig, seconds)),
@@ -66,7 +66,7 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     yield CheckResult(
         "force sensor",
         "well",
-        f"{product}, {sensor.stream.times.rate_hz:.0f} records/s, filter delays "
+        f"{product}, {sensor.stream.times.rate_hz:.0f} records/s, filter delay "
         f"{sensor.stream.delay_s * 1e3:.1f} ms",
     )
     mean, deviation = sensor.measured(1.0)
@@ -123,8 +123,8 @@ def _check_drive(rig: Rig) -> Iterator[CheckResult]:
 
 
 def check_currents(rig: Rig) -> Iterator[CheckResult]:
-    """Compare the current limits with the drive's own: a limit above the drive's own can never
-    trip."""
+    """Compare the safety limits for the current with the drive's limits; one above the drive's
+    limit can never trip."""
     safety = rig.config.safety
     for name, limit_a, entry in (
         ("current_peak_a", safety.current_peak_a, protocol.CURRENT_LIMIT),
@@ -133,8 +133,8 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
         held_ma = procedures.read_optional(rig.drive.connection, entry)
         if held_ma is None or limit_a is None:
             continue
-        # The drive clips a peak at its own limit, so the current never exceeds a safety limit that
-        # equals it.
+        # The drive clips the peak current at its own limit, so the current never exceeds a safety
+        # limit equal to it.
         is_peak = entry is protocol.CURRENT_LIMIT
         if limit_a * 1000 > held_ma or (is_peak and limit_a * 1000 == held_ma):
             text = (
@@ -145,7 +145,7 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
 
 
 def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
-    """Report whether the drive is proved to stop if softfin dies."""
+    """Report whether it has been proved that the drive stops if softfin dies."""
     if rig.config.file is None:
         return
     behaviour = procedures.read_optional(rig.drive.connection, protocol.LOSS_BEHAVIOUR)
@@ -178,7 +178,7 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
         yield CheckResult(
             "100 Hz loop",
             "note",
-            "in simulated time nothing is late; to test this computer, run: softfin rig emulate "
+            "nothing is late in simulated time; to test this computer, run: softfin rig emulate "
             "--real-time",
         )
     else:
@@ -198,7 +198,7 @@ def _check_loop(rig: Rig, seconds: float) -> Iterator[CheckResult]:
 
 
 def check_disk(folder: Path) -> CheckResult:
-    """Check that a folder is writable and has room for a recording."""
+    """Check that a folder is writable and has enough free space for a recording."""
     here = folder if folder.exists() else Path.cwd()
     free = shutil.disk_usage(here).free / 1e6
     try:

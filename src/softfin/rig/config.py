@@ -1,5 +1,4 @@
-"""Configuration of a real fin, read from YAML: which drive on which bus, which sensor, and the
-safety limits."""
+"""Configuration of a real fin, read from YAML: bus, drive, sensor and safety limits."""
 
 import math
 from pathlib import Path
@@ -18,18 +17,18 @@ from softfin.storage.paths import RIG_FILE, check_readable
 
 
 class RealFinConfig(Configuration):
-    """The settings that every kind of real fin has."""
+    """Settings common to all kinds of real fins."""
 
     fin: str = Field(min_length=1, max_length=100)
     """Name of this fin; datasets, surrogates and controllers inherit it."""
     safety: SafetyConfig = SafetyConfig()
     """Safety limits."""
     settle_s: float = Field(default=5.0, ge=0, le=600)
-    """Time that the fin rests before each log or experiment, so that the water calms down [s]."""
+    """Rest time before each log or experiment, so that the water calms down [s]."""
 
 
 class EmulationConfig(Configuration):
-    """Emulation of a rig's drive and sensor in simulated time, inside each program that uses the
+    """Emulation of a rig's drive and sensor in simulated time, within each program that uses the
     rig."""
 
     seed: int = 0
@@ -40,7 +39,7 @@ class EmulationConfig(Configuration):
 
 
 class RigConfig(RealFinConfig):
-    """Configuration of one rig; values that must not be guessed have no default."""
+    """Configuration of one rig; values that depend on your hardware have no default."""
 
     bus: BusConfig
     """The CAN bus."""
@@ -49,14 +48,14 @@ class RigConfig(RealFinConfig):
     sensor: Axia80Config
     """The Axia80."""
     safety: SafetyConfig
-    """Safety limits; a rig's must include the current."""
+    """Safety limits; the current limits are required for a rig."""
     emulation: EmulationConfig | None = None
-    """Emulation in simulated time; None for a real rig, or one that is emulated in real time."""
+    """Emulation in simulated time; None for a real rig or one emulated in real time."""
     _file: Path | None = PrivateAttr(default=None)
 
     @property
     def file(self) -> Path | None:
-        """File that the configuration was read from; None if it was built in Python."""
+        """File from which the configuration was read; None if it was built in Python."""
         return self._file
 
     @model_validator(mode="after")
@@ -73,11 +72,15 @@ class RigConfig(RealFinConfig):
             value = getattr(self.drive, own)
             most = getattr(self.safety, limit)
             if value > most:
-                raise ValueError(f"drive.{own} = {value:g} is above safety.{limit} = {most:g}")
+                raise ValueError(
+                    f"drive.{own} = {value:g} exceeds safety.{limit} = {most:g}; lower one or "
+                    "raise the other"
+                )
+        # The delay of a symmetric filter is half its length.
         delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
-        # After a gap that is too long to bridge, the filter takes twice its delay to refill, and
-        # the newest force is older than the gap by one delay. A shorter limit would stop the fin
-        # over a dozen lost records.
+        # After a gap too long to bridge, the filter takes twice its delay to refill, and the latest
+        # force is one delay older than the gap. A shorter limit would stop the fin because of a
+        # dozen lost records.
         needed = 3 * delay + 2 * BRIDGED_S
         if self.safety.force_stale_s < needed:
             least = math.ceil(100 * needed) / 100
@@ -93,7 +96,7 @@ class Ros2Config(RealFinConfig):
     """Configuration of a fin behind ROS 2 topics."""
 
     topics: Ros2PlantConfig
-    """Topics that carry the fin's readings and commands."""
+    """Topics for the fin's readings and commands."""
 
 
 def load_rig(path: Path | None = None) -> RigConfig:

@@ -1,7 +1,6 @@
-"""Examine the computer that softfin runs on: installation, devices, disk and, if given, the rig.
+"""Check the computer that softfin runs on: installation, devices, disk and, if given, the rig.
 
-Nothing moves, and the only files written are removed at once. You can paste the output into an
-issue.
+Nothing moves, and temporary files are removed immediately. You can paste the output into an issue.
 """
 
 import os
@@ -25,16 +24,16 @@ from softfin.rig.config import load_rig
 from softfin.storage.artifact import check_writable
 
 INTERFACES = Path("/sys/class/net")
-"""Network interfaces of Linux, with the kind and state of each."""
+"""Linux network interfaces, with the type and state of each."""
 
 CAN_TYPE = "280"
-"""Kind of a CAN interface (ARPHRD_CAN of Linux)."""
+"""Type number of a CAN interface (Linux's ARPHRD_CAN)."""
 
 NVIDIA = Path("/proc/driver/nvidia/version")
 """File that exists if an NVIDIA GPU driver is loaded."""
 
 SPARE_MEMORY_MB = 1300
-"""Memory that fitting a surrogate to the paper's amount of data takes (docs/surrogates.md)."""
+"""Memory needed to fit a surrogate to as much data as in the paper (docs/surrogates.md) [MB]."""
 
 RIG_SECONDS = 1.0
 """Duration of the 100 Hz loop test [s]."""
@@ -46,15 +45,15 @@ THREADS = (
     "XLA_FLAGS",
     "JAX_PLATFORMS",
 )
-"""Environment variables that set the number of threads and the device for computing."""
+"""Environment variables that set the number of threads and the compute device."""
 
 
 def examine(rig: Path | None = None) -> Iterator[CheckResult]:
-    """Yield each result when it is ready, with the user's home folder shortened to ~."""
+    """Yield each result as soon as it is available, with the user's home folder shortened to ~."""
     try:
         home = str(Path.home())
     except RuntimeError:
-        # The user has no home folder, as in some containers.
+        # The user has no home folder, e.g. in some containers.
         home = ""
     for result in _examine(rig):
         yield result._replace(text=result.text.replace(home, "~") if len(home) > 1 else result.text)
@@ -117,12 +116,13 @@ def _memory() -> Iterator[CheckResult]:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
         return
+    # A kB in /proc/meminfo is 1024 bytes, an MB here is 10^6 bytes.
     sizes = {
         line.partition(":")[0]: int(line.split()[1]) * 1024e-6
         for line in lines
         if line.endswith("kB")
     }
-    # Old kernels do not report the memory that programs could get.
+    # Old kernels do not report MemAvailable.
     free = sizes.get("MemAvailable", sizes["MemFree"])
     is_enough = free >= SPARE_MEMORY_MB
     advice = (
@@ -149,7 +149,7 @@ def _extra(extra: str) -> CheckResult:
     names = [name for name in extra_requirements(extra) if name not in shared]
     if not names:
         return CheckResult(
-            f"[{extra}]", "note", "newer than the installed package; reinstall softfin"
+            f"[{extra}]", "note", "not known to the installed package; reinstall softfin"
         )
     if not missing:
         return CheckResult(f"[{extra}]", "well", _versions(names))
@@ -171,12 +171,12 @@ def _devices() -> CheckResult:
 
         devices = jax.devices()
     except Exception as error:
-        # JAX and its plug-ins raise all kinds of errors, such as for a plug-in of another version
-        # or a driver without its device.
+        # JAX and its plug-ins raise many kinds of exceptions, e.g. for a plug-in of another version
+        # or a driver without a device.
         return CheckResult(
             "JAX",
             "wrong",
-            f"finds no device ({one_line(error)}); set JAX_PLATFORMS=cpu to use the CPU",
+            f"no device found ({one_line(error)}); set JAX_PLATFORMS=cpu to use the CPU",
         )
     kinds = ", ".join(f"{device.platform}:{device.id} {device.device_kind}" for device in devices)
     kinds += f", jaxlib {installed_version('jaxlib')}"
@@ -201,8 +201,9 @@ def _cache() -> CheckResult:
 def _can() -> CheckResult:
     if not INTERFACES.is_dir():
         return CheckResult(
-            "CAN", "note", f"interfaces are listed only on Linux; this is {platform.system()}"
+            "CAN", "note", f"interfaces can be listed only on Linux; this is {platform.system()}"
         )
+    # Bit 0 of the flags is IFF_UP.
     states = {
         path.name: int((path / "flags").read_text(), 16) & 1
         for path in sorted(INTERFACES.iterdir())
@@ -212,7 +213,7 @@ def _can() -> CheckResult:
         return CheckResult(
             "CAN",
             "note",
-            "no SocketCAN interface; a rig needs one, or another adapter that python-can supports",
+            "no SocketCAN interface; a rig needs one or another adapter supported by python-can",
         )
     text = ", ".join(f"{name} {'up' if is_up else 'down'}" for name, is_up in states.items())
     down = next((name for name, is_up in states.items() if not is_up), None)

@@ -1,7 +1,7 @@
-"""The zero of the force sensor: set it, verify it, and detect later whether it was lost.
+"""Zero of the force sensor: set it, verify it, and detect later if it was lost.
 
-The sensor loses its zero when it loses power. Its count of samples shows that: `zero_force` saves
-the count in the rig's record, and the count is compared each time the rig is opened.
+The sensor loses its zero when it loses power. Its sample counter reveals that: `zero_force` saves
+the counter in the rig's record, and it is compared each time the rig is opened.
 """
 
 import datetime
@@ -13,36 +13,38 @@ from softfin.rig.config import RigConfig
 from softfin.rig.record import ForceZero, load_record, save_record
 
 MOVING_N = 0.3
-"""Standard deviation of the force above which the fin is not at rest [N]."""
+"""Standard deviation of the force above which the fin counts as moving [N]."""
 
 ZERO_N = 0.1
-"""Largest mean force after the zero was set, beyond its noise [N]."""
+"""Largest mean force after zeroing, in addition to its noise [N]."""
 
 ATTEMPTS = 3
-"""Requests to set the zero, which is one datagram without an answer: it may be lost."""
+"""Number of requests to set the zero; each is a single unacknowledged datagram that may be lost."""
 
 CLOCK_ERROR = 0.02
-"""Relative error of the time that the sensor's count shows: of its rate, which is measured over
-half a second."""
+"""Relative error of the time derived from the sensor's counter, because its rate is measured over
+half a second only."""
 
 CLOCK_ERROR_S = 2.0
-"""Error of the date besides [s]."""
+"""Absolute error of the wall clock [s]."""
 
 MAX_DATE_LAG_S = 3600.0
-"""Time by which the date may be behind [s]. Beyond that, a count that rolled over cannot be told
-from a restart."""
+"""Longest time by which the wall clock may be behind [s]. Beyond that, a counter that wrapped
+around cannot be distinguished from a restart."""
 
 
 def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonObject:
-    """Set the sensor's zero to the force at rest and record that; raises DeviceError if that fails.
+    """Set the sensor's zero to the force at rest and save it in the rig's record; raises
+    DeviceError if that fails.
 
-    Means and noise are of so many seconds, before and after.
+    Mean and noise are measured over `seconds`, before and after.
     """
     before, deviation = sensor.measured(seconds)
     worst = max(deviation[:3])
     if worst > MOVING_N:
         raise DeviceError(
-            f"force varies by {worst:.2f} N: at most {MOVING_N:g} N; wait until the water is calm"
+            f"force varies by {worst:.2f} N, but at most {MOVING_N:g} N is allowed; wait until "
+            "the water is calm"
         )
     for _ in range(ATTEMPTS):
         sensor.bias()
@@ -56,9 +58,9 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
     else:
         force = ", ".join(f"{value:+.2f}" for value in after[:3])
         raise DeviceError(
-            f"force is ({force}) N after its zero was set {ATTEMPTS} times: each axis must be "
-            f"within {ZERO_N:g} N plus its noise; wait until the water is at rest, check the "
-            "sensor's network, and check that no other program uses it"
+            f"force is still ({force}) N after zeroing {ATTEMPTS} times: each axis must be within "
+            f"{ZERO_N:g} N plus its noise; wait until the water is calm, check the sensor's "
+            "network, and make sure that no other program uses the sensor"
         )
     zero = ForceZero(
         date=datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC).isoformat(
@@ -75,19 +77,19 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
 
 
 def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
-    """Return the recorded zero, None if there is none; raises RigError if an open sensor has lost
-    it."""
+    """Return the recorded zero, or None if there is none; raises RigError if the open sensor has
+    lost it."""
     zero = load_record(config.file).force_zero
     if zero is None:
         return None
     fix = "let the fin rest in the water and run: softfin rig zero --force"
     if zero.sensor_serial != sensor.serial:
         raise RigError(
-            f"force sensor {config.sensor.address}: serial number {sensor.serial}, but "
-            f"{zero.sensor_serial} was zeroed; connect that one, or {fix}"
+            f"force sensor {config.sensor.address}: has serial number {sensor.serial}, but the "
+            f"sensor that was zeroed has {zero.sensor_serial}; connect that sensor, or {fix}"
         )
     watch = sensor.stream.watch
-    # An emulated rig is paused between two commands, and so is its sensor's count.
+    # An emulated rig is paused between commands, and so is its sensor's counter.
     elapsed_s = 0.0 if config.emulation is not None else sensor.clock.wall() - zero.wall_s
     if has_restarted(zero, watch.ft_sequence, elapsed_s, watch.ft_rate_hz):
         raise RigError(
@@ -98,12 +100,13 @@ def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
 
 
 def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_hz: float) -> bool:
-    """Whether the sensor counted fewer samples than expected in the time since its zero.
+    """Return whether the sensor has counted fewer samples than expected since its zero was set.
 
-    The count rolls over at 2^32, after 6 days at 7.8 kHz. More samples than expected mean a wrong
-    date, not a restart.
+    The counter wraps around at 2^32, after 6 days at 7.8 kHz. More samples than expected mean that
+    the wall clock was wrong, not that the sensor restarted.
     """
     expected = zero.ft_sequence + ft_rate_hz * elapsed_s
+    # Close to 2^32, `missing` stands for a negative number: more samples than expected.
     missing = (expected - ft_sequence) % 2**32
     tolerance = ft_rate_hz * (CLOCK_ERROR * abs(elapsed_s) + CLOCK_ERROR_S)
     return tolerance < missing < 2**32 - ft_rate_hz * MAX_DATE_LAG_S

@@ -1,10 +1,10 @@
-"""A lock that lets only one program on this computer use a device at a time, and only once in each
+"""A lock that lets only one program on this computer use a device at a time, and only once per
 program.
 
-A second program on the same drive or sensor would take the stream away from the first, which then
-stops its fin and blames the cable. The lock is an advisory one (flock) on a file: the kernel
-releases it when the program ends, however it ends. The file stays, because removing it would let
-two programs lock two files of the same name.
+A second program on the same sensor would take the stream away from the first, which would then stop
+its fin and blame the cable. The lock is an advisory lock (flock) on a file; the kernel releases it
+when the program ends for any reason. The file is never removed, because two programs could then
+lock two different files of the same name.
 """
 
 import contextlib
@@ -18,25 +18,25 @@ from softfin.core.errors import RigError
 from softfin.rig.simulated_clock import SimulatedClock
 
 LOCK_FOLDER = Path("/run/lock")
-"""Folder for locks of devices on Linux (FHS 3.0), which every user may write."""
+"""Folder for device locks on Linux (FHS 3.0), often writable by every user."""
 
 
 class DeviceLock:
-    """The lock of one device; `device` names it in messages, `key` is the same in every program
-    that uses it."""
+    """Lock for one device; `device` is its name in messages, and `key` must be the same in every
+    program that uses it."""
 
     def __init__(self, device: str, *key: object) -> None:
         self._device = device
-        # The key holds names from a file: none of them may lead out of the folder.
+        # The key contains names from a file, which must not escape from the lock folder.
         self._file = f"softfin-{re.sub(r'[^A-Za-z0-9.]+', '_', '-'.join(map(str, key)))[:150]}"
         self._descriptor: int | None = None
         self.note: str | None = None
-        """Remark that the device cannot be locked here; None if it can."""
+        """Note that the device cannot be locked on this computer; None if it can."""
 
     def acquire(self, clock: Clock) -> None:
-        """Take the lock, if it is not held already; raises RigError if another program has it.
+        """Acquire the lock unless it is already held; raises RigError if another program holds it.
 
-        A device on a simulated clock exists only within this process, and is not locked.
+        A device on a simulated clock exists only in this process and is not locked.
         """
         if self._descriptor is not None or isinstance(clock, SimulatedClock):
             return
@@ -53,7 +53,7 @@ class DeviceLock:
             raise
 
     def release(self) -> None:
-        """Let others use the device; any number of times, never raises."""
+        """Release the lock; may be called repeatedly and never raises."""
         descriptor = self._descriptor
         self._descriptor = None
         if descriptor is not None:
@@ -62,7 +62,7 @@ class DeviceLock:
 
     def _lock(self, descriptor: int) -> None:
         try:
-            # Imported here: there is none on Windows.
+            # Imported here because Windows does not have it.
             import fcntl
 
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -84,7 +84,7 @@ class DeviceLock:
     def _go_without(self, error: Exception) -> None:
         # Without locks the fin can still be used, but the user has to avoid conflicts.
         self.note = (
-            f"{self._device}: cannot be locked ({error}); check that no other program uses it"
+            f"{self._device}: cannot be locked ({error}); make sure that no other program uses it"
         )
 
 
@@ -93,13 +93,13 @@ def _folder() -> Path:
 
 
 def _open(path: Path) -> int:
-    """Open a lock file, which any user may have created, but never through a symbolic link."""
+    """Open a lock file, possibly created by another user, but never through a symbolic link."""
     try:
-        # Without O_CREAT: Linux refuses that for files of other users in a shared folder
+        # Without O_CREAT, which Linux rejects for files of other users in a shared folder
         # (fs.protected_regular).
         return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     except FileNotFoundError:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        # The process's umask would deny other users access to it.
+        # The umask would deny other users access to the file.
         os.fchmod(descriptor, 0o666)
         return descriptor

@@ -1,8 +1,8 @@
 """Run a controller on a machine: three actions per second on the 33/33/34 clock, each based on the
-readings since the last.
+readings since the previous one.
 
-References can come from a person, a topic, the rows of a file or any function that returns the
-newest one.
+References can come from the user, a topic, the rows of a file or any function that returns the
+latest one.
 """
 
 from bisect import bisect_right
@@ -20,16 +20,16 @@ from softfin.rig.safety import Trip
 from softfin.rig.session import MeasuredForce, Session, in_one_line, mean_force
 
 ReferenceSource: TypeAlias = Callable[[float], MeasuredForce]
-"""Function that returns the reference [N] at a time since the start [s]; called at each action."""
+"""Function that returns the reference [N] at a time since the start [s]; called once per action."""
 
 ResolveReference = Callable[[MeasuredForce], tuple[MeasuredForce, str | None]]
 """Function that maps a reference to the tracked one, with a warning if they differ; raises
-CoverageError."""
+CoverageError if there is none."""
 
 
 @dataclass(frozen=True)
 class ActionResult:
-    """The command of one action, and the samples taken while it was in force."""
+    """The command of one action, and the samples taken during it."""
 
     reference: MeasuredForce
     target: Target
@@ -43,10 +43,10 @@ def run_controller(
     actions: int | None = None,
     zero: MeasuredForce = (0.0, 0.0),
 ) -> Iterator[ActionResult]:
-    """Run a number of actions, or until a stop; the session must be active and its fin at rest.
+    """Run `actions` actions, or until a stop if None; the session must be active and the fin at
+    rest.
 
-    `zero`, as measured by `Session.rest`, is subtracted from the forces that the controller gets
-    [N].
+    `zero` [N], measured by `Session.rest`, is subtracted from the forces passed to the controller.
     """
     state = controller.init()
     angle = (session.newest or session.tick()).angle
@@ -69,8 +69,8 @@ def run_controller(
 
 
 class LiveReference:
-    """The newest reference from a person or a topic, set from any thread; one that cannot be
-    tracked is ignored."""
+    """The latest reference from the user or a topic; may be set from any thread. References that
+    cannot be tracked are ignored."""
 
     def __init__(
         self, first: MeasuredForce, resolve: ResolveReference, report: Callable[[str], None]
@@ -82,19 +82,19 @@ class LiveReference:
             report(warning)
 
     def __call__(self, at: float) -> MeasuredForce:
-        """Return the newest reference [N]."""
+        """Return the latest reference [N]."""
         return self._force
 
     def set_from_text(self, text: str) -> None:
-        """Track the force in a line of the terminal from now on, such as ``2,-1``."""
+        """Track the force typed as a line in the terminal, e.g. ``2,-1``."""
         try:
             x, y = (float(part) for part in text.split(","))
-            # One assignment of a whole pair: no lock is needed.
+            # The pair is assigned atomically, so no lock is needed.
             self._force, warning = self._resolve((x, y))
         except ValueError:
             warning = (
-                f"{text!r}: not a reference; type X,Y in newtons, such as 2,-1; Enter alone stops "
-                "the fin"
+                f"{text!r}: not a reference; type X,Y in newtons, e.g. 2,-1, or press Enter to "
+                "stop the fin"
             )
         except SoftfinError as error:
             warning = f"{error}; the reference is unchanged"
@@ -108,10 +108,11 @@ def recorded_reference(
     resolve: ResolveReference,
     report: Callable[[str], None],
 ) -> ReferenceSource:
-    """Return the references in the rows of a file, each valid from its time on; all are resolved
-    before anything moves."""
+    """Return a source of the references in a file's rows, each valid from its time on. All are
+    resolved now, before anything moves."""
     resolved = [resolve(each) for each in force]
     warnings = [warning for _, warning in resolved if warning is not None]
     if warnings:
         report(warnings[0] + (f" (and {len(warnings) - 1} more rows)" if len(warnings) > 1 else ""))
+    # The tolerance makes a row apply at its own time despite rounding.
     return lambda at: resolved[max(0, bisect_right(time, at + 1e-6) - 1)][0]

@@ -1,7 +1,7 @@
-"""Contract of a real fin that the 100 Hz loop drives: the rig, ROS 2 topics, or your own machine.
+"""Interface to a real fin driven by the 100 Hz loop: the rig, ROS 2 topics, or your own machine.
 
-All times are from `time.monotonic` [s], or from the machine's own `clock` if it has one. Only the
-loop's thread calls a machine, except that any thread may call `stop`.
+All times are from `time.monotonic` [s], or from the machine's own `clock` if it has one. All calls
+come from the loop's thread, except that any thread may call `stop`.
 """
 
 from collections.abc import Sequence
@@ -18,38 +18,38 @@ Wrench: TypeAlias = tuple[float, float, float, float, float, float]
 
 
 class Target(NamedTuple):
-    """A command to the drive: a Command as two Python floats."""
+    """A command to the drive: a `Command` as two Python floats."""
 
     angle: float
     """Target angle [rad]."""
     velocity: float
-    """Velocity on the way there [rad/s], positive."""
+    """Velocity towards the target [rad/s], positive."""
 
 
 class Sample(NamedTuple):
-    """The newest readings of the drive and of the force sensor, each with the time at which it is
+    """The latest readings of the drive and the force sensor, each with the time at which it is
     valid."""
 
     time: float
-    """Time of the angle [s]; more than a tick old if no newer reading arrived."""
+    """Time of the angle [s]; more than one tick old if no newer reading has arrived."""
     angle: float
-    """Angle of the shaft [rad]."""
+    """Shaft angle [rad]."""
     velocity: float
-    """Angular velocity of the shaft [rad/s]."""
+    """Shaft angular velocity [rad/s]."""
     current: float | None
-    """Current of the motor [A]; None where it is not measured."""
+    """Motor current [A]; None if not measured."""
     following_error: float | None
-    """Angle that the drive demands minus the actual one [rad]; None if it is not measured."""
+    """Angle demanded by the drive minus the actual angle [rad]; None if not measured."""
     force_time: float
     """Time of the filtered force [s]."""
     wrench: Wrench
     """Filtered force and torque [N, N m]."""
     complaints: tuple[str, ...]
-    """Faults that the devices report, each one line that ends with a fix; empty if there are
+    """Faults reported by the devices, one line each, ending with the fix; empty if there are
     none."""
     peak: Wrench | None = None
-    """Peak magnitudes of the unfiltered wrench since the previous sample; None if only `wrench` is
-    known."""
+    """Peak magnitudes of the unfiltered wrench since the previous sample [N, N m]; None if only
+    `wrench` is known."""
 
 
 @runtime_checkable
@@ -62,68 +62,71 @@ class Machine(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """Range of the commands that it takes [rad, rad/s]."""
+        """Range of accepted commands [rad, rad/s]."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the operator before it moves, each one line: how it is connected, what is
-        unusual."""
+        """Notes for the operator before the fin moves, one line each, e.g. on its connection or on
+        anything unusual."""
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Reason why the motor may still be on after `stop`, with a fix; None if it is known to be
-        off."""
+        """Warning that the motor may still be on after `stop`, with a fix; None if it is known to
+        be off."""
 
     def open(self) -> None:
         """Connect and configure, without moving; on failure, close again and raise RigError or
         DeviceError."""
 
     def read(self) -> Sample:
-        """Return the newest sample; called once a tick, waits a few milliseconds at most."""
+        """Return the latest sample; called once per tick, must not wait longer than a few
+        milliseconds."""
 
     def enable(self) -> None:
-        """Power the motor, which holds its position; raises DeviceError if the drive does not
-        obey."""
+        """Power the motor, which holds its position; raises DeviceError if the drive does not do
+        so."""
 
     def command(self, target: Target) -> None:
-        """Start to move to a target; returns at once, raises if it was not enabled since the last
-        `stop`."""
+        """Start moving to a target and return immediately; raises if the machine has not been
+        enabled since the last `stop`."""
 
     def stop(self) -> None:
-        """Brake as fast as the drive allows, and disable the motor; from any thread, any number of
-        times; never raises."""
+        """Brake as fast as the drive allows, then disable the motor; may be called repeatedly from
+        any thread and never raises."""
 
     def close(self) -> None:
-        """Stop, and release both devices; any number of times, never raises."""
+        """Stop and release both devices; may be called repeatedly and never raises."""
 
     def counters(self) -> dict[str, int]:
-        """Return the counts since `open` by name, such as packets lost, late or duplicated, and
-        heartbeats missed."""
+        """Return the counters since `open`, by name, e.g. lost, late or duplicated packets and
+        missed heartbeats."""
 
 
 def machine_clock(machine: object) -> Clock:
-    """Return the clock of a machine's timestamps: its own `clock` if it has one, as in simulated
-    time, otherwise the real one."""
+    """Return the clock used for a machine's timestamps: its `clock` attribute if it has one (e.g.
+    for simulated time), otherwise the real clock."""
     clock: Clock = getattr(machine, "clock", REAL)
     return clock
 
 
 def rotation(frame: str) -> Float[np.ndarray, "3 3"]:
-    """Rotation from the sensor's axes into softfin's; `frame` is +x and +y in the sensor's own
-    axes, as ``y,-x``.
+    """Return the rotation from the sensor's axes to softfin's; `frame` contains the sensor axes
+    along +x and +y, e.g. ``y,-x``.
 
-    It is a rotation whatever the frame: where x and y are mirrored, as in ``y,x``, the sensor looks
-    the other way, so its z is reversed.
+    The result is a rotation for every frame: if x and y are mirrored, e.g. in ``y,x``, the sensor
+    is mounted facing the other way, so z is reversed.
     """
     rows = np.zeros((2, 3))
     for row, axis in zip(rows, frame.split(","), strict=True):
         row["xy".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+    # z = x cross y, so that the axes are right-handed.
     return np.vstack([rows, np.cross(*rows)])
 
 
 def rotated(
     wrench: Sequence[float] | Float[np.ndarray, " 6"], turn: Float[np.ndarray, "3 3"]
 ) -> Wrench:
-    """Force and torque after a rotation."""
+    """Return the wrench with its force and torque rotated."""
+    # Force and torque are the rows of a (2, 3) array.
     fx, fy, fz, tx, ty, tz = (np.reshape(wrench, (2, 3)) @ turn.T).ravel().tolist()
     return fx, fy, fz, tx, ty, tz

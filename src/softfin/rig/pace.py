@@ -1,5 +1,5 @@
-"""The 100 Hz ticks: absolute deadlines on the monotonic clock, with lateness and skipped ticks
-counted."""
+"""100 Hz ticks with absolute deadlines on the monotonic clock; counts lateness and skipped
+ticks."""
 
 import numpy as np
 
@@ -8,32 +8,33 @@ from softfin.core.quantities import TICK_S
 
 BIN_S = 1e-4
 BINS = 1000
-"""Bins of the histogram of lateness: 0.1 ms each, the last one for everything later."""
+"""Number of bins in the lateness histogram: 0.1 ms each; the last one includes everything later."""
 
 
 class Pace:
-    """Sleeps until each tick; a tick that comes late does not delay the next ones."""
+    """Sleep until each tick; a late tick does not delay the following ones."""
 
     def __init__(self, clock: Clock = REAL) -> None:
         self.clock = clock
         self.ticks = 0
-        """Ticks waited for so far."""
+        """Number of ticks so far."""
         self.skipped = 0
-        """Whole periods that passed without a tick; they are not made up for."""
+        """Number of periods without a tick; skipped ticks are not made up for."""
         self._late = np.zeros(BINS, int)
         self._latest = 0.0
         self.start()
 
     def start(self) -> None:
-        """Put the first tick one period from now."""
+        """Schedule the first tick one period from now."""
         self._next = self.clock() + TICK_S
 
     def wait(self) -> float:
-        """Sleep until the next tick; returns how late it is [s], skipped ticks included."""
+        """Sleep until the next tick; return its lateness [s], including skipped ticks."""
         while (left := self._next - self.clock()) > 0:
             self.clock.sleep(left)
         late = self.clock() - self._next
         skipped = int(late / TICK_S)
+        # Stay on the grid of absolute deadlines: missed ticks are skipped and not run in a burst.
         self._next += (1 + skipped) * TICK_S
         self.ticks += 1
         self.skipped += skipped
@@ -42,8 +43,9 @@ class Pace:
         return late
 
     def to_dict(self) -> dict[str, int | float]:
-        """Return the counts and the median, 99th-percentile and maximum lateness, to 0.1 ms, for
-        JSON."""
+        """Return the counts and the median, 99th percentile and maximum of the lateness for JSON;
+        percentiles have a resolution of 0.1 ms."""
+        # A percentile is the upper edge of its bin, but not above the maximum.
         reached = np.cumsum(self._late)
         p50, p99 = (
             min(

@@ -1,8 +1,8 @@
-"""Proof that the drive stops by itself if softfin dies, tested with the motor powered and kept in
+"""Proof that the drive stops by itself if softfin dies, tested with the motor powered and saved in
 the rig's record.
 
-Nothing else stops a fin whose program is killed or hangs. Whether a drive does this depends on its
-settings and firmware, so no rig with a file moves its fin before the proof.
+Nothing else stops a fin if its program is killed or hangs. Whether a drive does this depends on its
+settings and firmware, so a rig with a file must not move its fin before this proof.
 """
 
 import shlex
@@ -15,8 +15,8 @@ from softfin.rig.record import StopProof, date_and_time, load_record, save_recor
 
 
 def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
-    """Withhold the heartbeats of the open drive, its motor powered at rest; save the proof in the
-    rig's record.
+    """Withhold heartbeats from the open drive, with its motor powered at standstill, and save the
+    proof in the rig's record.
 
     Raises DeviceError if the drive does not stop by itself; an earlier proof is then removed.
     """
@@ -27,7 +27,7 @@ def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
         try:
             save_record(config.file, record.model_copy(update={"stop_proof": None}))
         except SoftfinError as failure:
-            problem = f"{error}; AND its earlier proof could not be removed: {failure}"
+            problem = f"{error}; AND the earlier proof could not be removed: {failure}"
             raise DeviceError(problem) from error
         raise
     proof = StopProof(
@@ -42,13 +42,14 @@ def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
 
 
 def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None:
-    """Return the proof for this drive and these settings; raise RigError if there is none.
+    """Return the proof for this drive and these settings; raises RigError if there is none.
 
-    None is returned for a rig without a file, which is built in Python and has no record.
+    Returns None for a rig without a file, which was built in Python and has no record.
     """
     if config.file is None:
         return None
     proof = load_record(config.file).stop_proof
+    # With another drive, timeout or node number, the drive may react differently.
     settings = (drive_serial, config.drive.heartbeat_s, config.drive.host)
     if proof is not None and (proof.drive_serial, proof.heartbeat_s, proof.host_node) == settings:
         return proof
@@ -59,5 +60,5 @@ def check_proof(config: RigConfig, drive_serial: int | None) -> StopProof | None
 
 
 def proving_command(file: Path) -> str:
-    """Return the command that proves the stop of a rig."""
+    """Return the command for testing whether a rig's drive stops by itself."""
     return f"softfin rig check --rig {shlex.quote(str(file))} --prove --arm"

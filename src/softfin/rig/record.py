@@ -1,8 +1,8 @@
-"""The record of a rig, kept as JSON beside its file: rig.yaml has rig.record.json.
+"""The record of a rig, stored as JSON next to its file: rig.record.json for rig.yaml.
 
-The file describes the setup of a rig. Its record contains what was measured on it: whether the
-drive stops by itself if softfin dies, and where the sensor's zero was set. A rig that is built in
-Python without a file has no record.
+The file describes the setup of a rig. The record contains what was measured on it: whether the
+drive stops by itself if softfin dies, and when the sensor's zero was set. A rig built in Python
+without a file has no record.
 """
 
 import json
@@ -17,56 +17,57 @@ from softfin.storage import artifact as artifacts
 
 
 class StopProof(Configuration):
-    """The drive stopped by itself when softfin's heartbeats ended, the motor powered."""
+    """Proof that the drive stopped by itself when softfin's heartbeats ended while the motor was
+    powered."""
 
     date: str
     """Date and time, as ISO 8601."""
     drive_serial: int | None
     """Serial number of the drive (0x1018.4); None if the drive does not report it."""
     heartbeat_s: float = Field(gt=0)
-    """Setting under which it was proved [s]: `drive.heartbeat_s`."""
+    """Value of `drive.heartbeat_s` during the test [s]."""
     host_node: int = Field(ge=1, le=127)
-    """Setting under which it was proved: node number of softfin's heartbeats."""
+    """Node number of softfin's heartbeats during the test."""
     faulted_after_s: float = Field(ge=0)
     """Time from the last heartbeat to the drive's fault [s]."""
 
 
 class ForceZero(Configuration):
-    """The zero of the force sensor was set by softfin."""
+    """Record of the latest zero of the force sensor set by softfin."""
 
     date: str
     """Date and time, as ISO 8601."""
     sensor_serial: str | None
     """Serial number of the sensor's calibration; None if the sensor does not report it."""
     ft_sequence: int = Field(ge=0)
-    """Number of the sensor's record then, counted since its power-up: a smaller one later means
-    that it restarted."""
+    """Sensor's sample counter at that time, counted since power-up; a smaller value later means
+    that the sensor restarted."""
     wall_s: float = Field(ge=0)
-    """Time of day then [s since 1970]."""
+    """Wall-clock time of the zero [s since 1970]."""
 
 
 class RigRecord(Configuration):
-    """Everything that was measured on one rig."""
+    """Everything measured on one rig."""
 
     stop_proof: StopProof | None = None
-    """Proof that the drive stops by itself; None if it was never proved."""
+    """Proof that the drive stops by itself; None if there is none."""
     force_zero: ForceZero | None = None
-    """Last zero of the force; None if softfin never set it."""
+    """Latest zero of the force; None if softfin has never set it."""
 
 
 def date_and_time() -> str:
-    """Return the present date and time, as ISO 8601."""
+    """Return the current date and time in ISO 8601 format."""
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def record_file(rig: Path) -> Path:
-    """Return the file of a rig's record, which lies beside the rig's file."""
+    """Return the path of a rig's record, next to the rig's file."""
     return rig.with_suffix(".record.json")
 
 
 def load_record(rig: Path | None) -> RigRecord:
-    """Load the record of a rig's file; an empty one if there is none. Raises RigError if it cannot
-    be used."""
+    """Load the record for a rig's file, or an empty one if there is none; raises RigError if it is
+    invalid."""
     if rig is None or not record_file(rig).exists():
         return RigRecord()
     file = record_file(rig)
@@ -80,6 +81,7 @@ def load_record(rig: Path | None) -> RigRecord:
 
 
 def save_record(rig: Path | None, record: RigRecord) -> None:
-    """Save the record of a rig's file; do nothing if the rig has no file. Raises RunError."""
+    """Save the record for a rig's file, unless the rig has no file; raises RunError if it cannot be
+    written."""
     if rig is not None:
         artifacts.write_file(record_file(rig), record.model_dump_json(indent=2) + "\n")

@@ -1,4 +1,4 @@
-"""The rig as a Machine: one EPOS2 and one Axia80, read together at each tick."""
+"""The rig as a `Machine`: one EPOS2 and one Axia80, both read at each tick."""
 
 from collections.abc import Callable
 
@@ -13,21 +13,22 @@ from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof
 
 ANSWER_S = 0.006
-"""Longest wait for the drive's answers at a tick; on a real bus they take 1 ms, on a busy computer
-more."""
+"""Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
+busy computer."""
 
 BEAT_TICKS = 4
-"""Ticks between two of our heartbeats: 40 ms, a fifth of the drive's default timeout."""
+"""Ticks between our heartbeats: 40 ms, one fifth of the default heartbeat timeout."""
 
 
 class Rig:
-    """Meets the Machine contract."""
+    """A rig that implements the `Machine` protocol."""
 
     def __init__(self, config: RigConfig, clock: Clock | None = None) -> None:
-        """Use the clock of the rig's emulation where it has one, else the real one."""
+        """Use `clock`; the default is the clock of the rig's emulation if it has one, otherwise the
+        real clock."""
         self._save: Callable[[], None] = lambda: None
         if clock is None and config.emulation is not None:
-            # Imported here: a real rig needs no tank.
+            # Imported here because a real rig does not need the tank.
             from softfin.rig.emulation.rig import kept_rig
 
             emulated = kept_rig(config)
@@ -38,34 +39,34 @@ class Rig:
         drive = config.drive
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
-        # A fault of the drive does not wait for the next tick.
+        # Stop immediately on a drive fault, without waiting for the next tick.
         self.drive = Epos2(config.bus, drive, self.clock, on_fault=lambda _: self.stop())
         self.sensor = Axia80(config.sensor, self.clock)
         self._ticks = 0
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of the sensor, and of a device that cannot be locked."""
+        """Notes from the sensor, and on devices that cannot be locked."""
         lock_notes = (self.drive.device_lock.note, self.sensor.device_lock.note)
         return (*self.sensor.notes(), *(note for note in lock_notes if note is not None))
 
     def check_ready(self) -> None:
-        """Raise RigError unless the drive, once opened, is proved to stop by itself when softfin
-        dies."""
+        """Raise RigError unless it has been proved that the drive stops by itself if softfin dies;
+        the drive must be open."""
         check_proof(self.config, self.drive.serial)
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Reason of the drive why its motor may still be on."""
+        """Warning that the motor may still be on; None if it is confirmed to be off."""
         return self.drive.stop_unconfirmed
 
     def open(self) -> None:
-        """Connect to both and configure the drive, without power to the motor.
+        """Connect to both devices and configure the drive; the motor stays off.
 
         Raises RigError if the sensor has lost the zero that softfin set.
         """
-        # The drive first: if another program is using it, that program must not lose the sensor's
-        # stream to this one.
+        # The drive comes first: if another program is using the rig, this call fails before it
+        # takes over that program's sensor stream.
         self.drive.open()
         try:
             self.sensor.open()
@@ -76,7 +77,7 @@ class Rig:
             raise
 
     def read(self) -> Sample:
-        """Make the drive sample now; the force is the newest one received."""
+        """Read the drive now, and return its values with the latest force received."""
         if self._ticks % BEAT_TICKS == 0:
             self.drive.send_heartbeat()
         self._ticks += 1
@@ -93,21 +94,21 @@ class Rig:
         )
 
     def enable(self) -> None:
-        """Power the motor, which holds where it is."""
-        # The first tick with power must check a fresh force, so keep the sensor's socket from
-        # filling up meanwhile.
+        """Power the motor, which holds its position."""
+        # The first tick with power must check a current force, so keep reading the sensor's socket
+        # while the drive is being enabled.
         self.drive.enable(meanwhile=self.sensor.keep_up)
 
     def command(self, target: Target) -> None:
-        """Send a new set-point, which takes effect at once."""
+        """Send a new setpoint, which takes effect immediately."""
         self.drive.command(target)
 
     def stop(self) -> None:
-        """Quick stop, then no voltage."""
+        """Quick-stop, then disable the voltage."""
         self.drive.stop()
 
     def close(self) -> None:
-        """Stop and release both; raises RunError where the state of an emulated rig cannot be
+        """Stop and release both devices; raises RunError if the state of an emulated rig cannot be
         written."""
         self.drive.close()
         self.sensor.close()
@@ -123,8 +124,8 @@ class Rig:
 
 
 def zero_force(config: RigConfig, seconds: float = 2.0, clock: Clock | None = None) -> JsonObject:
-    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest, or
-    it is not set."""
+    """Set the sensor's zero to the force at rest; raises DeviceError if the fin is not at rest or
+    the zero was not accepted."""
     rig = Rig(config, clock)
     try:
         rig.sensor.open()
@@ -138,10 +139,10 @@ def zero_angle(
     clock: Clock | None = None,
     confirm: Callable[[Rig], object] = lambda rig: None,
 ) -> JsonObject:
-    """Set the fin's present angle to 0 (or to `drive.zero_offset_rad`); the motor is powered, but
+    """Set the fin's current angle to `drive.zero_offset_rad` (default 0); the motor is powered, but
     nothing moves.
 
-    `confirm` is called once the drive is open, before its motor is powered.
+    `confirm` is called after the drive is opened and before its motor is powered.
     """
     rig = Rig(config, clock)
     drive = rig.drive

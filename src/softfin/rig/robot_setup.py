@@ -18,28 +18,27 @@ class RobotSetup:
     machine: Machine
     safety: SafetyConfig
     fin: str | None = None
-    """Name of this fin; None where it was not given."""
+    """Name of this fin; None if unknown."""
     settle_s: float = 5.0
-    """Time for which the fin rests before each log or experiment [s]."""
+    """Rest time before each log or experiment [s]."""
     configuration: JsonObject = field(default_factory=dict)
-    """The whole configuration, for JSON."""
+    """Complete configuration, for JSON."""
     warning: str | None = None
-    """Warning about a machine that is not commissioned."""
+    """Warning if the machine has not been commissioned."""
 
     def check_ready(self) -> None:
-        """Raise RigError where an open machine must not move yet; only a machine that has such a
-        check is checked."""
+        """Raise RigError if the open machine must not move yet, according to its own `check_ready`
+        if it has one."""
         check = getattr(self.machine, "check_ready", None)
         if check is not None:
             check()
 
     def check_fits(self, controller: str, limits: Limits, fin: str | None) -> None:
-        """Raise RigError where a controller is for another fin, or commands more than this machine
-        takes."""
+        """Raise RigError if a controller is for another fin or exceeds this machine's limits."""
         if None not in (fin, self.fin) and fin != self.fin:
             raise RigError(
                 f"{controller}: trained for fin {fin!r}, but this rig has fin {self.fin!r}; train "
-                "one for it, or correct 'fin' in the rig's file"
+                "a controller for this fin, or correct 'fin' in the rig's file"
             )
         for quantity, unit in (("angle", "rad"), ("velocity", "rad/s")):
             (low, high), (lowest, highest) = (
@@ -55,9 +54,9 @@ class RobotSetup:
 
 
 def find_robot(name: str) -> RobotSetup:
-    """Find a machine by name, ``rig``, ``ros2`` or one of these with ``:FILE``, without opening it;
-    raises RigError."""
-    # Imported here: one kind of robot needs no libraries of the other.
+    """Return the machine with a name (``rig`` or ``ros2``, optionally followed by ``:FILE``)
+    without opening it; raises RigError."""
+    # Imported here because each kind needs only its own libraries.
     kind, _, file = name.partition(":")
     path = Path(file) if file else None
     if kind == "rig":
@@ -66,11 +65,11 @@ def find_robot(name: str) -> RobotSetup:
         from softfin.rig.rig import Rig
 
         rig = load_rig(path)
-        # A real rig's configuration must stay as it was before emulated rigs existed.
+        # The configuration of a real rig must stay the same as before emulated rigs were added.
         values = rig.model_dump(
             mode="json", exclude={"emulation"} if rig.emulation is None else None
         )
-        # An emulated rig needs no commissioning.
+        # Emulated rigs do not need commissioning.
         warning = (
             None
             if rig.emulation is not None or rig.file is None

@@ -1,8 +1,8 @@
-"""Safety limits, checked by the session at every tick: a violation stops the fin; nothing is
+"""Safety limits, checked by the session at every tick. A violation stops the fin; nothing is
 clipped.
 
-The guard's only state is its memory of recent samples: samples and targets go in, a reason to stop
-comes out. Below it, the drive has limits of its own (position, following error, current,
+The guard's input is samples and targets, its output is a reason to stop, and its only state is
+recent samples. Below it, the drive has its own limits (position, following error, current,
 heartbeat). Above it, a watchdog monitors the loop.
 """
 
@@ -18,53 +18,53 @@ from softfin.core.quantities import Limits
 from softfin.rig.machine import Sample, Target
 
 OVERSHOOT_RAD = 0.15
-"""Angle beyond the command range that a fin may reach when it is stopped during a fast stroke
-[rad]."""
+"""Angle beyond the command range that a fin may reach if stopped during a fast stroke [rad]."""
 
 
 class SafetyConfig(Configuration):
-    """Safety limits; the defaults leave a margin for a fin like the paper's (under 13 N and
-    7.3 rad/s)."""
+    """Safety limits; the defaults leave a margin for a fin like the paper's (less than 13 N and 7.3
+    rad/s)."""
 
     angle_margin_rad: float = Field(default=OVERSHOOT_RAD, ge=0)
-    """Largest overshoot of the shaft beyond the command range [rad]."""
+    """Maximum overshoot of the shaft beyond the command range [rad]."""
     velocity_rad_s: PositiveFloat = 10.0
-    """Highest angular velocity of the shaft [rad/s]."""
+    """Maximum angular velocity of the shaft [rad/s]."""
     acceleration_rad_s2: PositiveFloat = 200.0
-    """Highest acceleration of the shaft, over 30 ms [rad/s2]; the drive's own ramp must not be
-    steeper."""
+    """Maximum angular acceleration of the shaft, averaged over 30 ms [rad/s2]; the drive's profile
+    acceleration must not exceed it."""
     force_peak_n: PositiveFloat = 30.0
-    """Largest force on any axis at any time [N]."""
+    """Maximum force on any axis at any time [N]."""
     force_sustained_n: PositiveFloat = 15.0
-    """Largest mean magnitude of the force over `sustained_s` [N]."""
+    """Maximum mean magnitude of the force over `sustained_s` [N]."""
     torque_peak_nm: PositiveFloat = 5.0
-    """Largest torque on any axis at any time [N m]."""
+    """Maximum torque on any axis at any time [N m]."""
     torque_sustained_nm: PositiveFloat = 3.0
-    """Largest mean magnitude of the torque over `sustained_s` [N m]."""
+    """Maximum mean magnitude of the torque over `sustained_s` [N m]."""
     current_peak_a: PositiveFloat | None = None
-    """Largest current of the motor at any time [A]; required for a rig, None where the current is
-    not measured."""
+    """Maximum motor current at any time [A]; required for a rig, None if the current is not
+    measured."""
     current_sustained_a: PositiveFloat | None = None
-    """Largest mean motor current over `sustained_s` [A]."""
+    """Maximum mean motor current over `sustained_s` [A]."""
     sustained_s: float = Field(default=0.5, ge=0.05, le=10)
-    """Time over which sustained values are averaged [s]."""
+    """Averaging time for sustained values [s]."""
     stale_s: float = Field(default=0.05, ge=0.02, le=1)
     """Maximum age of the angle reading [s]."""
     force_stale_s: float = Field(default=0.15, ge=0.02, le=1)
-    """Maximum age of the force reading, including the delay of its filter [s]."""
+    """Maximum age of the force reading, including the filter delay [s]."""
     following_rad: PositiveFloat = 0.2
-    """Largest following error that may last longer than `following_s` [rad]; 0.01 in the virtual
-    tank. If a fin is blocked in a stroke of less than twice this, only the current shows it."""
+    """Maximum following error that may last longer than `following_s` [rad]; 0.01 is typical in the
+    virtual tank. If a fin is blocked during a stroke of less than twice this value, only the
+    current reveals it."""
     following_s: float = Field(default=0.1, ge=0.02, le=2)
-    """Longest time that the following error may exceed `following_rad` [s]."""
+    """Longest time for which the following error may exceed `following_rad` [s]."""
     overrun_s: float = Field(default=0.05, ge=0.01, le=1)
     """Maximum lateness of a tick [s]."""
     watchdog_s: float = Field(default=0.15, ge=0.05, le=2)
-    """Silence of the loop after which the watchdog thread stops the machine [s]."""
+    """Time without a tick after which the watchdog thread stops the machine [s]."""
     training_margin: float | None = Field(default=0.5, ge=0)
-    """Mean distance over 1 s by which angle, velocity or force may be outside the surrogate's
-    training range, in widths of that range. Further out the controller is untested. None disables
-    the check."""
+    """Maximum distance of angle, velocity or force from the surrogate's training range, averaged
+    over 1 s, as a multiple of the range's width. The controller is untested beyond it. None
+    disables the check."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "SafetyConfig":
@@ -80,19 +80,19 @@ class SafetyConfig(Configuration):
 
 
 class Trip(NamedTuple):
-    """The reason why the fin was stopped."""
+    """Reason for a stop."""
 
     cause: str
-    """Short name for records, such as ``force_peak``."""
+    """Short name for recordings, e.g. ``force_peak``."""
     reason: str
-    """One line for the user, which ends with a fix."""
+    """One-line message for the user, ending with the fix."""
 
 
 ACCELERATION_TICKS = 3
 
 
 def check_target(target: Target, limits: Limits) -> Trip | None:
-    """Check a command that is about to be issued."""
+    """Return a trip if a command is outside the limits, None otherwise."""
     for name, unit, value, low, high in (
         ("angle", "rad", target.angle, limits.angle_min, limits.angle_max),
         ("velocity", "rad/s", target.velocity, limits.velocity_min, limits.velocity_max),
@@ -100,9 +100,11 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
         if not math.isfinite(value):
             return Trip(
                 "not_a_number",
-                f"commanded {name} {value} {unit}: this fin accepts finite numbers; the "
-                "controller's weights or inputs may be damaged: evaluate it on a surrogate first",
+                f"commanded {name} {value} {unit}: this fin accepts only finite numbers; the "
+                "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
+                "first",
             )
+        # The tolerance is for rounding errors of a controller.
         if not low - 1e-3 <= value <= high + 1e-3:
             return Trip(
                 f"command_{name}",
@@ -113,7 +115,7 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
 
 
 class Guard:
-    """Checks every tick against the limits, and returns the first thing that is wrong."""
+    """Check of each tick against the limits; returns the first violation."""
 
     def __init__(
         self, config: SafetyConfig, limits: Limits, trained: TrainingRange | None = None
@@ -124,7 +126,7 @@ class Guard:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the samples so far: conditions before a pause of the motor must not count after
+        """Forget all samples, so that conditions before a pause of the motor do not count after
         it."""
         self._means = {
             name: _Mean(self.config.sustained_s) for name in ("force", "torque", "current")
@@ -134,7 +136,7 @@ class Guard:
         self._followed: float | None = None
 
     def check(self, sample: Sample, now: float, late: float = 0.0) -> Trip | None:
-        """Check a sample that has just been read, `late` after its tick was due [s]."""
+        """Check a sample read at `now` [s], in a tick that was `late` [s]."""
         config = self.config
         if sample.complaints:
             return Trip("device", sample.complaints[0])
@@ -150,13 +152,14 @@ class Guard:
         )
         if not all(map(math.isfinite, numbers)):
             return Trip(
-                "reading", f"a reading is not a finite number ({sample}); check cables and sensor"
+                "reading", f"a reading is not finite ({sample}); check the cables and the sensor"
             )
         if late > config.overrun_s:
             return Trip(
                 "overrun",
-                f"the loop was {late * 1e3:.0f} ms late: at most {config.overrun_s * 1e3:.0f} ms "
-                "(safety.overrun_s); close other programs on this computer",
+                f"the loop was {late * 1e3:.0f} ms late, but at most "
+                f"{config.overrun_s * 1e3:.0f} ms is allowed (safety.overrun_s); close other "
+                "programs on this computer",
             )
         for what, age, most, way_out in (
             ("angle", now - sample.time, config.stale_s, "check the drive's cable and supply"),
@@ -167,11 +170,12 @@ class Guard:
                 "check the sensor's cable and network",
             ),
         ):
-            # A time in the future is just as bad: it would never become stale.
+            # A time in the future is just as bad, because it would never become stale.
             if abs(age) > most:
                 return Trip(
                     f"{what}_stale",
-                    f"no new {what} for {age * 1e3:.0f} ms: at most {most * 1e3:.0f} ms; {way_out}",
+                    f"no new {what} for {age * 1e3:.0f} ms, but at most {most * 1e3:.0f} ms is "
+                    f"allowed; {way_out}",
                 )
         return (
             self._check_motion(sample)
@@ -194,20 +198,24 @@ class Guard:
         if abs(sample.velocity) > config.velocity_rad_s:
             return Trip(
                 "velocity",
-                f"the shaft turns at {sample.velocity:.2f} rad/s: at most "
-                f"{config.velocity_rad_s:g} (safety.velocity_rad_s); check the gear ratio",
+                f"the shaft turns at {sample.velocity:.2f} rad/s, but at most "
+                f"{config.velocity_rad_s:g} rad/s is allowed (safety.velocity_rad_s); check the "
+                "gear ratio",
             )
         velocities = self._velocities
+        # A repeated sample must not be counted twice: the time difference could become zero.
         if not velocities or sample.time > velocities[-1][0]:
             velocities.append((sample.time, sample.velocity))
+        # Mean acceleration over the last ticks, dv / dt.
         (start, before) = velocities[0]
         (end, after) = velocities[-1]
         rate = abs(after - before) / (end - start) if len(velocities) > ACCELERATION_TICKS else 0.0
         if rate > config.acceleration_rad_s2:
             return Trip(
                 "acceleration",
-                f"the shaft's velocity changed by {rate:.0f} rad/s2: at most "
-                f"{config.acceleration_rad_s2:g} (safety.acceleration_rad_s2); check what hit it",
+                f"the shaft accelerated at {rate:.0f} rad/s2, but at most "
+                f"{config.acceleration_rad_s2:g} rad/s2 is allowed (safety.acceleration_rad_s2); "
+                "check whether something hit the fin",
             )
         error = sample.following_error
         if error is None or abs(error) <= config.following_rad:
@@ -217,13 +225,15 @@ class Guard:
         elif sample.time - self._followed > config.following_s:
             return Trip(
                 "following",
-                f"the shaft is {error:.3f} rad behind its profile for {config.following_s:g} s: "
-                f"at most {config.following_rad:g} rad; check for a blocked fin or a high load",
+                f"the shaft has been {error:.3f} rad behind its profile for "
+                f"{config.following_s:g} s, but at most {config.following_rad:g} rad is allowed; "
+                "check for a blocked fin or a high load",
             )
         return None
 
     def _check_loads(self, sample: Sample, now: float) -> Trip | None:
         config = self.config
+        # Unfiltered peaks if they are known, because the filter hides short ones.
         peaks = sample.peak or sample.wrench
         wrench = sample.wrench
         current = () if sample.current is None else (sample.current,)
@@ -245,15 +255,15 @@ class Guard:
             if worst > peak:
                 return Trip(
                     f"{name}_peak",
-                    f"{name} {worst:.2f} {unit}: at most {peak:g} {unit} at any time; "
-                    "check what the fin touches",
+                    f"{name} {worst:.2f} {unit}, but at most {peak:g} {unit} is allowed at any "
+                    "time; check whether the fin touches something",
                 )
             average = self._means[name].after(now, math.hypot(*values))
             if average > sustained:
                 return Trip(
                     f"{name}_sustained",
-                    f"{name} {average:.2f} {unit} on average over "
-                    f"{config.sustained_s:g} s: at most {sustained:g} {unit}; reduce the target",
+                    f"{name} {average:.2f} {unit} on average over {config.sustained_s:g} s, but "
+                    f"at most {sustained:g} {unit} is allowed; reduce the target",
                 )
         return None
 
@@ -267,6 +277,7 @@ class Guard:
             "force x": sample.wrench[0],
             "force y": sample.wrench[1],
         }
+        # Distance from the training range, as a multiple of its width.
         beyond = {
             name: max(bounds[0] - value, value - bounds[1], 0.0) / max(bounds[1] - bounds[0], 1e-6)
             for (name, value), bounds in zip(values.items(), self.trained, strict=True)
@@ -278,13 +289,14 @@ class Guard:
             return Trip(
                 "beyond_training",
                 f"{channel} was outside the surrogate's training range by {average:.2f} of its "
-                f"width for 1 s: at most {margin:g} (safety.training_margin); fit on wider data",
+                f"width for 1 s, but at most {margin:g} is allowed (safety.training_margin); fit "
+                "a surrogate to data with a wider range",
             )
         return None
 
 
 class _Mean:
-    """Mean over a window of the last seconds; 0 until the window is full."""
+    """Moving average over the last `seconds`; 0 until the window is full."""
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
@@ -292,7 +304,7 @@ class _Mean:
         self._items: deque[tuple[float, float]] = deque()
 
     def after(self, now: float, value: float) -> float:
-        """Return the mean with one more value."""
+        """Add a value at time `now` [s] and return the mean."""
         self._began = now if self._began is None else self._began
         self._items.append((now, value))
         while self._items[0][0] < now - self._seconds:

@@ -1,8 +1,8 @@
-"""One session on a machine: unconfigured, inactive (reads, does not move), active (moves), stopped;
-100 ticks per second.
+"""One session on a machine at 100 ticks per second, with the states unconfigured, inactive (reads
+but does not move), active (moves) and stopped.
 
-Each tick waits, reads, checks, records and calls the observers. Any fault of the machine or error
-in this code first stops the machine and is then reported.
+Each tick waits, reads, checks, records and calls the observers. Any machine fault or error in this
+code first stops the machine and is then reported.
 """
 
 import contextlib
@@ -29,33 +29,33 @@ MeasuredForce: TypeAlias = tuple[float, float]
 SessionState = Literal["unconfigured", "inactive", "active", "stopped"]
 
 Observer = Callable[[Sample, Target | None], None]
-"""Called at each tick with the sample and the command under which it came about; must return at
-once."""
+"""Function called at each tick with the sample and the command in force; must return
+immediately."""
 
 FRESH_TICKS = 200
-"""Ticks before activation within which all checks must pass; on a busy computer one alone may take
-a second."""
+"""Number of ticks before activation within which all checks must pass; a single one may take one
+second on a busy computer."""
 
 GOOD_TICKS = 10
-"""Ticks in a row at which all checks must pass before the motor is powered. One is too few: after a
-pause, the first records are old ones from the socket, a filter that lost its records takes 7 ticks
-to fill, and an intermittent fault could return with the motor on."""
+"""Number of consecutive ticks at which all checks must pass before the motor is powered. One is not
+enough: after a pause, the first records are old ones from the socket, an empty filter needs 7 ticks
+to fill, and an intermittent fault could return when the motor is on."""
 
 STILL_RAD = 0.03
 """Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
 
 SUSPENDED_S = 0.05
-"""Time that the computer may be suspended before an active session is stopped [s]. The monotonic
-clock stands still during a suspend, so afterwards no tick is late and no reading looks old,
-although the fin moved unsupervised."""
+"""Longest suspension of the computer that does not stop an active session [s]. The monotonic clock
+stands still during a suspend, so afterwards no tick is late and no reading looks old, although the
+fin moved unsupervised."""
 
 HOMING_S = 10.0
-"""Longest time to reach angle 0 [s]; at 1 rad/s it takes 1.6 s. A slower fin gets twice the time
-that it needs."""
+"""Longest time to reach angle 0 [s], which takes 1.6 s at 1 rad/s. A slower fin is allowed twice
+the time that it needs."""
 
 
 class Session:
-    """A context manager that always stops and closes the machine at its end."""
+    """Context manager that always stops and closes the machine on exit."""
 
     def __init__(
         self,
@@ -73,21 +73,21 @@ class Session:
         self.recorder: BagRecorder | None = None
         self.state: SessionState = "unconfigured"
         self.target: Target | None = None
-        """The command in force."""
+        """Command in force."""
         self.newest: Sample | None = None
-        """The sample of the newest tick."""
+        """Sample of the latest tick."""
         self.trip: Trip | None = None
-        """The reason why the session was stopped."""
+        """Reason why the session was stopped."""
         self._until_closed = ExitStack()
         self._watchdog: Watchdog | None = None
         self._never_confirmed: str | None = None
         self._suspended_s = 0.0
-        """Sleep of the computer up to the last tick before activation [s]."""
+        """Total suspension of the computer up to the last tick before activation [s]."""
 
     def __enter__(self) -> "Session":
         self.machine.open()
-        # A machine that can never confirm its stops is used all the same; what is not confirmed
-        # later is reported.
+        # A machine that can never confirm a stop may still be used; only later changes of this
+        # warning are reported.
         self._never_confirmed = self.machine.stop_unconfirmed
         self.state = "inactive"
         self.pace.start()
@@ -115,7 +115,8 @@ class Session:
             gc.unfreeze()
             self._until_closed.close()
         if not was_reported and unconfirmed not in (None, self._never_confirmed):
-            # Whatever ended the session, the operator must learn that the fin may not be safe.
+            # Regardless of why the session ended, the operator must be told that the fin may not be
+            # safe.
             reason = (
                 "the session ended"
                 if error is None
@@ -124,13 +125,12 @@ class Session:
             raise SafetyStop(f"{reason}; BUT {unconfirmed}") from error
 
     def stop_on_signals(self) -> None:
-        """Make Ctrl-C and the other stop signals request a stop, until the machine is closed."""
+        """Make Ctrl-C and the other stop signals request a stop until the machine is closed."""
         self._until_closed.enter_context(stopped_by_signals(self.stop_request))
 
     @contextmanager
     def recording(self, path: Path) -> Iterator[BagRecorder]:
-        """Record everything that the session does in this context; an existing bag is kept under
-        another name."""
+        """Record the session within this context; an existing bag is renamed, not overwritten."""
         if path.exists():
             names = (
                 path.with_name(f"{path.stem}.cut-{number}{path.suffix}") for number in count(1)
@@ -151,8 +151,8 @@ class Session:
             raise RunError(recorder.failure)
 
     def tick(self) -> Sample:
-        """Wait for the next tick, read and check; stops the machine and raises SafetyStop on a
-        fault."""
+        """Wait for the next tick, read and check; on a fault, stop the machine and raise
+        SafetyStop."""
         late = self.pace.wait()
         try:
             sample = self.machine.read()
@@ -177,17 +177,18 @@ class Session:
         slept_s = self.pace.clock.suspended() - self._suspended_s
         if self.state != "active":
             self._suspended_s += slept_s
-        # A stop by a person comes first: it is the real reason for everything after it.
+        # A stop by the operator comes first, because it is the real cause of everything that
+        # follows.
         if trip := self.stop_request.trip or self.trip:
             return trip
         if self.recorder is not None and self.recorder.failure is not None:
             return Trip("recording", self.recorder.failure)
         if self.state != "active":
             return None
-        # Always called, because it remembers the samples.
+        # Always called, because the guard keeps a history of samples.
         trip = self.guard.check(sample, now, late)
         if slept_s > SUSPENDED_S:
-            # This replaces the drive fault that the suspend has caused by now.
+            # This replaces the drive fault that the suspension has caused in the meantime.
             return Trip(
                 "suspended",
                 f"the computer was suspended for {slept_s:.1f} s while the fin was active; start "
@@ -196,7 +197,7 @@ class Session:
         return trip
 
     def _record_sample(self, sample: Sample) -> None:
-        """Record the readings that are newer than the previous sample."""
+        """Record the readings that are newer than those of the previous sample."""
         if self.recorder is None:
             return
         before = self.newest
@@ -206,13 +207,13 @@ class Session:
             self.recorder.wrench(sample.force_time, sample.wrench)
 
     def activate(self) -> None:
-        """Enable the drive, which holds where it is: from now on it may move."""
+        """Enable the drive, which holds its position; from now on the fin may move."""
         if self.state != "inactive":
             raise SafetyStop(
-                f"activated while {self.state}: the session must be inactive; start a new one"
+                f"activate called while {self.state}: the session must be inactive; start a new one"
             )
-        # Exclude all existing objects from garbage collection: in a process with JAX, one pass over
-        # them takes 100 ms.
+        # Exclude all existing objects from garbage collection, because one pass over them takes 100
+        # ms in a process with JAX.
         gc.unfreeze()
         gc.collect()
         gc.freeze()
@@ -220,6 +221,7 @@ class Session:
         self.guard.restart()
         sample = self._await_good_ticks()
         limits = self.machine.limits
+        # The fin may rest slightly outside the command range.
         here = min(max(sample.angle, limits.angle_min), limits.angle_max)
         self.machine.enable()
         # Samples read without power are not part of the motion that starts here.
@@ -233,8 +235,8 @@ class Session:
         self.command(Target(here, limits.velocity_min))
 
     def deactivate(self) -> None:
-        """Stop and disable the motor, so that slow work can be done before the next `activate`."""
-        # Slow braking must not look like a silent loop.
+        """Stop and disable the motor, e.g. for slow work before the next `activate`."""
+        # The watchdog must not take slow braking for a silent loop.
         self._unwatch()
         self.machine.stop()
         if self.machine.stop_unconfirmed not in (None, self._never_confirmed):
@@ -245,14 +247,14 @@ class Session:
             self._record_event("inactive")
 
     def command(self, target: Target) -> None:
-        """Issue a command now; raises SafetyStop if it is outside this fin's limits or the drive
+        """Send a command now; raises SafetyStop if it is outside the fin's limits or the drive
         refuses it."""
         trip = check_target(target, self.guard.limits) or self.stop_request.trip or self.trip
         if trip is not None:
             self.abort(trip)
         if self.state != "active":
             raise SafetyStop(
-                f"commanded while {self.state}: the session must be active; activate it first"
+                f"command called while {self.state}: the session must be active; activate it first"
             )
         try:
             self.machine.command(target)
@@ -261,7 +263,7 @@ class Session:
             self.machine.stop()
             reason = in_one_line(error, "the machine refused the command")
             with contextlib.suppress(Exception):
-                # A drive in fault refuses commands, and its fault is the better reason.
+                # A drive in fault refuses commands; the fault is then the better reason.
                 reason = next(iter(self.machine.read().complaints), reason)
             self.abort(Trip("device", reason))
         self.target = target
@@ -269,20 +271,21 @@ class Session:
             self.recorder.command(self.pace.clock(), target.angle, target.velocity)
 
     def record_reference(self, reference: tuple[float, float]) -> None:
-        """Record the reference force that applies from now on [N]."""
+        """Record the reference force in force from now on [N]."""
         if self.recorder is not None:
             self.recorder.reference(self.pace.clock(), reference)
 
     def hold(self, target: Target, ticks: int) -> list[Sample]:
-        """Hold a command for a number of ticks; returns the sample of each."""
+        """Hold a command for `ticks` ticks and return their samples."""
         self.command(target)
         return [self.tick() for _ in range(ticks)]
 
     def rest(self, seconds: float) -> MeasuredForce:
-        """Move slowly to angle 0 and wait until the water is at rest.
+        """Move slowly to angle 0 and wait for `seconds` until the water is calm.
 
-        Return the mean force (x, y) [N] over the second half of the wait. The true force is then
-        zero, so this is the sensor's offset for the next experiment. Drift changes it every time.
+        Return the mean force (x, y) over the second half of the wait [N]. The true force is zero
+        then, so this is the sensor's offset for the next experiment. Drift changes the offset, so
+        it is measured before each experiment.
         """
         slowest = self.machine.limits.velocity_min
         sample = self.newest or self.tick()
@@ -306,8 +309,8 @@ class Session:
         return zero
 
     def abort(self, trip: Trip) -> NoReturn:
-        """Stop the machine, record the reason, and raise SafetyStop; the first stop's reason
-        counts."""
+        """Stop the machine, record the reason and raise SafetyStop; only the reason for the first
+        stop counts."""
         trip = self.trip or trip
         self.stop_request.is_obeyed = True
         self.machine.stop()
@@ -323,8 +326,8 @@ class Session:
         raise SafetyStop(f"stopped: {trip.reason}; BUT {unconfirmed}")
 
     def _await_good_ticks(self) -> Sample:
-        """Tick until all checks pass for a while: after a pause, devices need a moment to deliver
-        fresh readings."""
+        """Tick until all checks pass for `GOOD_TICKS` ticks, because devices need a moment to
+        deliver new readings after a pause."""
         good_ticks = 0
         latest_trip: Trip | None = None
         for _ in range(FRESH_TICKS):
@@ -343,12 +346,12 @@ class Session:
             self._watchdog = None
 
     def _stop_silent_loop(self, silence: float) -> None:
-        """Called by the watchdog, in its thread."""
+        """Stop the machine; called from the watchdog's thread."""
         if self.trip is None:
             self.trip = Trip(
                 "watchdog",
-                f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy, "
-                "or the controller hung; see the previous event in the recording",
+                f"the loop was silent for {silence * 1e3:.0f} ms: the computer is too busy or "
+                "the controller hung; see the previous event in the recording",
             )
         self.machine.stop()
 
@@ -358,13 +361,13 @@ class Session:
 
 
 def mean_force(samples: Sequence[Sample]) -> MeasuredForce:
-    """Return the mean force (x, y) of samples [N]; zero if there are none."""
+    """Return the mean force (x, y) of the samples [N]; zero if there are none."""
     count = max(len(samples), 1)
     return sum(s.wrench[0] for s in samples) / count, sum(s.wrench[1] for s in samples) / count
 
 
 def in_one_line(error: BaseException, what: str) -> str:
-    """Describe an error in one line; errors from outside softfin get `what` failed as context."""
+    """Describe an error in one line, starting with `what` for errors that are not softfin's."""
     if isinstance(error, SoftfinError):
         return str(error)
     return f"{what} ({type(error).__name__}: {one_line(error)}); see --debug"

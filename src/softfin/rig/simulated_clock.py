@@ -1,15 +1,15 @@
-"""Simulated time, shared by threads that take turns: as fast as the computer allows, and the same
+"""Simulated time, shared by threads that take turns: as fast as the computer allows, and identical
 in every run.
 
-The thread that makes the clock and those that it spawns are its members. Exactly one of them runs,
-until it waits; then the one that has waited for longest goes on, of those that need not wait any
-more. Only when all of them wait does time move on, to the earliest moment that one of them waits
-for. So computing takes no time, nothing is ever late, and nothing depends on the operating system's
-scheduler. Any other thread, such as a test's own or one that reads a keyboard, may use the clock
-too, but the members do not wait for it.
+The thread that creates the clock and the threads that it spawns are its members. Exactly one member
+runs until it waits; then, of the members that are ready, the one that has waited longest continues.
+Time advances only when all members wait, to the earliest time that one of them waits for. Computing
+therefore takes no time, nothing is ever late, and nothing depends on the operating system's
+scheduler. Other threads, such as a test's threads or one that reads the keyboard, may also use the
+clock, but the members do not wait for them.
 
-A member must not wait for another one in any other way, such as by `threading.Event`: all members
-would then wait forever.
+A member must not wait for another in any other way, e.g. with `threading.Event`: all members would
+then wait forever.
 """
 
 import math
@@ -21,35 +21,36 @@ from typing import Any
 from softfin.core.clock import Clock
 
 BEGIN_S = 1000.0
-"""Start of every simulated time [s]; not 0, which means "never" in some places."""
+"""Start of simulated time [s]; not 0, which means "never" in some places."""
 
 RECHECK_S = 0.5
-"""Real time after which a waiting thread checks again whether it is its turn [s], in case Ctrl-C
+"""Real-time interval at which a waiting thread checks whether it is its turn [s], in case Ctrl-C
 lost its signal."""
 
 
 class _Member:
-    """A thread and what it waits for."""
+    """A thread and the condition that it waits for."""
 
     def __init__(self) -> None:
         self.ready: Callable[[], Any] = lambda: True
         self.end = math.inf
         self.signal = threading.Lock()
+        # Locked until it is this member's turn.
         self.signal.acquire()
 
 
 class SimulatedClock(Clock):
-    """Use it in the thread that makes it, and in those that it spawns."""
+    """Clock to use in the thread that creates it, and in the threads that it spawns."""
 
     def __init__(self) -> None:
         self._now = BEGIN_S
         self._wall = time.time()
         self._suspended_s = 0.0
         self.shared: dict[Any, Any] = {}
-        """Buses, sockets and pages of this time, by their address."""
+        """Buses, sockets and web pages on this clock, by address."""
         self._guard = threading.RLock()
-        """Protects everything below; held for moments, since other threads than members come in as
-        well."""
+        """Guards the attributes below; held only briefly, because threads that are not members use
+        it too."""
         self._waiting: list[_Member] = []
         self._local = threading.local()
         self._running: _Member | None = _Member()
@@ -60,34 +61,35 @@ class SimulatedClock(Clock):
         return self._now
 
     def wall(self) -> float:
-        """Return the time of day at which the clock was made, plus what has passed since [s]."""
+        """Return the wall-clock time [s]: that at which the clock was created, plus the simulated
+        time since."""
         return self._wall + self._now - BEGIN_S
 
     def suspended(self) -> float:
-        """Return how long the computer was suspended by `suspend` [s]."""
+        """Return the total time for which `suspend` has suspended the computer [s]."""
         return self._suspended_s
 
     def suspend(self, seconds: float) -> None:
-        """Suspend the computer for so long: the time does not move, as that of the real clock does
-        not."""
+        """Suspend the computer for `seconds`; the time does not advance, as on the real monotonic
+        clock."""
         self._suspended_s += seconds
 
     def sleep(self, seconds: float) -> None:
-        """Let the others run until so much time has passed."""
+        """Let the other members run until `seconds` have passed."""
         self.wait_for(lambda: False, max(0.0, seconds))
 
     def event(self) -> threading.Event:
-        """Make an event that is not set."""
+        """Return a new event, which is not set."""
         return _Event(self)
 
     def condition(self) -> threading.Condition:
-        """Make a condition with a re-entrant lock of its own."""
+        """Return a new condition with its own re-entrant lock."""
         return _Condition(self)
 
     lock = condition
 
     def spawn(self, target: Callable[[], object], name: str) -> threading.Thread:
-        """Start a member; its first turn comes when its maker waits."""
+        """Start a member; its first turn comes when the current one waits."""
         thread = _Thread(self, target, name)
         thread.start()
         with self._guard:
@@ -96,8 +98,8 @@ class SimulatedClock(Clock):
         return thread
 
     def wait_for(self, ready: Callable[[], object], timeout: float | None = None) -> bool:
-        """Let the others run until something is true, or until a timeout [s]; whether it is
-        true."""
+        """Let the other members run until `ready()` or a timeout [s]; return whether it is
+        ready."""
         if ready():
             return True
         member: _Member | None = getattr(self._local, "member", None)
@@ -107,8 +109,8 @@ class SimulatedClock(Clock):
         try:
             self._wait(me)
         except BaseException:
-            # Ctrl-C: this wait is over, but two members must not run at once; a second Ctrl-C does
-            # not wait for that.
+            # Ctrl-C ends this wait, but two members must not run at once, so wait for this member's
+            # turn; a second Ctrl-C skips that.
             me.ready = lambda: True
             self._wait(me)
             raise
@@ -118,18 +120,21 @@ class SimulatedClock(Clock):
         return is_ready
 
     def go_on(self) -> None:
-        """Have the next member run, where all wait; at the earliest moment that one waits for,
-        where none is ready."""
+        """If all members wait, let the next one run; if none is ready, first advance to the
+        earliest time that one waits for."""
         with self._guard:
             if self._running is not None or not self._waiting:
                 return
+            # Members are in the order of their arrival, so the first that is ready has waited
+            # longest.
             chosen = next((each for each in self._waiting if each.ready()), None)
             if chosen is None:
                 chosen = min(self._waiting, key=lambda each: each.end)
                 if chosen.end == math.inf:
                     return
+                # Time never goes back, even if the end of the wait has already passed.
                 self._now = max(self._now, chosen.end)
-            # In this order, so that a Ctrl-C in between loses nobody.
+            # In this order, so that a Ctrl-C in between does not lose the member.
             self._running = chosen
             self._waiting.remove(chosen)
             if chosen.signal.locked():
@@ -188,6 +193,7 @@ class _Condition(threading.Condition):
         me = threading.get_ident()
         while True:
             with self._clock._guard:
+                # 0 means that the lock is free; identifiers of threads are never 0.
                 if self._owner in (0, me):
                     self._owner = me
                     self._count = self._count + 1
@@ -214,6 +220,7 @@ class _Condition(threading.Condition):
         return bool(self.wait_for(lambda: self._news != before, timeout))
 
     def wait_for(self, predicate: Callable[[], object], timeout: float | None = None) -> Any:
+        # Release a re-entrant lock completely while waiting, as threading.Condition does.
         held = self._count
         self._count = 0
         self._owner = 0

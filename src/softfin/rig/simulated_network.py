@@ -1,4 +1,4 @@
-"""Connections to emulated devices within the process, in simulated time: a CAN bus, datagrams, web
+"""In-process connections to emulated devices, in simulated time: CAN bus, UDP sockets and web
 pages."""
 
 import copy
@@ -13,27 +13,27 @@ from softfin.core.errors import DeviceError
 from softfin.rig.simulated_clock import SimulatedClock
 
 SIMULATED = "simulated"
-"""Interface of a bus in a rig's file."""
+"""Value of `bus.interface` in a rig's file."""
 
 RMEM_MAX_BYTES = 212_992
-"""Largest receive buffer that a program may ask for: Linux's default of `net.core.rmem_max`. Linux
-doubles it."""
+"""Largest receive buffer that a program may request [bytes]: Linux's default for
+`net.core.rmem_max`, which Linux then doubles."""
 
 TRUESIZE_BYTES = 768
-"""Memory that Linux counts for a datagram of one record, most of which is its own bookkeeping."""
+"""Memory that Linux accounts for a datagram with one record [bytes], most of which is overhead."""
 
 DATE = "date"
-"""Key in a clock's `shared` of how far the date is ahead of the clock [s]; 0 if it is missing. A
-test may set it."""
+"""Key in a clock's `shared` for the offset of the wall clock from the clock [s]; 0 if missing.
+Tests may set it."""
 
 _free_ports = itertools.count(50_000)
 
 
 def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
-    """Open the bus of an `epos2.config.BusConfig`, whose fields are the arguments of python-can,
-    and raise its errors.
+    """Open the bus of an `epos2.config.BusConfig`, whose fields are arguments of python-can; raises
+    python-can's errors.
 
-    On a simulated clock it is that of this process, whatever the interface.
+    On a simulated clock, this is an in-process bus, regardless of the interface.
     """
     settings = config.model_dump()
     if isinstance(clock, SimulatedClock):
@@ -42,7 +42,8 @@ def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
 
 
 class SimulatedBus(can.BusABC):
-    """Everybody on a channel of a clock gets what the others send, at once and in order."""
+    """A bus on which all participants with the same clock and channel receive each other's frames
+    immediately and in order."""
 
     def __init__(self, clock: SimulatedClock, channel: str) -> None:
         super().__init__(channel)
@@ -52,23 +53,24 @@ class SimulatedBus(can.BusABC):
         self._all.append(self)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame; raises CanOperationError once the bus is shut down."""
+        """Send a frame; raises CanOperationError if the bus is shut down."""
         self._check_open()
         for bus in self._all:
             if bus is not self:
+                # A copy for each receiver, because its timestamp is set.
                 message = copy.copy(msg)
                 message.timestamp = self._clock()
                 bus._frames.append(message)
 
     def shutdown(self) -> None:
-        """Shut down, any number of times; whoever waits for a frame is woken."""
+        """Shut down and wake threads waiting for a frame; may be called repeatedly."""
         super().shutdown()
         if self in self._all:
             self._all.remove(self)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, None where none comes in so many seconds; raises CanOperationError once
-        it is shut down."""
+        """Return the next frame, or None after `timeout` [s]; raises CanOperationError if the bus
+        is shut down."""
         self._clock.wait_for(lambda: self._frames or self not in self._all, timeout)
         self._check_open()
         return self._frames.popleft() if self._frames else None
@@ -79,22 +81,22 @@ class SimulatedBus(can.BusABC):
 
 
 def fetch_simulated_page(clock: SimulatedClock, host: str, port: int, path: str) -> bytes | None:
-    """A page of an emulated sensor, None where it has no such page; raises DeviceError without a
-    server."""
+    """Return a page of an emulated sensor, or None if it does not exist; raises DeviceError if
+    there is no server."""
     pages: dict[str, bytes] | None = clock.shared.get(("http", host, port))
     if pages is None:
         raise DeviceError(
-            f"http://{host}:{port}{path}: the force sensor's page cannot be read (nobody serves "
-            "it); check its power, cable and address, and http_port"
+            f"http://{host}:{port}{path}: cannot read the force sensor's page (no server); check "
+            "its power, cable, address and http_port"
         )
     return pages.get(path)
 
 
 class SimulatedSocket:
-    """A bound UDP socket, as far as softfin uses one; `receive` waits up to `timeout`.
+    """A bound UDP socket with the methods that softfin uses; `receive` waits up to `timeout` [s].
 
-    As in Linux, the buffer is counted in bytes, a full one drops what is new, and each datagram is
-    stamped with the date, which may be set, at which it arrived.
+    As on Linux, the buffer size is in bytes, a full buffer drops new datagrams, and each datagram
+    has a timestamp from the wall clock, which may be changed.
     """
 
     def __init__(
@@ -109,39 +111,40 @@ class SimulatedSocket:
 
     @property
     def has_room(self) -> bool:
-        """Whether its buffer takes another datagram."""
+        """Whether the buffer has space for another datagram."""
         return len(self._received) * TRUESIZE_BYTES <= 2 * RMEM_MAX_BYTES
 
     def date(self) -> float:
-        """Return the date [s]."""
+        """Return the wall-clock time [s]."""
         ahead: float = self._clock.shared.get(DATE, 0.0)
         return self._clock() + ahead
 
     def fileno(self) -> int:
-        """-1 once it is closed."""
+        """Return -1 if the socket is closed, otherwise 0."""
         return 0 if self._clock.shared.get(self.address) is self else -1
 
     def connect(self, address: tuple[str, int]) -> None:
-        """Send to this address from now on, and receive only from it."""
+        """Set the only address to send to and receive from."""
         self._peer = address
 
     def send(self, data: bytes) -> int:
-        """Send to the address that it is connected to."""
+        """Send a datagram to the connected address."""
         assert self._peer is not None
         return self.sendto(data, self._peer)
 
     def sendto(self, data: bytes, address: tuple[str, int]) -> int:
-        """Send a datagram; it is lost where nobody listens, or whoever does has no room."""
+        """Send a datagram, which is lost if there is no receiver or its buffer is full."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         receiver: SimulatedSocket | None = self._clock.shared.get(address)
+        # A connected socket receives only from its peer.
         if receiver is not None and receiver._peer in (None, self.address) and receiver.has_room:
             receiver._received.append((bytes(data), self.date(), self.address))
         return len(data)
 
     def receive(self) -> tuple[bytes, float, tuple[str, int]]:
-        """A datagram, the date of its arrival [s] and its sender; raises BlockingIOError where none
-        comes in time."""
+        """Return a datagram, its arrival time on the wall clock [s] and its sender; raises
+        BlockingIOError if none arrives in time."""
         if self.fileno() == -1:
             raise OSError("the socket is closed")
         if not (
@@ -153,11 +156,11 @@ class SimulatedSocket:
         return self._received.popleft()
 
     def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        """A datagram and its sender; raises BlockingIOError where none comes in time."""
+        """Return a datagram and its sender; raises BlockingIOError if none arrives in time."""
         data, _, sender = self.receive()
         return data[:size], sender
 
     def close(self) -> None:
-        """Close it; any number of times."""
+        """Close the socket; may be called repeatedly."""
         if self.fileno() != -1:
             del self._clock.shared[self.address]

@@ -1,5 +1,5 @@
-"""Ways to stop a moving fin besides the safety limits: signals, a key on the terminal, a watchdog
-on the loop."""
+"""Ways to stop a moving fin besides the safety limits: signals, the Enter key, and a watchdog on
+the loop."""
 
 import contextlib
 import signal
@@ -14,41 +14,42 @@ from softfin.core.clock import REAL, Clock
 from softfin.rig.safety import Trip
 
 STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
-"""Signals that stop the fin; the last is Ctrl-Z, because a suspended program cannot watch it."""
+"""Signals that stop the fin; the last one is Ctrl-Z, because a suspended program cannot monitor the
+fin."""
 
 PATIENCE_S = 2.0
-"""Time within which a second signal must not interrupt the stop that the first one started [s]:
+"""Time within which a second signal must not interrupt the stop started by the first [s], because
 people press Ctrl-C twice.
 """
 
 
 class StopRequest:
-    """A flag that any thread or signal handler may raise; the first reason counts."""
+    """Stop flag that any thread or signal handler may set; the first reason counts."""
 
     def __init__(self) -> None:
         self.trip: Trip | None = None
         self.is_obeyed = False
-        """Whether the machine is being stopped. That takes a bounded time, and no signal may
-        interrupt it."""
+        """Whether the machine is being stopped, which takes a bounded time and must not be
+        interrupted by signals."""
 
     def ask(self, cause: str, reason: str) -> None:
-        """Ask for a stop."""
+        """Request a stop, unless one has already been requested."""
         if self.trip is None:
             self.trip = Trip(cause, reason)
 
 
 @contextmanager
 def stopped_by_signals(request: StopRequest) -> Iterator[None]:
-    """Make stop signals raise the flag, instead of an exception somewhere in the loop; only in the
-    main thread."""
+    """Make stop signals set the flag instead of raising an exception somewhere in the loop; has an
+    effect only in the main thread."""
     asked: list[float] = []
 
     def handle(number: int, _: FrameType | None) -> None:
         name = signal.Signals(number).name
         asked.append(time.monotonic())
         if asked[-1] - asked[0] > PATIENCE_S and not request.is_obeyed:
-            # The first one was not obeyed, for example because figures are being drawn. Now the
-            # program ends like any other.
+            # The first signal had no effect, e.g. because figures are being drawn; now end the
+            # program as usual.
             raise KeyboardInterrupt
         request.ask("emergency_stop", f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
@@ -58,10 +59,10 @@ def stopped_by_signals(request: StopRequest) -> Iterator[None]:
 
 @contextmanager
 def interrupted_by_signals() -> Iterator[None]:
-    """Raise KeyboardInterrupt at the first stop signal, so that code that powers a motor can stop
+    """Raise KeyboardInterrupt on the first stop signal, so that code that powers a motor can stop
     it.
 
-    Later signals are ignored: they would interrupt the stop, which takes a bounded time.
+    Later signals are ignored, because they would interrupt the stop, which takes a bounded time.
     """
     is_asked = False
 
@@ -77,12 +78,12 @@ def interrupted_by_signals() -> Iterator[None]:
 
 @contextmanager
 def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Install a handler for the stop signals; only in the main thread."""
+    """Install a handler for the stop signals; has an effect only in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     numbers = [getattr(signal, name) for name in STOP_SIGNALS if hasattr(signal, name)]
-    # nohup ignores SIGHUP on purpose: an overnight collection must survive a dropped ssh
+    # `nohup` ignores SIGHUP on purpose, so that an overnight data collection survives a dropped ssh
     # connection.
     numbers = [number for number in numbers if not _is_ignored_hangup(number)]
     before = {number: signal.signal(number, handle) for number in numbers}
@@ -100,8 +101,8 @@ def _is_ignored_hangup(number: signal.Signals) -> bool:
 def listen_to_keyboard(
     request: StopRequest, on_line: Callable[[str], None], stream: Iterable[str] | None = None
 ) -> threading.Thread:
-    """Start a thread that reads a terminal: Enter alone asks for a stop, other lines go to
-    `on_line`."""
+    """Start a thread that reads the terminal: Enter alone requests a stop, and other lines are
+    passed to `on_line`."""
     lines = sys.stdin if stream is None else stream
 
     def listen() -> None:
@@ -117,9 +118,9 @@ def listen_to_keyboard(
 
 
 def discard_typed_ahead() -> None:
-    """Discard what was typed before a question, if the input is a terminal."""
+    """Discard keys typed before a question, if the input is a terminal."""
     with contextlib.suppress(ImportError, OSError):
-        # Imported here: there is none on Windows.
+        # Imported here because Windows does not have it.
         import termios
 
         with contextlib.suppress(termios.error, TypeError, ValueError):
@@ -127,17 +128,16 @@ def discard_typed_ahead() -> None:
 
 
 SIGNAL_CHECK_S = 0.2
-"""Longest time for which the main thread waits for a lock [s]. The kernel may deliver a
-signal to another thread. That does not wake the main thread, in which Python handles signals."""
+"""Longest wait of the main thread for a lock [s]. The kernel may deliver a signal to another
+thread, which does not wake the main thread, where Python handles signals."""
 
 
 class Watchdog:
-    """A thread that stops the machine when the loop is silent, for example because a controller
-    hangs.
+    """A thread that stops the machine if the loop falls silent, e.g. because a controller hangs.
 
-    C code that holds the interpreter's lock blocks this thread as well. Then the rig's drive stops
-    the motor by itself: it faults (0x8130) after `drive.heartbeat_s` without the host's heartbeat.
-    ROS 2 topics have no such protection: the fin's driver has to notice missing commands.
+    C code that holds the GIL blocks this thread as well. In that case, a rig's drive stops the
+    motor by itself: it faults (0x8130) after `drive.heartbeat_s` without a host heartbeat. ROS 2
+    topics have no such protection: the fin's driver has to detect missing commands.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Watchdog:
         clock.spawn(self._watch, "watchdog")
 
     def feed(self, now: float) -> None:
-        """Note that the loop is alive."""
+        """Register a tick of the loop at time `now` [s]."""
         self._fed = now
 
     def end(self) -> None:
@@ -159,6 +159,7 @@ class Watchdog:
         self._ended.set()
 
     def _watch(self) -> None:
+        # Four checks per timeout, so that the stop is late by at most a quarter of it.
         while not self._ended.wait(self._longest / 4):
             silence = self._clock() - self._fed
             if silence > self._longest:

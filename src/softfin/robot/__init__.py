@@ -1,2 +1,1 @@
-"""Robots with several fins on one body: allocation of a wrench to the fins, and control of
-motion."""
+"""Robots with several fins on one body: allocation of a wrench to the fins, and motion control."""

@@ -1,16 +1,16 @@
-"""Allocation: turns a wrench on the body into one mean force per fin, within the reach of each fin.
-NumPy only.
+"""Allocation of a wrench on the body to one mean force per fin, within the reach of each fin. NumPy
+only.
 
 Forces f = (x, y of the first fin, of the second, ...) minimise
 
     |Q^(1/2) (B f - wrench)|^2 / 2 + ridge / 2 sum_i |f_i - p_i|^2 / r_i^2,   |f_i| <= r_i
 
 with the fins' matrix B, priorities Q, preferred forces p and reaches r. If no fin is at its reach,
-the solution is linear in the wrench, and the ridge is so small that the full wrench is made.
-Otherwise it is a quadratic program over disks, solved by an accelerated projected gradient with
-restarts (Nesterov 1983; O'Donoghue and Candes 2015): some steps per call, starting from the forces
-of the previous call. From any start they come within 0.1 N of the optimum in nine cases of ten;
-while the wrench changes slowly, they reach it.
+the solution is linear in the wrench, and the ridge is so small that the full wrench is produced.
+Otherwise it is a quadratic program over disks, solved by an accelerated projected gradient method
+with restarts (Nesterov 1983; O'Donoghue and Candes 2015), with a few steps per call, starting from
+the forces of the previous call. From an arbitrary start, these steps come within 0.1 N of the
+optimum in nine cases out of ten; while the wrench changes slowly, they reach it.
 """
 
 from typing import NamedTuple
@@ -19,17 +19,17 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 RIDGE = 1e-5
-"""Weight of the distance to the preferred forces; 10,000 times it would miss 0.3 N in the weakest
-axis."""
+"""Weight of the distance from the preferred forces; a weight 10,000 times larger would cause an
+error of 0.3 N in the weakest axis."""
 
 GRADIENT_STEPS = 10
-"""Steps of the projected gradient per call, if the wrench is out of reach."""
+"""Number of projected gradient steps per call, if the wrench is out of reach."""
 
 TOUCHING = 1e-6
 SETTLING = 20
 
 GIVEN_UP = 0.03
-"""An axis counts as given up if more than this fraction of the wrench is missing [-], and more than
+"""Fraction of the wrench above which a missing component counts as given up [-], if it also exceeds
 `SMALL`."""
 
 SMALL = (0.02, 0.02, 0.02, 0.005, 0.005, 0.005)
@@ -44,15 +44,15 @@ class Allocation(NamedTuple):
     """Forces for the fins, and the resulting wrench."""
 
     forces: FinForces
-    """Mean force of each fin in its own axes [N]."""
+    """Mean force of each fin, in the fin's axes [N]."""
     wrench: SixVector
-    """Wrench that they make together, in body axes [N, N m]."""
+    """Total wrench of these forces, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "6"]
-    """Axes in which the wrench differs from the requested one."""
+    """Axes in which the wrench differs from the target wrench."""
 
 
 class Allocator:
-    """Allocates wrenches to the fins of one robot."""
+    """Allocator of wrenches to the fins of one robot."""
 
     def __init__(
         self,
@@ -66,30 +66,36 @@ class Allocator:
 
     @property
     def reach(self) -> Float[np.ndarray, "fins"]:
-        """Largest mean force of each fin [N]; 0 for a dead one. May be set."""
+        """Maximum mean force of each fin [N]; 0 for a dead one. May be set."""
         return self._reach
 
     @reach.setter
     def reach(self, reach: Float[np.ndarray, "fins"]) -> None:
         self._reach = np.asarray(reach, float)
         self._scale = np.repeat(self._reach, 2)
+        # The unknowns are x = f / r, so the constraints are |x_i| <= 1. With A = B r, the gradient
+        # is (A' Q A + ridge) x - A' Q w - ridge p / r.
         scaled = self.matrix * self._scale
         weighted = scaled.T * self._priority
         normal = weighted @ scaled + RIDGE * np.eye(len(self._scale))
         self._share = weighted
+        # Without constraints: x = p / r + (A' Q A + ridge)^-1 A' Q (w - B p).
         self._gain = np.linalg.inv(normal) @ weighted
+        # 1 / L, with the Lipschitz constant L of the gradient.
         self._step = 1 / float(np.linalg.eigvalsh(normal)[-1])
         self._descend = np.eye(len(self._scale)) - self._step * normal
 
     def reach_along(self, axis: int) -> float:
-        """Return the largest force or moment along one axis without any along the others [N, N m],
+        """Return the maximum force or moment along one axis with none along the others [N, N m], to
         within 1%."""
         unit = np.eye(6)[axis]
         low = 0.0
         high = float(np.abs(self.matrix[axis]) @ self._scale) + 1e-9
+        # Bisection: 12 halvings reduce the interval to 1/4096.
         for _ in range(12):
             middle = (low + high) / 2
             found = self.allocate(middle * unit)
+            # Each call makes only a few steps, so call repeatedly until the forces have converged.
             for _ in range(SETTLING):
                 found = self.allocate(middle * unit, start=found.forces)
             missing = np.abs(found.wrench - middle * unit).max()
@@ -122,7 +128,7 @@ class Allocator:
         return parts
 
     def _within(self, right: MatrixColumns, parts: MatrixColumns) -> MatrixColumns:
-        """Return forces relative to the reaches, none longer than 1, after some steps towards the
+        """Return forces relative to the reaches, with lengths up to 1, after some steps towards the
         optimum."""
         # A gradient step is linear: descend @ x + shift.
         shift = self._step * right
@@ -131,8 +137,10 @@ class Allocator:
         for _ in range(GRADIENT_STEPS):
             after = _clipped(self._descend.dot(ahead) + shift)
             moved = after - parts
+            # Restart if the momentum points uphill (O'Donoghue and Candes, gradient scheme).
             if (ahead - after).dot(moved) > 0:
                 momentum = 1.0
+            # Nesterov's sequence of momenta.
             following = (1 + (1 + 4 * momentum * momentum) ** 0.5) / 2
             ahead = after + (momentum - 1) / following * moved
             parts = after
@@ -141,6 +149,6 @@ class Allocator:
 
 
 def _clipped(parts: MatrixColumns) -> MatrixColumns:
-    # As complex numbers, so that NumPy computes all lengths in one call.
+    # Viewed as complex numbers, so that NumPy computes all lengths in one call.
     pairs = parts.view(complex)
     return np.asarray((pairs / np.maximum(np.abs(pairs), 1)).view(float))

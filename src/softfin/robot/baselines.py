@@ -1,4 +1,4 @@
-"""Drivers for comparison, which show the benefit of allocation, phases and measured gaits."""
+"""Baseline drivers, which show the benefit of allocation, phases and measured gaits."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeAlias
@@ -14,7 +14,7 @@ from softfin.robot.phases import NUM_PHASES
 from softfin.robot.wrench_driver import WrenchDriver
 
 MakeDriver: TypeAlias = Callable[[int], WrenchDriver]
-"""Function that builds the driver of a trial from its seed."""
+"""Function that builds a trial's driver from the seed."""
 
 STROKE_HZ = ACTION_RATE_HZ / 2
 FORCES_N = np.linspace(0, 12, 49)
@@ -22,11 +22,11 @@ FORCES_N = np.linspace(0, 12, 49)
 
 
 def build_drivers(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, MakeDriver]:
-    """Return drivers by name, the simplest last.
+    """Return the drivers by name, simplest last.
 
-    In `still water`, fins do not compensate the force that they lose by the robot's motion.
-    Independent phases are drawn for every trial. The pseudo-inverse has no bracing and allocates a
-    wrench by least squares. The analytic driver is that of the U-CAT robots, with its amplitude law
+    In `still water`, fins do not compensate for the force lost through the robot's motion.
+    Independent phases are drawn for every trial. `pseudo-inverse` allocates a wrench by least
+    squares, without bracing. `analytic` is the driver of the U-CAT robots, with its amplitude law
     at our stroke frequency.
     """
     still = [each._replace(stream_loss=np.zeros_like(each.stream_loss)) for each in gaits]
@@ -46,8 +46,8 @@ def build_drivers(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Ma
 
 
 def _analytic(gaits: FinGaits) -> FinGaits:
-    """Return gaits with the amplitudes of the inverse model, up to its largest, and the limits and
-    the ripple of a fin's own gaits."""
+    """Return gaits with the amplitudes of the inverse model, up to its maximum, and the limits and
+    ripple of a fin's own gaits."""
     model = InverseConfig()
     amplitude = find_amplitude(FORCES_N, STROKE_HZ, model.constant)
     count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))

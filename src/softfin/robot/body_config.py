@@ -19,25 +19,25 @@ SixNotNegative = tuple[
 
 
 class BodyConfig(Configuration):
-    """A rigid body in water; six numbers refer to x, y, z and roll, pitch, yaw, in body axes about
-    the origin."""
+    """A rigid body in water; fields with six numbers refer to x, y, z, roll, pitch and yaw, in body
+    axes about the origin."""
 
     mass_kg: PositiveFloat
     """Mass [kg]."""
     inertia_kg_m2: Three | tuple[Three, Three, Three]
-    """Inertia about the centre of gravity: about the three axes, or as a matrix [kg m2]."""
+    """Inertia about the centre of gravity, as three moments or as a matrix [kg m2]."""
     added_mass: SixNotNegative = (0, 0, 0, 0, 0, 0)
     """Added mass [kg] and added inertia [kg m2]."""
     drag_linear: SixNotNegative = (0, 0, 0, 0, 0, 0)
-    """Linear drag [N s/m, N m s]."""
+    """Linear drag coefficients [N s/m, N m s]."""
     drag_quadratic: SixNotNegative = (0, 0, 0, 0, 0, 0)
-    """Quadratic drag [N s2/m2, N m s2]."""
+    """Quadratic drag coefficients [N s2/m2, N m s2]."""
     centre_of_gravity_m: Three = (0, 0, 0)
     """Centre of gravity [m]."""
     centre_of_buoyancy_m: Three = (0, 0, 0)
     """Centre of buoyancy [m]."""
     buoyancy_n: NonNegativeFloat | None = None
-    """Buoyancy [N]; none: neutral, so that the body neither sinks nor rises."""
+    """Buoyancy [N]; None means neutral buoyancy."""
 
     @property
     def upward_n(self) -> float:
@@ -53,6 +53,7 @@ class BodyConfig(Configuration):
         """Return the inertia about the origin as a matrix ``(6, 6)``, without the added mass
         (Fossen 2021, 3.3)."""
         x, y, z = self.centre_of_gravity_m
+        # M = [[m I, -m S], [m S, I_g - m S S]], with S v = r_g x v.
         lever = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         mass = self.mass_kg
         return np.block(
@@ -67,17 +68,19 @@ class BodyConfig(Configuration):
         moments = self.moments()
         if not np.allclose(moments, moments.T):
             raise ValueError(
-                f"inertia_kg_m2 = {moments.tolist()} is not symmetric; give a symmetric matrix"
+                f"inertia_kg_m2 = {moments.tolist()} is not symmetric; use a symmetric matrix"
             )
         least, middle, most = np.linalg.eigvalsh(moments)
         if least <= 0:
             raise ValueError(
                 f"inertia_kg_m2 = {np.asarray(self.inertia_kg_m2).tolist()} is singular or "
-                f"negative: its smallest principal moment is {least:.4g}; all must be over 0 kg m2"
+                f"negative: its smallest principal moment is {least:.4g} kg m2; all must be "
+                "positive"
             )
+        # Triangle inequality of the principal moments, with a tolerance for flat bodies.
         if least + middle < most * (1 - 1e-6):
             raise ValueError(
-                f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}: no "
-                "body has one larger than the sum of the others"
+                f"inertia_kg_m2 has principal moments {least:.4g}, {middle:.4g}, {most:.4g}, but "
+                "none can exceed the sum of the other two; check the values"
             )
         return self

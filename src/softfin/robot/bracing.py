@@ -1,6 +1,7 @@
-"""Bracing: fins push against each other if a weak force would have no steady direction. NumPy only.
+"""Bracing: fins push against each other so that no fin's force becomes too weak to have a steady
+direction. NumPy only.
 
-Between a wrench and the mean force of each fin [N], action by action: allocation, bracing,
+Converts a wrench to the mean force of each fin [N], once per action: allocation, bracing,
 smoothing.
 """
 
@@ -15,21 +16,22 @@ from softfin.robot.description import RobotConfig
 
 WAYS = 8
 SIZES = (0.5, 1.0, 1.5)
-"""Bracing that is tried: directions in the space of forces that cancel, and sizes relative to the
-smallest force."""
+"""Bracings to try: number of directions in the space of forces that cancel, and sizes relative to
+`brace_n`."""
 
 EFFORT = 0.02
-"""Cost of a newton of force, squared, relative to that of a missing newton."""
+"""Cost of a squared force relative to that of a squared shortfall below `brace_n`."""
 
 SAME_N = 1e-6
-"""Difference of forces below which two bracings are the same [N]."""
+"""Force difference below which two bracings are the same [N]."""
 
 
 class BracedAllocation:
-    """Allocates wrenches to the fins of a robot, as configured by `allocation` in its file."""
+    """Allocation of wrenches to the fins of a robot, as configured under `allocation` in its
+    file."""
 
     def __init__(self, robot: RobotConfig, reach: Sequence[float | int]) -> None:
-        """`reach` is the largest mean force of each fin [N]."""
+        """`reach` is the maximum mean force of each fin [N]."""
         self._config = robot.allocation
         self.allocator = Allocator(
             robot.matrix(), np.array(reach, float), np.asarray(self._config.priority, float)
@@ -38,7 +40,7 @@ class BracedAllocation:
         self._braces = self._bracing()
 
     def declare_dead(self, fin: int) -> None:
-        """Command no more forces from a fin; the others make what they can."""
+        """Stop using a fin; the others produce as much of the wrench as they can."""
         self.dead = (*self.dead, fin)
         reach = self.allocator.reach.copy()
         reach[fin] = 0
@@ -48,13 +50,13 @@ class BracedAllocation:
     def share(
         self, wrench: SixVector, forces: FinForces, brace: FinForces
     ) -> tuple[Allocation, FinForces]:
-        """Allocate a wrench in body axes [N, N m], given the forces and the bracing of the last
+        """Allocate a wrench in body axes [N, N m], given the forces and the bracing of the previous
         action.
 
         Returns:
-            The allocation and its bracing: forces that cancel one another.
+            The allocation, and its bracing: forces that cancel each other.
         """
-        # The force of a dead fin does not fade out.
+        # The force of a dead fin is zero immediately, without smoothing.
         forces = np.where(self.allocator.reach[:, None] > 0, forces, 0.0)
         brace = self._brace(self.allocator.allocate(wrench, start=forces).forces, brace)
         found = self.allocator.allocate(wrench, brace, forces)
@@ -63,10 +65,10 @@ class BracedAllocation:
         return Allocation(smoothed, self.allocator.matrix @ smoothed.ravel(), found.given_up), brace
 
     def _bracing(self) -> Float[np.ndarray, "braces fins 2"]:
-        """Return forces that cancel each other, with sizes around the smallest force; the first is
-        zero."""
+        """Return forces that cancel each other, with sizes around `brace_n`; the first is zero."""
         alive = np.repeat(self.allocator.reach > 0, 2)
         _, values, rows = np.linalg.svd(self.allocator.matrix[:, alive])
+        # Null space of the matrix: right singular vectors with a singular value of 0.
         free = rows[(values > 1e-6 * values.max(initial=0)).sum() :]
         least = self._config.brace_n
         found = [np.zeros(len(alive))]
@@ -83,8 +85,7 @@ class BracedAllocation:
         return np.array(found).reshape(len(found), -1, 2)
 
     def _brace(self, forces: FinForces, present: FinForces) -> FinForces:
-        """Return the bracing under which all fins make at least about the smallest force, with
-        little effort."""
+        """Return the bracing with which all fins produce about `brace_n` or more, at low effort."""
         least = self._config.brace_n
         if len(self._braces) == 1:
             return np.zeros_like(forces)
@@ -94,21 +95,23 @@ class BracedAllocation:
         lacking = (np.maximum(least - sizes, 0) ** 2)[:, alive].sum(axis=1)
         beyond = (np.maximum(sizes - self.allocator.reach, 0) ** 2)[:, alive].sum(axis=1)
         costs = lacking + 10 * beyond + EFFORT * (together**2).sum(axis=(1, 2))
-        # Compared by forces, not by number: after a fin's death there are other directions, and the
-        # present one may not be among them.
+        # Compare forces and not indices: after a fin's death the directions differ, and the current
+        # bracing may not be among them.
         unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
         costs[unchanged] -= self._config.brace_change
-        # Of equal costs the first is taken, regardless of rounding in the last digits.
+        # Round, so that of equal costs the first is chosen regardless of differences in the last
+        # digits.
         return np.asarray(self._braces[costs.round(6).argmin()])
 
 
 def _axes(free: Float[np.ndarray, "ways columns"]) -> Float[np.ndarray, "2 columns"]:
-    """Return two directions that make no wrench: the one closest to y of the last fin, and one
-    across; 0 if there is none.
+    """Return two directions that produce no wrench: the one closest to y of the last fin, and one
+    perpendicular to it; 0 if there is none.
 
-    The rows of `free` span all directions; their rotation within the span depends on the linear
-    algebra library.
+    The rows of `free` span all such directions, but their rotation within the span depends on the
+    linear algebra library.
     """
+    # Projection onto the null space; its rows are the projections of the unit vectors.
     left = free.T @ free
     found = np.zeros((2, free.shape[1]))
     for axis in found:

@@ -1,4 +1,4 @@
-"""Rank, singular values and reach of a robot's fins, and whether its body stays upright."""
+"""Check of a robot: rank, singular values and reach of its fins, and stability of its body."""
 
 from collections.abc import Iterable, Sequence
 
@@ -12,14 +12,14 @@ from softfin.robot.dynamics import Dynamics
 from softfin.robot.fin_driver import FinGaits
 
 WEAK = 1e-3
-"""A singular value below this fraction of the largest counts as zero."""
+"""Fraction of the largest singular value below which singular values count as zero."""
 
 
 def check_robot(robot: RobotConfig, gaits: Sequence[FinGaits]) -> JsonObject:
-    """Return rank and singular values, with all fins and without each of them, reach and
-    acceleration of every axis.
+    """Return rank and singular values, the rank without each fin, and the reach and acceleration
+    along every axis.
 
-    `problems` are sentences on why the body, as described, cannot be controlled.
+    `problems` lists the reasons why the body, as described, cannot be controlled.
     """
     matrix = robot.matrix()
     count = len(robot.fins)
@@ -53,11 +53,11 @@ def _rounded(names: Iterable[str], values: np.ndarray) -> dict[str, float]:
 
 
 def _swing_frequencies(dynamics: Dynamics) -> dict[str, float]:
-    """Return the frequencies at which the body swings about upright [Hz]; none if nothing rights
-    it.
+    """Return the natural frequencies of roll and pitch about upright [Hz]; empty if the body is not
+    self-righting.
 
-    Computed without drag, with sway and surge free, because a centre of gravity off the origin
-    couples them.
+    Drag is neglected. Sway and surge are free, because a centre of gravity off the origin couples
+    them to roll and pitch.
     """
     if dynamics.righting_nm_rad <= 0:
         return {}
@@ -65,6 +65,7 @@ def _swing_frequencies(dynamics: Dynamics) -> dict[str, float]:
     for name, follows in (("roll", "sway"), ("pitch", "surge")):
         axes = [WRENCH_AXES.index(follows), WRENCH_AXES.index(name)]
         compliance = np.linalg.inv(dynamics.inertia[np.ix_(axes, axes)])
+        # omega^2 = k / m: righting stiffness times the compliance with both axes free.
         frequencies[name] = round(
             float(np.sqrt(dynamics.righting_nm_rad * compliance[1, 1]) / (2 * np.pi)), 3
         )
@@ -81,8 +82,8 @@ def _stability_problems(dynamics: Dynamics) -> list[str]:
         else "do not right it"
     )
     return [
-        f"body: unstable in roll and pitch: weight and buoyancy {effect}, and the controller "
-        "leaves these axes to them; put centre_of_buoyancy_m above centre_of_gravity_m (z is up)"
+        f"body: unstable in roll and pitch: weight and buoyancy {effect}, and the controller does "
+        "not control these axes; put centre_of_buoyancy_m above centre_of_gravity_m (z is up)"
     ]
 
 

@@ -1,5 +1,5 @@
-"""Evaluation of a robot: wrenches, holding against push and current, paths, with all fins or with
-one dead."""
+"""Evaluation of a robot in simulation: wrenches, station keeping with a push and a current, and
+paths, with all fins or with one dead."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -32,48 +32,49 @@ from softfin.tank import Tank
 ReportNote = Callable[[float, str], None]
 
 MIN_COUNTED_S = MAX_ACTION_TICKS * TICK_S
-"""Shortest part of a trial whose errors count [s]: one action, half of which may be lost by
-rounding to whole actions."""
+"""Shortest evaluated part of a trial [s]: one action, half of which may be lost by rounding to
+whole actions."""
 
 EARLIEST_DEATH = 0.2
 LATEST_DEATH = 0.6
-"""Range of moments at which a fin dies, as fractions of a trial's time."""
+"""Range of the time at which a fin dies, as fractions of a trial's duration."""
 
 
 class RobotEvaluateConfig(Configuration):
-    """Configuration of the evaluation of a robot."""
+    """Configuration of a robot's evaluation."""
 
     tasks: tuple[RobotTask, ...] = ("wrenches", "hold", "lemniscate", "lissajous")
-    """Tasks, in order."""
+    """Tasks, in the order of execution."""
     seeds: PositiveInt = 5
-    """Number of repetitions; each has its own noise, and its own directions of push and current."""
+    """Number of repetitions, each with its own noise and directions of push and current."""
     wrenches: PositiveInt = 100
-    """Wrenches that are drawn."""
+    """Number of random wrenches."""
     part_of_reach: float = Field(0.7, gt=0, le=1)
-    """Fraction of the reach within which they are drawn."""
+    """Fraction of the reach within which the wrenches are drawn."""
     hold_s: PositiveFloat = 120
-    """Time of holding [s], to the nearest action of 1/3 s."""
+    """Duration of station keeping [s], rounded to whole actions of 1/3 s."""
     path_s: PositiveFloat = 150
-    """Time of following a path [s], to the nearest action of 1/3 s."""
+    """Duration of path following [s], rounded to whole actions of 1/3 s."""
     settled_s: PositiveFloat = 30
-    """Time from the start, from the push and from a fin's death after which errors count [s]."""
+    """Time after the start, the push and a fin's death during which errors are not evaluated
+    [s]."""
     push_n_s: float = Field(1.0, ge=0)
-    """Push on the body while it holds, horizontal [N s]."""
+    """Horizontal push on the body during station keeping [N s]."""
     current_m_s: float = Field(0.05, ge=0)
-    """Current while it holds, horizontal [m/s]."""
+    """Horizontal current during station keeping [m/s]."""
     lemniscate_m_s: PositiveFloat = 0.1
-    """Mean speed along the lemniscate of 2 m by 1 m [m/s]."""
+    """Mean speed along the lemniscate, 2 m by 1 m [m/s]."""
     lissajous_m_s: PositiveFloat = 0.1
-    """Mean speed along the Lissajous curve of 2 m by 1 m by 0.5 m [m/s]."""
+    """Mean speed along the Lissajous curve, 2 m by 1 m by 0.5 m [m/s]."""
     baselines: bool = False
-    """Also evaluate simpler drivers: without phases, with the pseudo-inverse, with an analytic
-    model of the fin."""
+    """Whether to evaluate simpler drivers as well: without phases, with the pseudo-inverse, and
+    with an analytic model of the fin."""
     dead: bool = False
-    """Whether a fin dies at a random moment of every trial, each fin in turn."""
+    """Whether one fin dies at a random time in every trial, each fin in turn."""
     noise: NoiseConfig = NoiseConfig()
     """Noise of the estimate of the robot's state."""
     seed: int = Field(0, ge=0)
-    """Seed of everything random."""
+    """Seed of all random numbers."""
 
     @model_validator(mode="after")
     def _settles(self) -> "RobotEvaluateConfig":
@@ -81,20 +82,21 @@ class RobotEvaluateConfig(Configuration):
             if task == "wrenches":
                 continue
             name, seconds = ("hold_s", self.hold_s) if task == "hold" else ("path_s", self.path_s)
-            # A push comes within two actions.
+            # The push occurs between 1 and 2 times `settled_s`, and errors are evaluated again
+            # another `settled_s` later.
             least = self.settled_s * (3 if task == "hold" else 1) + MIN_COUNTED_S
             if self.dead:
                 least = max(least, (self.settled_s + MIN_COUNTED_S) / (1 - LATEST_DEATH))
             if seconds < least:
                 raise ValueError(
                     f"{name} = {seconds:g}: must be at least {least:g} s with settled_s = "
-                    f"{self.settled_s:g}, otherwise no time counts"
+                    f"{self.settled_s:g}, otherwise nothing is evaluated"
                 )
         return self
 
 
 class RobotEvaluation(NamedTuple):
-    """Figures of every task, and the record of the first trial of each."""
+    """Figures for every task, and the record of each task's first trial."""
 
     figures: JsonObject
     records: dict[str, Record]
@@ -106,7 +108,7 @@ def evaluate_robot(
     config: RobotEvaluateConfig,
     report: ReportNote = lambda *_: None,
 ) -> RobotEvaluation:
-    """Evaluate a robot with these tanks as fins, in simulation."""
+    """Evaluate a robot in simulation, with `tanks` as its fins."""
     report(0.0, "gaits of the fins")
     gaits = find_all_gaits(tanks)
     simulation = RobotSimulation(robot, tanks)
@@ -154,7 +156,10 @@ def evaluate_robot(
 
 def find_all_gaits(tanks: Sequence[Tank]) -> tuple[FinGaits, ...]:
     """Find the gaits of each fin; fins with the same plant share them."""
-    found = {id(tank): find_fin_gaits(tank) for tank in {id(tank): tank for tank in tanks}.values()}
+    found: dict[int, FinGaits] = {}
+    for tank in tanks:
+        if id(tank) not in found:
+            found[id(tank)] = find_fin_gaits(tank)
     return tuple(found[id(tank)] for tank in tanks)
 
 
@@ -165,7 +170,7 @@ def trial(
     config: RobotEvaluateConfig,
     seed: int,
 ) -> tuple[Record, JsonObject]:
-    """Run one trial of a task, and score it."""
+    """Run one trial of a task, and return its record and errors."""
     random = named_generator(seed, f"robot/{task}")
     trouble = Disturbances()
     settled_from_s = config.settled_s
@@ -174,6 +179,7 @@ def trial(
     if task == "hold":
         seconds = float(config.hold_s)
         path = hold_place()
+        # Directions [rad].
         current, push = random.uniform(-np.pi, np.pi, 2)
         trouble = trouble._replace(
             current_m_s=_horizontal(config.current_m_s, current),
@@ -196,12 +202,13 @@ def trial(
         settled_from_s = at + config.settled_s
         told |= {"dead": fins[fin], "dead_at_s": round(at, 1)}
     record = run_trial(simulation, driver(seed), path, seconds, trouble, config.noise, seed)
-    # The ticks of the record: a trial consists of whole actions, so it is slightly longer or
+    # From the record, because a trial consists of whole actions and may be slightly longer or
     # shorter than `seconds`.
     ticks = np.arange(len(record.time))
     counted = ticks >= settled_from_s * RATE_HZ
     if task == "hold":
         settled_again_s = trouble.push_at_s + config.settled_s
+        # Exclude the time from the push until the robot has settled again.
         counted &= (ticks < trouble.push_at_s * RATE_HZ) | (ticks >= settled_again_s * RATE_HZ)
     position = record.position_error()[counted]
     attitude = record.attitude_error()[counted]
@@ -228,10 +235,10 @@ def _rms(values: Float[np.ndarray, "n"]) -> float:
 def draw_wrenches(
     robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
 ) -> Float[np.ndarray, "n 6"]:
-    """Draw wrenches within a fraction of the reach: each has a random direction and forces scaled
-    by the fraction."""
+    """Draw wrenches of random fin forces, uniform over disks of a fraction of each fin's reach."""
     random = named_generator(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
+    # The square root makes the distribution uniform over the disk.
     size = (
         config.part_of_reach * reach * np.sqrt(random.uniform(size=(config.wrenches, len(gaits))))
     )
@@ -241,14 +248,14 @@ def draw_wrenches(
 
 
 WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
-"""Number of actions for which each wrench is held, from rest; only the last window counts."""
+"""Number of actions for which each wrench is held, from rest; only the last window is evaluated."""
 
 
 def wrench_errors(
     simulation: RobotSimulation, driver: MakeDriver, wrenches: Float[np.ndarray, "n 6"]
 ) -> JsonObject:
-    """Compare mean wrenches over a window with the requested ones, on a fixed body; also return
-    their ripple."""
+    """Compare the mean wrenches over a window with the target wrenches, on a fixed body; also
+    return their ripple."""
     orders = [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
     held = _held(simulation, orders)
     window = slice(-WINDOW, None)
@@ -267,7 +274,7 @@ def wrench_errors(
 
 
 def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
-    """Return the orders of a driver for one wrench, from rest, ``(actions, fins)``."""
+    """Return a driver's orders for one wrench, from rest, with fields ``(actions, fins)``."""
     state = driver.init()
     orders = []
     before = rest_commands(driver)
@@ -281,7 +288,7 @@ def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
 
 
 def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
-    """Return the wrenches that the fins make on a fixed body."""
+    """Return the wrenches of the fins on a fixed body."""
     together = jax.tree.map(lambda *rows: np.stack(rows), *orders)
     wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(together), float)
     return wrenches.reshape(len(orders), -1, 6)[:, np.array(valid_rows(WRENCH_ACTIONS))]

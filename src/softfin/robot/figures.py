@@ -1,4 +1,4 @@
-"""Figures of a robot's trials: its track, its distance from the path, and its tilt."""
+"""Figures of a robot's trials: track, distance from the path, and angle to it."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,10 +1,9 @@
-"""Turns one fin's mean force into a gait: strokes to both sides of the direction in which it
-pushes. NumPy only.
+"""Convert a fin's mean force to a gait: strokes to both sides of the thrust direction. NumPy only.
 
-Still water looks the same in all directions, so one family of gaits about a centre is enough for a
-fin that turns without limit: strokes of one action each, 1.5 Hz, whose amplitude determines the
-force and whose centre its direction. Their mean force points along the centre; across it they make
-a ripple, which is the largest force of all.
+Still water is the same in all directions, so one family of gaits is enough for a fin with unlimited
+rotation: strokes of one action each, at 1.5 Hz, with their amplitude determining the force and
+their centre its direction. The mean force points along the centre; across it there is a ripple,
+which is the largest force of all.
 """
 
 import math
@@ -18,7 +17,7 @@ from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray, Command, Limits
 
 MOVING = 0.85
-"""Fraction of an action in which the shaft moves; the rest is time to accelerate and to brake."""
+"""Fraction of an action in which the shaft moves; the rest is for acceleration and braking."""
 
 
 FinVector = Float[AnyArray, "2"]
@@ -26,40 +25,41 @@ FinVector = Float[AnyArray, "2"]
 
 
 class FinGaits(NamedTuple):
-    """Gaits of a fin by their mean force; the first is rest."""
+    """Gaits of a fin, by mean force; the first is rest."""
 
     force: Float[np.ndarray, "gaits"]
-    """Mean force along the direction of pushing [N], ascending from 0."""
+    """Mean thrust [N], ascending from 0."""
     amplitude: Float[np.ndarray, "gaits"]
-    """Angle of a stroke to either side [rad]."""
+    """Stroke angle to either side [rad]."""
     ripple: Complex[np.ndarray, "gaits 2"]
-    """Ripple at the stroke frequency, for strokes that begin to the positive side: force across the
-    direction of pushing [N], and moment about the shaft [N m]."""
+    """Complex ripple at the stroke frequency, for strokes that start to the positive side: side
+    force [N] and moment about the shaft [N m]."""
     stream_loss: Float[np.ndarray, "gaits 2"]
-    """Force lost per velocity of the fin through the water, along and across the direction of
-    pushing [N s/m]."""
+    """Force lost per velocity of the fin through the water, along and across the thrust [N s/m]."""
     limits: Limits
-    """Limits of the drive's velocity; angles are not limited."""
+    """Velocity limits of the drive; angles are unlimited."""
 
     @property
     def reach(self) -> float:
-        """Greatest mean force [N]."""
+        """Maximum mean force [N]."""
         return float(self.force[-1])
 
     def find_amplitude(self, force_n: float) -> float:
-        """Return the amplitude of a mean force [rad]."""
+        """Return the stroke amplitude for a mean force [rad]."""
         return float(np.interp(force_n, self.force, self.amplitude))
 
     def stroke_ripple(self, force_n: Float[np.ndarray, "fins"]) -> Complex[np.ndarray, "fins 2"]:
-        """Return the ripple of mean forces."""
+        """Return the ripple for mean forces [N]."""
         return np.stack([np.interp(force_n, self.force, part) for part in self.ripple.T], axis=1)
 
     def lost(self, force: FinVector, velocity: FinVector) -> FinVector:
-        """Return the loss of a mean force while the fin moves through the water [N]; both in the
-        fin's axes [N, m/s]."""
+        """Return the loss of a mean force [N] while the fin moves through the water at a velocity
+        [m/s], all in the fin's axes."""
         xp = select_operations(force, velocity).xp
         squared = force @ force + SMALL_N**2
         part = (velocity @ force) / squared * force
+        # Split the velocity into parts along and across the force. SMALL_N keeps the direction
+        # finite at zero force.
         along, across = (
             xp.interp(xp.sqrt(squared), self.force, loss) for loss in self.stream_loss.T
         )
@@ -67,34 +67,34 @@ class FinGaits(NamedTuple):
         return lost
 
     def stroke_velocity(self, way_rad: float) -> float:
-        """Return the velocity at which a fin arrives within its action, or the nearest one within
-        the drive's limits."""
+        """Return the velocity needed to turn by an angle within one action, clamped to the drive's
+        limits."""
         wanted = way_rad * ACTION_RATE_HZ / MOVING
         return min(max(wanted, self.limits.velocity_min), self.limits.velocity_max)
 
 
 SMALL_N = 0.05
-"""A force below this has no steady direction [N]."""
+"""Force below which the direction is not reliable [N]."""
 
 WEAK_N = 1e-6
-"""A force below this has no direction [N]."""
+"""Force below which there is no direction [N]."""
 
 
 class DriverState(NamedTuple):
     """State of a fin's driver."""
 
     direction: float
-    """Centre angle of its strokes [rad]; may be any number of turns."""
+    """Centre angle of the strokes [rad], not wrapped."""
     target: float
     """Last commanded angle [rad]."""
 
 
 REST = DriverState(0.0, 0.0)
-"""Return the state of a fin at rest at angle 0."""
+"""State of a fin at rest at angle 0."""
 
 
 def fin_command(angle_rad: float, velocity_rad_s: float) -> Command:
-    """Return a command of plain numbers, as drives and messages need them."""
+    """Return a command of plain numbers, as needed by drives and messages."""
     command: Any = Command
     numbers: Command = command(angle_rad, velocity_rad_s)
     return numbers
@@ -109,8 +109,8 @@ def stroke(
     size = math.hypot(x, y)
     direction = state.direction
     if size > WEAK_N:
-        # At angle a the fin's thrust points along (cos a, -sin a); the fin takes the shorter way
-        # there.
+        # At angle a the thrust points along (cos a, -sin a); the fin turns there by the shorter
+        # way.
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
     target = direction + side * gaits.find_amplitude(size)
     velocity = gaits.stroke_velocity(abs(target - state.target))

@@ -1,5 +1,5 @@
-"""The search for a fin's gaits in its tank: strokes of many amplitudes are simulated, and their
-mean forces inverted."""
+"""Search for a fin's gaits in its tank: simulate strokes of many amplitudes and invert the map to
+mean force."""
 
 import equinox as eqx
 import jax
@@ -17,23 +17,23 @@ from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
 STROKES_RAD = np.linspace(0, 1.2, 41)
-"""Amplitudes that are tried [rad]; above 1.2 a fin of any stiffness pushes itself back and
-forth."""
+"""Amplitudes to try [rad]; above 1.2 rad, a fin of any stiffness only pushes back and forth."""
 
 HELD_WINDOWS = 4
-"""Number of windows of 2 s for which a gait is repeated from rest; only the last one counts."""
+"""Number of 2 s windows for which a gait is repeated from rest; only the last one is evaluated."""
 
 MAX_SIDE_FORCE_FRACTION = 0.05
-"""Largest mean force of a gait across the direction of pushing, as a fraction of its force: above
-this, strokes do not end within their action, so they all start differently."""
+"""Maximum mean side force of a gait, as a fraction of its thrust. Above this, strokes do not finish
+within their action, so each one starts differently."""
 
 STREAM_M_S = 0.05
-"""Velocity through the water at which the loss of force is measured: along the direction of
-pushing, and across."""
+"""Velocity through the water, along and across the thrust, at which the loss of force is measured
+[m/s]."""
 
 
 def find_fin_gaits(tank: Tank) -> FinGaits:
-    """Simulate strokes about angle 0, and keep those whose mean force grows with the amplitude."""
+    """Simulate strokes about angle 0, and keep those for which the mean force increases with the
+    amplitude."""
     amplitudes = jnp.asarray(STROKES_RAD)
 
     def mean_force(velocity_m_s: tuple[float, float]) -> np.ndarray:
@@ -46,11 +46,12 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     along = mean - mean_force((STREAM_M_S, 0.0))
     across = mean - mean_force((0.0, STREAM_M_S))
     loss = np.stack([along[:, 0], across[:, 1]], axis=1)
-    # The amplitude of a sine at the stroke frequency, half that of the actions; a stroke to the
-    # positive side begins at 0.
+    # Fourier coefficient at the stroke frequency, which is half the action rate; a stroke to the
+    # positive side starts at phase 0.
     turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))
     ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
     count = 1
+    # Keep the monotonic part, which can be inverted.
     while count < len(mean) and mean[count, 0] > mean[count - 1, 0]:
         if abs(mean[count, 1]) > MAX_SIDE_FORCE_FRACTION * mean[count, 0] + 0.01:
             break
@@ -58,8 +59,8 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     if count < 3:
         raise PlantError(
             f"robot: strokes of {STROKES_RAD[1]:.2f} and {STROKES_RAD[2]:.2f} rad about angle 0 "
-            f"make {mean[1, 0]:.3g} and {mean[2, 0]:.3g} N of thrust in this tank; a fin's thrust "
-            "must grow with its strokes"
+            f"produce {mean[1, 0]:.3g} and {mean[2, 0]:.3g} N of thrust in this tank, but thrust "
+            "must increase with the amplitude; check the tank's configuration"
         )
     mean[0] = 0
     return FinGaits(
@@ -71,16 +72,18 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
 def _strokes(
     tank: Tank, amplitudes: Float[Array, "n"], velocity_m_s: Float[Array, "2"]
 ) -> tuple[Float[Array, "n ticks 2"], Float[Array, "n ticks"]]:
-    """Return forces [N] and moments about the shaft [N m] over the last window, for a fin that is
-    towed."""
+    """Return the forces [N] and the moments about the shaft [N m] over the last window, for a fin
+    towed through the water."""
     mount = Mount(velocity_m_s, jnp.zeros(2), jnp.zeros(()))
     limits = tank.limits
+    # Strokes to alternating sides, one per action.
     sides = np.repeat(
         [1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS),
         action_ticks(CYCLE_ACTIONS * HELD_WINDOWS),
     )
 
     def each(amplitude: Float[Array, ""]) -> tuple[Float[Array, "ticks 2"], Float[Array, "ticks"]]:
+        # From one side to the other within the moving part of an action.
         velocity = jnp.clip(
             2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max
         )

@@ -1,14 +1,14 @@
-"""Motion control in 6 degrees of freedom: computed torque along a path, with an observer for each
-axis. NumPy only.
+"""Motion control in 6 degrees of freedom: computed torque along a path, with one observer per axis.
+NumPy only.
 
-The wrench that the path needs is computed from the body's model; errors are corrected by
-proportional and derivative action; and a Kalman filter for each axis estimates the error, its rate
-and a constant disturbance, which is compensated. The filter gets the wrench that the allocator
-made, not the requested one, so nothing winds up (Fossen 2021, ch. 13 and 15; Sariyildiz, Oboe and
-Ohnishi 2020). Body axes are used in place of path axes, so the body must be rotated from the path
-by less than about a radian.
+The wrench needed to follow the path is computed from the model of the body. Errors are corrected by
+proportional and derivative action. A Kalman filter for each axis estimates the error, its rate and
+a constant disturbance, which is compensated. The filter uses the allocated wrench and not the
+requested one, which prevents wind-up (Fossen 2021, ch. 13 and 15; Sariyildiz, Oboe and Ohnishi
+2020). Path axes are approximated by body axes, so the body must stay within about one radian of the
+path's attitude.
 
-Fins stroke at half the actions' rate. An error is therefore a mean over two actions, in which
+Fins stroke at half the action rate. Errors are therefore averaged over two actions, in which
 strokes cancel: sampled once per action, a stroke would look like a constant error.
 """
 
@@ -37,7 +37,7 @@ from softfin.robot.rotation import (
 ACTION_S = 1 / ACTION_RATE_HZ
 
 SEEN_ACTIONS = 2
-"""Number of actions over which an error is averaged: one whole period of the strokes."""
+"""Number of actions over which errors are averaged: one full stroke period."""
 
 
 AxisEstimates = Float[np.ndarray, "6 3"]
@@ -45,19 +45,19 @@ AxisTransitions = Float[np.ndarray, "6 3 3"]
 
 
 class AxisFilter(NamedTuple):
-    """Filters of the six axes: x = (error, its rate, disturbance's acceleration), u = acceleration
-    by the fins."""
+    """Kalman filters of the six axes, with state x = (error, its rate, acceleration by
+    disturbances) and input u = acceleration by the fins."""
 
     forward: AxisTransitions
-    """Transition from one action to the next."""
+    """State transition from one action to the next."""
     driven: AxisEstimates
     gain: Float[np.ndarray, "6 3 2"]
     """Steady-state gain of the Kalman filter."""
     back: Float[np.ndarray, "6 2 3"]
-    """Mean error and rate over the last two actions, from the state now."""
+    """Map from the current state to the mean error and rate over the last two actions."""
     driven_back: Float[np.ndarray, "6 2"]
     ahead: AxisTransitions
-    """Transition to the time at which new forces act."""
+    """State transition to the time at which new forces take effect."""
     driven_ahead: AxisEstimates
     deviation: Float[np.ndarray, "6"]
     """Standard deviation of the estimated disturbance [m/s2, rad/s2]."""
@@ -70,27 +70,29 @@ class AxisFilter(NamedTuple):
         damping: SixVector,
         noise: Float[np.ndarray, "6 2"],
     ) -> "AxisFilter":
-        """Build the filters; stiffness [1/s2] and damping [1/s] are those of the body itself, and
-        the noise is that of error and rate."""
+        """Build the filters from the stiffness [1/s2] and damping [1/s] of the body itself, and the
+        noise of the measured error and rate."""
         rows = []
         for axis in range(6):
             # d/dt (error, rate, disturbance, u): the body's own spring and damper, driven by the
-            # disturbance and by the fins. The disturbance and u are constant within an action.
+            # disturbance and the fins. Disturbance and u are constant within an action.
             slope = np.array(
                 [[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]]
             )
             step = _exponential(slope * ACTION_S)
+            # The mean over the last two actions is about the state in their middle, one action ago.
             half = np.linalg.inv(step)
             forward = step[:3, :3]
             driven = step[:3, 3]
             back = half[:2, :3]
             driven_back = half[:2, 3]
+            # Variance of the random walk after one action.
             walk = config.disturbance[axis] ** 2 * ACTION_S
             spread = np.outer(driven, driven) * config.force_noise[axis] ** 2
             spread[2, 2] += walk
             measured = np.diag(noise[axis] ** 2)
             covariance = np.eye(3)
-            # Kalman's recursion, repeated until its gain has settled.
+            # Kalman recursion, repeated until its gain has converged.
             for _ in range(STEADY):
                 ahead = forward @ covariance @ forward.T + spread
                 gain = ahead @ back.T @ np.linalg.inv(back @ ahead @ back.T + measured)
@@ -112,46 +114,48 @@ class AxisFilter(NamedTuple):
 
 
 STILL_M_S = 0.01
-"""Speed below which a path counts as a place to hold [m/s]."""
+"""Speed below which a path counts as station keeping [m/s]."""
 
 SURGE_MEMORY_S = 20.0
-"""Time over which the longitudinal force is averaged [s]. A long body has little longitudinal drag:
-0.2 to 0.5 N in a current of 5 cm/s, which is the error of a single estimate; the mean has a third
-of that error."""
+"""Averaging time of the longitudinal force [s]. A long body has little longitudinal drag, 0.2 to
+0.5 N in a current of 5 cm/s. A single estimate has an error of that size; the mean has one third of
+it."""
 
 MAX_DAMPING = 8 / ACTION_S
-"""Damping above which a filter would see no motion within an action [1/s]."""
+"""Upper limit of the damping in the filters [1/s]; with more, motion would decay within one
+action."""
 
 STEADY = 600
-"""Number of actions after which a filter's gain has settled."""
+"""Number of actions after which a filter's gain has converged."""
 
 
 class ControlState(NamedTuple):
     """State of the controller between actions."""
 
     estimate: AxisEstimates
-    """Error, its rate and the disturbance, axis by axis, in the axes of the path [m, rad; and per
-    s, per s2]."""
+    """Error, its rate and the disturbance for each axis, in path axes [m, m/s, m/s2; rad, rad/s,
+    rad/s2]."""
     accelerations: Float[np.ndarray, "2 6"]
-    """Accelerations of the fins in addition to the path's in the last two actions, the newest
+    """Accelerations by the fins, in addition to the path's, in the last two actions, latest
     first."""
     heading: float
-    """Angle by which the robot has turned from the path's heading into a current [rad]."""
+    """Angle by which the robot has turned away from the path's heading into a current [rad]."""
     surge_n: float
-    """Longitudinal force that was recently needed to hold the place [N]."""
+    """Recent mean of the longitudinal force needed for station keeping [N]."""
     side: float
-    """Side to which the robot turns into a current: 1 left, -1 right; 0 before the first turn."""
+    """Direction in which the robot turns into a current: 1 left, -1 right; 0 before the first
+    turn."""
 
 
 class MotionController:
-    """Follows a path, or holds a place, by wrenches."""
+    """Controller that computes wrenches to follow a path or to keep station."""
 
     def __init__(self, robot: RobotConfig) -> None:
         config = robot.control
         self._config = config
         self.sway_reach_n = np.inf
-        """Largest side force of the fins once one is dead [N]; with all fins the heading is
-        kept."""
+        """Maximum side force of the remaining fins after one has died [N]; infinite while all fins
+        work, so that the heading is kept."""
         self.dynamics = Dynamics.of(robot.body)
         self._rate = np.asarray(config.bandwidth_rad_s, float)
         self._damping = config.damping
@@ -168,7 +172,7 @@ class MotionController:
         self._surge_noise_n = float(inertia[0] * self._filter.deviation[0])
 
     def init(self) -> ControlState:
-        """Return the state before the first action, with nothing known."""
+        """Return the initial state, with all estimates zero."""
         return ControlState(np.zeros((6, 3)), np.zeros((2, 6)), heading=0.0, surge_n=0.0, side=0.0)
 
     def act(
@@ -182,16 +186,14 @@ class MotionController:
         """Return the wrench in body axes for the next action [N, N m].
 
         `seen` contains positions ``(ticks, 3)``, attitudes ``(ticks, 4)`` and twists ``(ticks, 6)``
-        of the last two actions; the targets are those in the middle of these, now, and in the
-        middle of the action that begins.
+        of the last two actions; `middle`, `now` and `ahead` are the targets in the middle of these
+        actions, now, and in the middle of the next action.
 
         Raises:
-            RunError: a number of the robot's state is not finite.
+            RunError: the robot's state is not finite.
         """
         if not all(np.isfinite(each).all() for each in seen):
-            raise RunError(
-                "robot: its state holds numbers that are not finite; check what estimates it"
-            )
+            raise RunError("robot: its state is not finite; check the state estimator")
         middle = _turned(middle, state.heading)
         ahead = _turned(ahead, state.heading)
         estimate = np.asarray(self.observed(state.estimate, state.accelerations, seen, middle))
@@ -207,15 +209,18 @@ class MotionController:
         seen: Sequence[np.ndarray],
         middle: PathPoint,
     ) -> AxisEstimates:
-        """Return the estimate after observing two actions."""
+        """Return the estimate updated with the observation of two actions."""
         position = seen[0].mean(axis=0)
         twist = seen[2].mean(axis=0)
-        # The quaternions are close to each other, so their mean only needs to be normalised.
+        # The quaternions are close to each other, so their normalised mean is sufficient; align
+        # their signs first, because q and -q are the same attitude.
         attitude = normalized((seen[1] * np.sign(seen[1] @ seen[1][-1])[:, None]).mean(axis=0))
         measured = np.stack(
             [path_error(middle, position, attitude), twist - path_twist(middle)], axis=1
         )
         f = self._filter
+        # Forces lag the commands by `lag_s`, so the previous action's acceleration acts in the
+        # first part of an action.
         acted = ((1 - self._lag) * accelerations[0] + self._lag * accelerations[1])[:, None]
         guess = np.einsum("aij,aj->ai", f.forward, estimate) + f.driven * acted
         expected = np.einsum("aij,aj->ai", f.back, guess) + f.driven_back * acted
@@ -225,11 +230,13 @@ class MotionController:
     def corrected(
         self, estimate: AxisEstimates, accelerations: Float[np.ndarray, "2 6"]
     ) -> SixVector:
-        """Return the acceleration that corrects an error [m/s2, rad/s2]."""
+        """Return the acceleration that corrects the estimated error [m/s2, rad/s2]."""
         f = self._filter
         then = (
             np.einsum("aij,aj->ai", f.ahead, estimate) + f.driven_ahead * accelerations[0][:, None]
         )
+        # -(w^2 e + 2 zeta w de/dt) - d, with the state predicted to the time at which the new
+        # forces take effect.
         correction: SixVector = (
             -(self._rate**2) * then[:, 0] - 2 * self._damping * self._rate * then[:, 1] - then[:, 2]
         )
@@ -238,29 +245,31 @@ class MotionController:
     def _weathervane(
         self, state: ControlState, estimate: AxisEstimates, now: PathPoint
     ) -> tuple[float, float, float]:
-        """Return surge force, side and heading of the next state; the heading turns into a current
-        that comes too much from the side."""
+        """Return surge force, side and heading of the next state; the heading turns into the
+        current if the side force becomes too large."""
         if np.linalg.norm(now.velocity) > STILL_M_S:
             return state.surge_n, state.side, state.heading
         surge, sway = -self._outside_wrench(estimate)[:2]
+        # First-order low-pass filter.
         surge_n = state.surge_n + ACTION_S / SURGE_MEMORY_S * (float(surge) - state.surge_n)
         excess = abs(sway) / (self._config.sway_part * self.sway_reach_n) - 1
         if excess <= 0:
             return surge_n, state.side, state.heading
         side = state.side
-        # Below the noise the sign is a guess, but waiting would mean drifting off: the wrong
-        # direction passes through abeam and ends just as well, only later. Only evidence above the
-        # noise reverses the turn; otherwise a wavering robot would stay abeam.
+        # Below the noise level the sign is a guess, but waiting would mean drifting away: turning
+        # in the wrong direction passes through abeam and also reaches the goal, only later. The
+        # turn is reversed only if the force exceeds the noise, otherwise an undecided robot would
+        # stay abeam.
         if not side or abs(surge_n) > self._surge_noise_n:
             side = float(np.sign(sway) * (np.sign(surge_n) or 1.0))
         turn_rad = self._config.weathervane_rad_s * ACTION_S * min(excess, 1.0)
         return surge_n, side, float(state.heading + side * turn_rad)
 
     def _outside_wrench(self, estimate: AxisEstimates) -> SixVector:
-        """Return the wrench from outside in the axes of the path [N, N m].
+        """Return the estimated external wrench in path axes [N, N m].
 
-        Each axis has its own filter, which models only the restoring moment and the drag of this
-        axis. Through the inertia they also act on other axes: a roll moment balanced by the weight
+        Each filter models only the restoring moment and the drag of its own axis, but the inertia
+        couples them to other axes. Without this correction, a roll moment balanced by the weight
         would look like sway.
         """
         error, rate, disturbance = estimate.T
@@ -270,20 +279,22 @@ class MotionController:
         return wrench
 
     def acknowledge(self, state: ControlState, wrench: SixVector, ahead: PathPoint) -> ControlState:
-        """Tell the observer which wrench the fins make in place of the requested one."""
+        """Update the state with the allocated wrench, which may differ from the requested one."""
         acceleration = self.dynamics.inverse @ (wrench - self.needed(_turned(ahead, state.heading)))
         return state._replace(accelerations=np.stack([acceleration, state.accelerations[0]]))
 
     def needed(self, target: PathPoint) -> SixVector:
-        """Return the wrench that keeps the body on the path in still water, upright."""
+        """Return the wrench that keeps the upright body on the path in still water."""
         axes = matrix(target.attitude)
         twist = path_twist(target)
         velocity = twist[:3]
         turn = twist[3:]
+        # In rotating axes: dv/dt = R' a - omega x v.
         acceleration = six(
             target.acceleration @ axes - cross(turn, velocity), target.turning @ axes
         )
         d = self.dynamics
+        # Inverse dynamics: M dv/dt = wrench + gyroscopic + drag + restoring.
         needed: SixVector = (
             d.inertia @ acceleration
             - d.gyroscopic(twist)
@@ -300,7 +311,9 @@ def _turned(target: PathPoint, heading: float) -> PathPoint:
 
 
 def _exponential(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Return the matrix exponential by scaling and Taylor series, because NumPy lacks it."""
+    """Return the matrix exponential, by scaling and squaring of a Taylor series; NumPy does not
+    have it."""
+    # exp(A) = exp(A / 64)^64.
     small = matrix / 64
     result = np.eye(len(matrix))
     term = np.eye(len(matrix))

@@ -1,4 +1,4 @@
-"""Noise of the estimate of a robot's state. For NumPy in trials and JAX in programs."""
+"""Noise of a robot's state estimate, with NumPy in trials and JAX in compiled programs."""
 
 import math
 from typing import Any
@@ -15,18 +15,18 @@ from softfin.robot.rotation import multiply
 
 
 class NoiseConfig(Configuration):
-    """Noise of the estimated state of the robot, normal and independent for each number."""
+    """Noise of the estimated state of the robot, normal and independent for each component."""
 
     position_m: NonNegativeFloat = 0.01
     """Standard deviation of each coordinate [m]."""
     attitude_rad: NonNegativeFloat = 0.0087
-    """Standard deviation about each axis [rad]: half a degree."""
+    """Standard deviation about each axis [rad]; half a degree."""
     velocity_m_s: NonNegativeFloat = 0.01
     """Standard deviation of each velocity [m/s]."""
     rate_rad_s: NonNegativeFloat = 0.01
     """Standard deviation of each angular velocity [rad/s]."""
     memory_s: PositiveFloat = 0.1
-    """Correlation time of the noise [s]: the errors of an estimate are not white."""
+    """Correlation time of the noise [s]; estimation errors are not white."""
 
     def deviations(self) -> Float[np.ndarray, "12"]:
         """Return the standard deviations of position, attitude, velocity and angular velocity."""
@@ -35,15 +35,17 @@ class NoiseConfig(Configuration):
         )
 
     def decay(self, seconds: float) -> tuple[float, float]:
-        """Return the weights of the previous noise and of new noise after a time step."""
+        """Return the weights of the previous noise and of new noise in a time step [s]."""
+        # AR(1) process with constant variance: x' = k x + sqrt(1 - k^2) w.
         kept = math.exp(-seconds / self.memory_s)
         return kept, math.sqrt(1 - kept**2)
 
 
 def estimated(body: BodyState, noise: Float[AnyArray, "*rows 12"]) -> tuple[Any, Any, Any]:
-    """Return position, attitude and twist with noise, for one state or for rows of states."""
+    """Return position, attitude and twist with noise, for one state or rows of states."""
     half = noise[..., 3:6] / 2
     xp = select_operations(*body, noise).xp
+    # Small-angle quaternion (1, phi / 2), normalised below.
     turn = xp.concatenate([xp.ones_like(half[..., :1]), half], axis=-1)
     turn = turn / xp.linalg.norm(turn, axis=-1, keepdims=True)
     attitude = multiply(body.attitude.T, turn.T).T

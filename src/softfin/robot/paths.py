@@ -21,7 +21,7 @@ CurvePoint: TypeAlias = tuple[float | int, float | int, float | int]
 
 
 class PathPoint(NamedTuple):
-    """Target state of the robot; velocities and accelerations in world axes."""
+    """Target state of the robot, with velocities and accelerations in world axes."""
 
     position: Vector
     """[m]"""
@@ -44,8 +44,8 @@ def path_twist(target: PathPoint) -> SixVector:
 
 
 def path_error(target: PathPoint, position: Vector, attitude: Quaternion) -> SixVector:
-    """Return the position relative to the path, in the path's axes [m], and the rotation vector
-    from its attitude [rad]."""
+    """Return the position relative to the path [m] and the rotation vector from the path's attitude
+    [rad], both in the path's axes."""
     moved = (position - target.position) @ matrix(target.attitude)
     return six(moved, to_vector(multiply(inverse_rotation(target.attitude), attitude)))
 
@@ -56,26 +56,28 @@ DIFFERENCE_STEP_S = 0.01
 """Step of the finite differences for a path's velocity and acceleration [s]."""
 
 STARTING_S = 10.0
-"""Time in which a path's speed grows from 0 [s]."""
+"""Time over which the speed along a path rises from 0 [s]."""
 
 
 def hold_place(position: CurvePoint = (0.0, 0.0, 0.0), yaw: float | int = 0.0) -> Path:
-    """Hold a place, upright."""
+    """Return a path that stays at one position, upright."""
     still = PathPoint(np.asarray(position, float), from_euler(0.0, 0.0, yaw), *np.zeros((4, 3)))
     return lambda time: still
 
 
 def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
-    """Follow a closed curve, ``curve(0 .. 1)``, at a mean speed, with a slow start and the nose
-    along the path."""
+    """Return a path along a closed curve, ``curve(0 .. 1)``, at a mean speed, with a slow start and
+    the nose in the direction of travel."""
     points = np.array([curve(u) for u in np.linspace(0, 1, 2001)])
+    # Fraction of the curve per second: speed divided by length, which is that of a polygon.
     rate = speed_m_s / float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
     def part(time: float) -> float:
         if time < STARTING_S:
-            # A smooth start: the integral of a smoothstep.
+            # Smooth start: the integral of a smoothstep, which rises from 0 to 1.
             u = max(time, 0.0) / STARTING_S
             return rate * STARTING_S * (u**3 - u**4 / 2)
+        # The slow start covers half the distance of the full speed.
         return rate * (time - STARTING_S / 2)
 
     def place(time: float) -> Vector:
@@ -89,6 +91,7 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
     def target(time: float) -> PathPoint:
         times = (time - DIFFERENCE_STEP_S, time, time + DIFFERENCE_STEP_S)
         before, now, after = map(place, times)
+        # Jumps by 2 pi would become spikes of the angular velocity.
         yaws = np.unwrap([heading(at) for at in times])
         turn = np.zeros(3)
         turning = np.zeros(3)
@@ -108,7 +111,8 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
 
 
 def lemniscate(speed_m_s: float | int) -> Path:
-    """Follow a figure of eight in the horizontal plane (Gerono's), 2 m long and 1 m wide."""
+    """Return a figure-of-eight path (lemniscate of Gerono) in the horizontal plane, 2 m long and 1
+    m wide."""
 
     def curve(u: float) -> Vector:
         s = 2 * np.pi * u
@@ -118,7 +122,7 @@ def lemniscate(speed_m_s: float | int) -> Path:
 
 
 def lissajous(speed_m_s: float | int) -> Path:
-    """Follow a three-dimensional Lissajous curve of 2 m by 1 m by 0.5 m with frequencies 1, 2 and
+    """Return a three-dimensional Lissajous path, 2 m by 1 m by 0.5 m, with frequencies 1, 2 and
     1."""
 
     def curve(u: float) -> Vector:

@@ -1,5 +1,5 @@
-"""A robot in the water: its body, and each fin in a virtual tank on a mount that moves with the
-body."""
+"""Simulation of a robot in water: its body, and each fin in a virtual tank on a mount that moves
+with the body."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -21,16 +21,16 @@ from softfin.tank.fin import Mount
 from softfin.tank.tank import Load
 
 BodyVector = Float[Array, "6"]
-"""A twist or a wrench in body axes."""
+"""Twist or wrench in body axes."""
 
 
 class Ambient(NamedTuple):
-    """Current, and a push from outside, during an action."""
+    """Current and external push during an action."""
 
     current: Float[Array, "3"]
-    """Velocity of the water, steady, in world axes [m/s]."""
+    """Steady velocity of the water in world axes [m/s]."""
     push: BodyVector
-    """Wrench on the body, in body axes [N, N m]."""
+    """External wrench on the body, in body axes [N, N m]."""
 
 
 class Orders(NamedTuple):
@@ -40,7 +40,7 @@ class Orders(NamedTuple):
     """Commands of the previous action."""
     now: Command
     delays: Int[Array, "fins"]
-    """Ticks into the action at which each fin gets its command."""
+    """Delay from the start of the action to each fin's command [ticks]."""
 
     def at(self, tick: Int[Array, ""]) -> Command:
         """Return the commands in force at a tick of the action."""
@@ -51,11 +51,11 @@ class Orders(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """State of body and fins."""
+    """State of the body and the fins."""
 
     body: BodyState
     acceleration: BodyVector
-    """Rate of change of the twist relative to the water in the last tick."""
+    """Rate of change of the twist relative to the water in the previous tick."""
     fins: TankState
 
 
@@ -64,36 +64,36 @@ class RobotTicks(NamedTuple):
 
     body: BodyState
     wrench: Float[Array, "ticks 6"]
-    """Wrench of the fins on the body, in body axes [N, N m]."""
+    """Total wrench of the fins on the body, in body axes [N, N m]."""
     shapes: Float[Array, "ticks fins points 2"]
-    """Shaft and outer end of each plate, in each fin's axes [m]."""
+    """Positions of the shaft and the outer end of each plate, in each fin's axes [m]."""
 
 
 Advanced = tuple[RobotState, RobotTicks]
-"""State after an action, and its ticks."""
+"""State after an action, and the rows of its ticks."""
 
 
 class RobotSimulation:
-    """A robot and its fins, simulated by compiled programs."""
+    """A robot and its fins, simulated with compiled JAX programs."""
 
     def __init__(self, robot: RobotConfig, tanks: Sequence[Tank]) -> None:
         self.robot = robot
         self.dynamics = Dynamics.of(robot.body)
         self._fin_mounts = robot.mounts()
         self._matrix = robot.matrix()
-        # One program for all of them.
+        # Stacked, so that one compiled program simulates all fins.
         self.tanks: Tank = jax.tree.map(lambda *x: jnp.stack(x), *tanks)
         self._advance = eqx.filter_jit(self._advance_action)
 
     def init(self, key: PRNGKeyArray, body: BodyState | None = None) -> RobotState:
-        """Return fins at rest on a body, which is at rest unless its state is given."""
+        """Return the state of fins at rest on a body with the given state (default: at rest)."""
         keys = jax.random.split(key, len(self.robot.fins))
         fins = eqx.filter_vmap(lambda tank, key: tank.init(key))(self.tanks, keys)
         start = jax.tree.map(jnp.float32, body or BodyState.rest())
         return RobotState(start, jnp.zeros(6), fins)
 
     def advance(self, state: RobotState, orders: Orders, around: Ambient, ticks: Ticks) -> Advanced:
-        """Advance by an action of 33 or 34 ticks; rows of 34, of which the first `ticks` are
+        """Advance by an action of 33 or 34 ticks; returns 34 rows, of which the first `ticks` are
         valid."""
         advanced: Advanced = self._advance(state, orders, around, ticks)
         return advanced
@@ -106,8 +106,8 @@ class RobotSimulation:
         )
 
     def held(self, orders: Orders) -> Float[Array, "actions ticks 6"]:
-        """Return the wrench of the fins on a fixed body, from rest, under orders ``(actions,
-        fins)``; rows of 34 ticks per action."""
+        """Return the wrench of the fins on a fixed body, from rest, for orders ``(actions, fins)``,
+        with 34 rows per action."""
         start = self.init(jax.random.key(0))
         still = jax.tree.map(
             lambda x: jnp.zeros((len(self.robot.fins), *x.shape)),
@@ -128,6 +128,7 @@ class RobotSimulation:
 
     def _wrench(self, loads: Load) -> BodyVector:
         wrench = jnp.asarray(self._matrix, jnp.float32) @ loads.force.reshape(-1)
+        # The fins' moments about their shafts add to the moments of their forces.
         return wrench.at[3:].add(loads.torque @ self._fin_mounts.shafts)
 
     def tick(self, state: RobotState, commands: Command, around: Ambient) -> Advanced:
@@ -143,13 +144,14 @@ class RobotSimulation:
         return RobotState(body, jnp.asarray(acceleration), fins), RobotTicks(body, wrench, shapes)
 
     def _mounts(self, twist: BodyVector, acceleration: BodyVector) -> Mount:
-        """Return the motion of each fin's mount through the water, in its own axes."""
+        """Return the motion of each fin's mount through the water, in the fin's axes."""
         velocity = twist[:3]
         turn = twist[3:]
-        # The acceleration of the origin, in axes that do not rotate.
+        # Acceleration of the origin in an inertial frame: a = dv/dt + omega x v.
         linear = acceleration[:3] + cross(turn, velocity)
 
         def each(place: Array, axes: Array, shaft: Array) -> Mount:
+            # v = v0 + omega x r, and a = a0 + alpha x r + omega x (omega x r).
             around = cross(turn, place)
             speeding = linear + cross(acceleration[3:], place) + cross(turn, around)
             return Mount((velocity + around) @ axes, speeding @ axes, turn @ shaft)
@@ -174,11 +176,12 @@ class RobotSimulation:
 def _scan_ticks(
     tick: Callable[[Any, Array], tuple[Any, Any]], state: PyTree, ticks: Ticks
 ) -> tuple[Any, Any]:
-    """Take the ticks of an action; rows of 34, and a state to which only the first `ticks`
-    count."""
+    """Scan the ticks of an action; returns the state after the first `ticks` and 34 rows."""
 
     def one(state: PyTree, index: Array) -> tuple[Any, Any]:
         after, row = tick(state, index)
+        # Actions have 33 or 34 ticks, but a compiled program has a fixed length: discard the extra
+        # tick.
         return jax.tree.map(partial(jnp.where, index < ticks), after, state), row
 
     return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))

@@ -1,5 +1,4 @@
-"""A trial: a robot holds its place or follows a path in simulation, with the noise of a real
-estimate."""
+"""Simulated trial: a robot keeps station or follows a path, with noise in its state estimate."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -30,12 +29,12 @@ class Disturbances(NamedTuple):
     """Disturbances of a trial."""
 
     current_m_s: Three = (0.0, 0.0, 0.0)
-    """Current, steady, in world axes."""
+    """Steady current in world axes [m/s]."""
     push_n_s: Three = (0.0, 0.0, 0.0)
-    """Impulse on the origin in body axes, within one action [N s]."""
+    """Impulse at the origin in body axes, spread over one action [N s]."""
     push_at_s: float = 10.0
     dead_fin: int | None = None
-    """Number of the fin that dies: its drive brakes, its shaft stays where it stops, and the
+    """Index of the fin that dies: its drive brakes, its shaft stays where it stops, and the
     controller is notified."""
     dead_at_s: float = 20.0
 
@@ -48,15 +47,15 @@ class Record(NamedTuple):
     target_position: Float[np.ndarray, "ticks 3"]
     target_attitude: Float[np.ndarray, "ticks 4"]
     fin_wrench: Float[np.ndarray, "ticks 6"]
-    """Wrench of the fins [N, N m]."""
+    """Total wrench of the fins [N, N m]."""
     shapes: np.ndarray
     """``(ticks, fins, points, 2)`` [m]."""
     asked: Float[np.ndarray, "actions 6"]
     """Wrench requested by the controller [N, N m]."""
     expected: Float[np.ndarray, "actions 6"]
-    """Wrench that the fins were expected to make instead in still water."""
+    """Wrench that the fins were expected to produce in still water [N, N m]."""
     forces: Float[np.ndarray, "actions fins 2"]
-    """Mean force requested from each fin [N]."""
+    """Target mean force of each fin [N]."""
     given_up: np.ndarray
     """``(actions, 6)``"""
 
@@ -66,6 +65,7 @@ class Record(NamedTuple):
 
     def attitude_error(self) -> Float[np.ndarray, "ticks"]:
         """Return the angle between the robot and the path [rad]."""
+        # |q1 . q2| = cos(angle / 2).
         between = np.abs((self.target_attitude * self.body.attitude).sum(axis=1))
         return np.asarray(2 * np.arccos(np.minimum(between, 1)))
 
@@ -79,7 +79,7 @@ def run_trial(
     noise: NoiseConfig | None = None,
     seed: int = 0,
 ) -> Record:
-    """Run a trial from rest at the start of the path."""
+    """Run a trial of `seconds` [s], from rest at the start of the path."""
     trouble = disturbances or Disturbances()
     noise = noise or NoiseConfig()
     controller = MotionController(simulation.robot)
@@ -100,12 +100,9 @@ def run_trial(
     ]
     time = 0.0
     for ticks in action_ticks(round(seconds * ACTION_RATE_HZ)):
-        if (
-            trouble.dead_fin is not None
-            and time >= trouble.dead_at_s
-            and trouble.dead_fin not in driver.dead
-        ):
-            driver.declare_dead(trouble.dead_fin)
+        dying = trouble.dead_fin
+        if dying is not None and time >= trouble.dead_at_s and dying not in driver.dead:
+            driver.declare_dead(dying)
             controller.sway_reach_n = driver.allocator.reach_along(SWAY)
         last = [np.concatenate(part) for part in zip(*seen[-SEEN_ACTIONS:], strict=True)]
         middle = time - (len(last[0]) - 1) * TICK_S / 2
@@ -117,17 +114,13 @@ def run_trial(
         orders = Orders(before, commands, jnp.asarray(driven.delays))
         before = commands
         for fin in driver.dead:
-            # A drive brakes under a command of any angle at no velocity.
+            # A drive brakes on a command with zero velocity, whatever its angle.
             orders = Orders(_stopped(orders.before, fin), _stopped(orders.now, fin), orders.delays)
-        push = np.zeros(6)
-        if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
-            push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
-        around = Ambient(
-            jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32)
-        )
+        around = _ambient(trouble, time, ticks)
         state, happened = simulation.advance(state, orders, around, ticks)
         happened = jax.tree.map(partial(_first, ticks), happened)
         rows.append(happened)
+        # AR(1) noise; the state of the filter continues in the next action.
         noisy, deviation = lfilter(
             [1.0], [1.0, -kept], new * random.normal(size=(ticks, 12)), axis=0, zi=deviation
         )
@@ -148,17 +141,26 @@ def run_trial(
     )
 
 
+def _ambient(trouble: Disturbances, time: float, ticks: int) -> Ambient:
+    """Return the current and the push during the action of `ticks` that starts at `time` [s]."""
+    push = np.zeros(6)
+    if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
+        # Constant force over the action: impulse / time.
+        push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
+    return Ambient(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))
+
+
 def _stopped(commands: Command, fin: int) -> Command:
     return commands._replace(velocity=jnp.asarray(commands.velocity).at[fin].set(0.0))
 
 
 def rest_commands(driver: WrenchDriver) -> Command:
-    """Return the commands under which fins at rest at angle 0 stay there, fields ``(fins,)``."""
+    """Return the commands that keep fins at rest at angle 0, with fields ``(fins,)``."""
     return stack_commands([fin_command(0.0, gaits.limits.velocity_min) for gaits in driver.gaits])
 
 
 def stack_commands(commands: Sequence[Command]) -> Command:
-    """Return the commands of all fins as one, fields ``(fins,)``."""
+    """Stack the commands of all fins to one command with fields ``(fins,)``."""
     return Command(*(jnp.asarray(x, jnp.float32) for x in zip(*commands, strict=True)))
 
 

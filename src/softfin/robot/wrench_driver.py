@@ -1,9 +1,9 @@
-"""Turns a requested wrench into commands for all fins, action by action: allocation, bracing,
-phases, gaits. NumPy only.
+"""Convert a target wrench to commands for all fins, once per action: allocation, bracing, phases,
+gaits. NumPy only.
 
 driver = WrenchDriver(robot, gaits)
 state = driver.init()
-state, orders = driver.act(state, wrench)     # 3 times a second; orders.commands go to the fins
+state, orders = driver.act(state, wrench)     # 3 times per second; send orders.commands to the fins
 """
 
 from collections.abc import Sequence
@@ -22,29 +22,29 @@ from softfin.robot.fin_driver import REST, DriverState, FinGaits, fin_command, s
 from softfin.robot.phases import Phases, choose_phases, phase_delay, stroke_side, wrench_ripple
 
 STILL = np.zeros(6)
-"""Twist of a body that does not move."""
+"""Twist of a body at rest."""
 
 STARTING = 2
-"""Number of first actions in which the fins' phases are free."""
+"""Number of initial actions in which the fins' phases can be chosen freely."""
 
 
 class FinOrders(NamedTuple):
     """Orders to the fins for one action, and the resulting wrench."""
 
     commands: tuple[Command, ...]
-    """For each fin [rad, rad/s]."""
+    """Command for each fin [rad, rad/s]."""
     delays: tuple[int, ...]
-    """Ticks of 10 ms into the action at which each fin gets its command; until then it keeps the
-    previous one."""
+    """Delay from the start of the action to each fin's command, in ticks of 10 ms; until then, the
+    previous command stays in force."""
     forces: FinForces
-    """Mean force of each fin in its own axes [N]."""
+    """Mean force of each fin, in the fin's axes [N]."""
     wrench: SixVector
-    """Wrench that they make in still water, in body axes [N, N m]."""
+    """Total wrench of these forces in still water, in body axes [N, N m]."""
     given_up: Bool[np.ndarray, "6"]
-    """Axes in which the requested wrench is out of reach."""
+    """Axes in which the target wrench is out of reach."""
 
     def told(self, wrench: SixVector) -> str:
-        """Say in words what part of a requested wrench was given up; empty if nothing was."""
+        """Describe the part of a target wrench that is out of reach; empty if there is none."""
         if not self.given_up.any():
             return ""
         units = ("N",) * 3 + ("N m",) * 3
@@ -52,26 +52,26 @@ class FinOrders(NamedTuple):
             f"{WRENCH_AXES[i]} {self.wrench[i]:.2f} of {wrench[i]:.2f} {units[i]}"
             for i in np.flatnonzero(self.given_up)
         ]
-        return "beyond the fins' reach: " + ", ".join(parts)
+        return "out of the fins' reach: " + ", ".join(parts)
 
 
 class WrenchDriverState(NamedTuple):
     """State of the driver between actions."""
 
     forces: FinForces
-    """Forces of the last action [N]."""
+    """Forces of the previous action [N]."""
     brace: FinForces
-    """Bracing of the last action: forces that cancel each other [N]."""
+    """Bracing in the previous action: forces that cancel each other [N]."""
     action: int
-    """Actions so far."""
+    """Number of actions so far."""
     phases: Phases
     """Phase of each fin's strokes, 0 to 5."""
     fins: tuple[DriverState, ...]
 
 
 class WrenchDriver:
-    """Turns wrenches into commands for the fins of one robot; with `phases`, the fins keep the
-    given phases."""
+    """Driver that converts wrenches to commands for the fins of one robot; with `phases`, the fins
+    keep these phases."""
 
     def __init__(
         self, robot: RobotConfig, gaits: Sequence[FinGaits], phases: Phases | None = None
@@ -85,34 +85,34 @@ class WrenchDriver:
 
     @property
     def allocator(self) -> Allocator:
-        """The allocation, with the reaches of the working fins."""
+        """Allocator with the reaches of the working fins."""
         return self._allocation.allocator
 
     @property
     def dead(self) -> tuple[int, ...]:
-        """Numbers of the fins that were declared dead."""
+        """Indices of the fins declared dead."""
         return self._allocation.dead
 
     def init(self) -> WrenchDriverState:
-        """Return the state of fins at rest at angle 0."""
+        """Return the initial state, with the fins at rest at angle 0."""
         count = len(self.gaits)
         none = np.zeros((count, 2))
         return WrenchDriverState(none, none, 0, np.zeros(count, int), (REST,) * count)
 
     def declare_dead(self, fin: int) -> None:
-        """Command no more forces from a fin; the others make what they can."""
+        """Stop using a fin; the others produce as much of the wrench as they can."""
         self._allocation.declare_dead(fin)
 
     def act(
         self, state: WrenchDriverState, wrench: SixVector, twist: SixVector = STILL
     ) -> tuple[WrenchDriverState, FinOrders]:
-        """Do one action of 1/3 s for a mean wrench in body axes [N, N m].
+        """Return the orders for one action of 1/3 s, for a mean wrench in body axes [N, N m].
 
-        `twist` is the expected motion of the body through the water [m/s, rad/s]: the fins then
-        compensate the force that they lose by it.
+        `twist` is the expected motion of the body through the water [m/s, rad/s]; the fins
+        compensate for the resulting loss of force.
 
         Raises:
-            RunError: the wrench is not finite; the state is unchanged.
+            RunError: the wrench is not finite.
         """
         wrench = np.asarray(wrench, float)
         if not np.isfinite(wrench).all():
@@ -130,10 +130,12 @@ class WrenchDriver:
         commands = []
         for fin, gaits in enumerate(self.gaits):
             if fin in self.dead:
+                # A dead fin keeps its last target.
                 fins.append(state.fins[fin])
                 commands.append(fin_command(state.fins[fin].target, gaits.limits.velocity_min))
                 continue
             side = stroke_side(int(phases[fin]), state.action)
+            # Compensate for the force lost through the motion of the fin's mount.
             force = forces[fin] + gaits.lost(forces[fin], velocities[fin])
             moved, command = stroke(gaits, state.fins[fin], force, side)
             fins.append(moved)
@@ -151,6 +153,7 @@ class WrenchDriver:
         ripple = np.concatenate(
             [self.gaits[fin].stroke_ripple(sizes[fin : fin + 1]) for fin in range(len(sizes))]
         )
+        # At angle a the thrust points along (cos a, -sin a).
         directions = np.arctan2(-forces[:, 1], forces[:, 0])
         wrench = wrench_ripple(self.allocator.matrix, self._mounts.shafts, directions, ripple)
         phases = state.phases.copy()

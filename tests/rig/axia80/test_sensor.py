@@ -186,7 +186,7 @@ def test_an_error_status_is_a_complaint_as_long_as_it_lasts(pair):
     sensor.status = OVER_RANGE
     read_until(client, client.complaints)
     assert client.complaints() == (
-        "force sensor 127.0.0.1: force or torque is out of its range; remove the load, check "
+        "force sensor 127.0.0.1: force or torque is out of range; remove the load and check "
         "the fin's mount",
     )
     sensor.status = 0
@@ -218,7 +218,7 @@ def test_a_force_beyond_the_range_is_a_complaint(pair):
     sensor, client = pair
     sensor.fin.wrench = (0.0, 0.0, 0.0, 25.0, 0.0, 0.0)
     read_until(client, client.complaints)
-    assert "out of its range" in client.complaints()[0]
+    assert "out of range" in client.complaints()[0]
 
 
 def test_a_silent_sensor_is_a_complaint_until_it_sends_again(pair):
@@ -242,7 +242,7 @@ def test_a_sensor_that_restarted_is_a_complaint_as_soon_as_it_sends_again(pair):
     sensor.reboot(0.05)
     read_for(client, 0.15)
     assert client.complaints() == (
-        "force sensor 127.0.0.1: restarted, its zero is lost; let the fin rest and run: softfin "
+        "force sensor 127.0.0.1: restarted, so its zero is lost; let the fin rest and run: softfin "
         "rig zero --force",
     )
     # It stays one until the zero is set.
@@ -259,7 +259,7 @@ def test_a_sensor_that_restarts_for_seconds_is_silent_first(pair):
     read_for(client, 2.0)
     assert "if it was off, its zero is lost: run softfin rig zero --force" in client.complaints()[0]
     read_for(client, 2.0)
-    assert any("restarted, its zero is lost" in line for line in client.complaints())
+    assert any("restarted, so its zero is lost" in line for line in client.complaints())
 
 
 def test_a_sensor_that_is_still_busy_after_power_up_is_waited_for():
@@ -301,8 +301,8 @@ def _be_busy(sensor):
 @pytest.mark.parametrize(
     ("fault", "words"),
     [
-        (_freeze, "its values are frozen"),
-        (_freeze_count, "its values are frozen"),
+        (_freeze, "values are frozen"),
+        (_freeze_count, "values are frozen"),
         (_be_busy, "busy for too long"),
     ],
 )
@@ -430,7 +430,9 @@ def test_a_sensor_that_sends_nothing_is_said_with_what_was_tried():
         deaf = SimulatedSocket(sensor.clock, "127.0.0.1")
         port = deaf.address[1]
         client = Axia80(config_of(sensor, rdt_port=port), sensor.clock)
-        with pytest.raises(DeviceError, match=rf"no record came from UDP port {port} .*firewall"):
+        with pytest.raises(
+            DeviceError, match=rf"no record arrived from UDP port {port} .*firewall"
+        ):
             client.open()
         with pytest.raises(DeviceError, match="not open"):
             client.read()

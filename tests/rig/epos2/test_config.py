@@ -60,7 +60,7 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
     ("changes", "words"),
     [
         ({"node": 0}, "node"),
-        ({"node": 127}, "node 127 leaves no number for the host; set host_node"),
+        ({"node": 127}, "node 127 leaves no default for host_node; set host_node"),
         ({"host_node": 5}, "node and host_node are both 5"),
         ({"heartbeat_s": 1.1}, "heartbeat_s"),
         ({"following_error_rad": 1.1}, "following_error_rad"),
@@ -72,9 +72,9 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ),
         ({"slowest_rad_s": 4.0}, "velocity_min_rad_s is 4, velocity_max_rad_s is 3.14"),
         ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's are finite"),
-        ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "less than 1 rpm"),
+        ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "rounds to 0 rpm"),
         ({"direction": 2}, "direction"),
-        ({"quick_stop_rad_s2": 2.0}, r"takes 1.6 s to stop from fastest_rad_s: .* use 6.3"),
+        ({"quick_stop_rad_s2": 2.0}, r"needs 1.6 s to stop from fastest_rad_s: .* use 6.3"),
     ],
 )
 def test_a_configuration_that_cannot_be_is_refused_with_the_reason(

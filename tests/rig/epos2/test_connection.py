@@ -36,22 +36,22 @@ def test_what_the_drive_or_the_object_does_not_take_is_told_in_one_line() -> Non
         made.drive.connect()
         connection = made.drive.connection
         with pytest.raises(
-            DeviceError, match=r"refuses nonesuch .*0x06020000, object does not exist: check that"
+            DeviceError, match=r"refused nonesuch .*0x06020000, object does not exist: check that"
         ):
             connection.read(Object(0x2099, 0, "I", "nonesuch"))
         with pytest.raises(
-            DeviceError, match=r"refuses mode .*0x06090030, .* set a value in the rig's file"
+            DeviceError, match=r"refused mode .*0x06090030, .* use a value in the rig's file"
         ):
             connection.write(protocol.MODE, 8)
         with pytest.raises(
-            DeviceError, match=r"controlword .* cannot hold 65536; change the value"
+            DeviceError, match=r"controlword .* cannot be set to 65536, which .*; change the value"
         ):
             connection.write(protocol.CONTROLWORD, 0x10000)
-        with pytest.raises(DeviceError, match="is not valid"):
+        with pytest.raises(DeviceError, match="is invalid"):
             connection.read(Object(protocol.TARGET.number, 0, "H", "target of another length"))
         made.emulated.go_silent()
         began = made.clock()
-        with pytest.raises(DeviceError, match=r"does not answer for statusword .* within 0.5 s"):
+        with pytest.raises(DeviceError, match=r"did not answer for statusword .* within 0.5 s"):
             connection.read(protocol.STATUSWORD)
         assert made.clock() - began == pytest.approx(SDO_TIMEOUT_S)
 

@@ -272,7 +272,7 @@ def send(made: Bench, cob_id: int, data: bytes) -> None:
         (lambda made: block(made.fin), "following error"),
         (lambda made: made.emulated.drop_heartbeat(), "heartbeat has been missing"),
         (lambda made: made.emulated.go_silent(), "heartbeat has been missing"),
-        (lambda made: ignore_targets(made.emulated, 1000), "did not accept a target"),
+        (lambda made: ignore_targets(made.emulated, 1000), "did not acknowledge a target"),
         (
             lambda made: send(made, 0x200 + NODE, bytes(6)),
             "switch on disabled although it was enabled",
@@ -334,7 +334,7 @@ def test_a_bus_that_takes_no_frames_is_a_complaint_and_no_error_in_the_loop(
         monkeypatch.setattr(bus, "send", refuse)
         made.drive.send_heartbeat()
         assert not made.drive.sync_and_read(0.001).new
-        assert any("takes no frames" in line for line in made.drive.complaints())
+        assert any("does not accept frames" in line for line in made.drive.complaints())
         made.drive.stop()
         monkeypatch.undo()
 
@@ -401,7 +401,7 @@ def test_a_limit_that_is_touched_for_a_moment_is_no_complaint_and_one_that_lasts
         assert made.until(lambda: made.clock() - began > 0.3)
         assert made.drive.complaints() == ()
         made.emulated.at_limit = True
-        assert complaint(made, "is held back by one of its own limits")
+        assert complaint(made, "has reached one of its internal limits")
 
 
 def test_a_fin_whose_voltage_is_taken_coasts_and_one_that_is_stopped_stands() -> None:
@@ -441,14 +441,14 @@ def test_a_velocity_in_coarse_steps_and_a_noisy_current_do_not_keep_the_fin_from
 @pytest.mark.parametrize(
     ("entry", "value", "words"),
     [
-        (protocol.MOTOR_TYPE, 3, "motor type .* is 3: not a motor type that softfin supports"),
+        (protocol.MOTOR_TYPE, 3, "motor type .* is 3: an unsupported motor type"),
         (
             protocol.VELOCITY_NOTATION,
             -3,
             "velocity notation index .* is -3: set it to 0 in EPOS Studio",
         ),
-        (protocol.POSITION_NOTATION, 1, "every angle is off by powers of ten"),
-        (protocol.ACCELERATION_NOTATION, 1, "every acceleration is off by powers of ten"),
+        (protocol.POSITION_NOTATION, 1, "every angle will be wrong by a power of ten"),
+        (protocol.ACCELERATION_NOTATION, 1, "every acceleration will be wrong by a power of ten"),
     ],
 )
 def test_a_setting_that_changes_units_is_refused(entry: Object, value: int, words: str) -> None:

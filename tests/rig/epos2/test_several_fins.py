@@ -124,8 +124,8 @@ def test_a_second_host_with_the_same_number_or_drive_is_refused_before_it_sends_
     with shoal(1) as made:
         made.hosts[0].swim()
         for changes, words in (
-            ({"node": 1}, r"node number 126 of this program is in use .* drive\.host_node"),
-            ({"node": 7, "host_node": 126}, "number 126 of this program is in use"),
+            ({"node": 1}, r"this program's node number 126 is in use .* drive\.host_node"),
+            ({"node": 7, "host_node": 126}, "this program's node number 126 is in use"),
         ):
             bus = open_bus(made.bus, made.clock)
             second = Epos2(made.bus, drive_config(**changes), made.clock)
@@ -152,7 +152,7 @@ def test_another_program_that_moves_our_drive_is_refused() -> None:
 
         made.clock.spawn(command, "commands")
         second = Epos2(made.bus, drive_config(node=1, host_node=99), made.clock)
-        with pytest.raises(RigError, match="another program talks to drive 1; end it"):
+        with pytest.raises(RigError, match="another program is using drive 1; end it"):
             second.open()
 
 
@@ -167,13 +167,14 @@ def test_drives_that_keep_the_shared_sync_are_noted_and_refuse_to_share_a_bus(
         first.swim()
         assert first.drive.sync_id == 0x080
         assert first.drive.notes == (
-            "drive answers every program's SYNC; give each fin its own bus",
+            "drive responds to every program's SYNC; connect each fin to its own bus",
         )
         first.drive.command(Target(0.2, 3.0))
         made.clock.sleep(0.5)
         assert first.fin.now().angle == pytest.approx(0.2, abs=1e-3)
         with pytest.raises(
-            RigError, match="sends the SYNC that this drive answers; give each fin its own bus"
+            RigError,
+            match="sends the SYNC that this drive responds to; connect each fin to its own bus",
         ):
             second.drive.open()
 

@@ -56,7 +56,7 @@ def test_a_joint_among_others_is_found_by_its_name():
     message.position = np.array([0.0, 3.0])
     message.velocity = np.zeros(0)
     assert read_joint(message, "fin") == (3.0, None)
-    with pytest.raises(ValueError, match=r"no joint 'tail' in it; it has 'a', 'fin'"):
+    with pytest.raises(ValueError, match=r"no joint 'tail'; its joints are 'a', 'fin'"):
         read_joint(message, "tail")
     message.position = np.zeros(1)
     with pytest.raises(ValueError, match="2 names, 1 positions"):
@@ -83,7 +83,7 @@ def test_references_are_of_both_types_and_of_our_frame():
     )
     assert read_reference_message(wrench, "fin_mount") == (1.0, -2.0)
     assert read_reference_message(vector, "fin_mount") == (3.0, 4.0)
-    with pytest.raises(ValueError, match="in the frame 'fin_mount'; this node's is 'base'"):
+    with pytest.raises(ValueError, match="frame is 'fin_mount', but this node's is 'base'"):
         read_reference_message(wrench, "base")
 
 
@@ -147,7 +147,7 @@ def test_what_cannot_be_used_is_counted_and_told_until_the_next_that_can():
     assert (subscription.received, subscription.refused, subscription.not_newer) == (4, 2, 1)
     assert subscription.refusal is not None
     assert subscription.refusal.startswith(
-        "/joint: refused: 6 bytes that are not a valid sensor_msgs/msg/JointState"
+        "/joint: message rejected: 6 bytes are not a valid sensor_msgs/msg/JointState"
     )
     transport.put("/joint", messages.joint(START + 2, "", "fin", 1.0, 2.0), 6.0)
     assert len(subscription.take()) == 1

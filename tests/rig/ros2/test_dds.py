@@ -167,8 +167,8 @@ def test_stops_of_another_process_are_heard_best_effort_and_latched_from_before_
         "exclusive": None,
     }
     assert sorted(line.partition(";")[0] for line in told["told"]) == [
-        "/stop/exclusive: a publisher cannot be received, so it cannot stop the fin",
-        "/stop/reference: a publisher cannot be received",
+        "/stop/exclusive: messages of a publisher cannot be received, so it cannot stop the fin",
+        "/stop/reference: messages of a publisher cannot be received",
     ]
 
 
@@ -216,18 +216,18 @@ print(opened(network="no-such").__class__.__name__)
     lines = run(code).splitlines()
     assert lines[:2] == ["()", "{} 0"]
     assert lines[2].startswith("DeviceError DDS domain 231 cannot be used")
-    assert "that the network interface (no-such) is there and up" in lines[2]
+    assert "make sure that the network interface (no-such) exists and is up" in lines[2]
 
 
 def test_one_domain_cannot_be_on_two_networks():
     told = run(f'{OPEN}\nfirst = opened()\nopened(network="lo")')
     assert told.startswith("DeviceError DDS domain 231 cannot be used")
-    assert told.endswith("and that no other one was given for this domain")
+    assert told.endswith("and that this program does not use another interface for this domain")
 
 
 def test_a_network_of_ones_own_comes_with_a_warning():
     told = run(f'{OPEN}\nprint(opened(network="lo").notes)')
-    assert told == "('everybody on the network of lo can read these topics and write to them',)"
+    assert told == "('everyone on the network of lo can read and write these topics',)"
 
 
 def test_a_users_own_configuration_of_dds_stands():
@@ -238,8 +238,8 @@ print(opened().notes, opened(network="eth7").notes)
 os.environ["CYCLONEDDS_URI"] = "file:///no/such"
 """
     assert run(code) == (
-        "('DDS is set up by CYCLONEDDS_URI',) ('DDS is set up by CYCLONEDDS_URI: --network eth7 "
-        "does not count',)"
+        "('DDS is configured by CYCLONEDDS_URI',) ('DDS is configured by CYCLONEDDS_URI, so --network eth7 "
+        "is ignored',)"
     )
 
 
@@ -254,7 +254,7 @@ def test_a_closed_way_is_told_and_nothing_hangs():
 @pytest.mark.parametrize("text", ["-1", "233", "abc"])
 def test_a_domain_that_is_none_is_told(monkeypatch, text):
     monkeypatch.setenv("ROS_DOMAIN_ID", text)
-    with pytest.raises(RigError, match="a domain is a whole number from 0 to 232"):
+    with pytest.raises(RigError, match="must be an integer from 0 to 232"):
         TransportConfig().domain_id()
     with pytest.raises(ConfigurationError, match="domain"):
         TransportConfig.build({"domain": text})
@@ -263,7 +263,8 @@ def test_a_domain_that_is_none_is_told(monkeypatch, text):
 def test_rclpy_is_asked_for_only_where_it_is(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(
-        RigError, match="rclpy is not installed in this Python; source ROS 2's setup file"
+        RigError,
+        match="rclpy is not installed in this Python environment; source ROS 2's setup file",
     ):
         open_transport(TransportConfig(transport="rclpy"))
 

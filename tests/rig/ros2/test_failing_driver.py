@@ -18,9 +18,9 @@ from tests.rig.ros2.test_plant import CONFIG
 from tests.rig.ros2_memory import MemoryTransport, TopicDriver
 
 NEVER_CONFIRMED = (
-    "softfin cannot confirm that the motor is off; keep a switch for its supply at hand"
+    "softfin cannot confirm that the motor is off; keep a switch for its supply within reach"
 )
-STILL_TURNS = "the fin still turns; switch off its supply"
+STILL_TURNS = "the fin is still turning; switch off its supply"
 
 
 class Tail:
@@ -104,7 +104,9 @@ def test_a_driver_that_vanishes_is_noticed_at_once_and_nobody_says_that_the_fin_
     reason = tail.swim(lambda: setattr(tail.driver, "is_there", False))
     assert tail.noticed_after() < 0.1
     assert reason.startswith("stopped: no new angle for ")
-    assert reason.endswith("BUT no new /joint, so the fin may still turn; switch off its supply")
+    assert reason.endswith(
+        "BUT no new /joint, so the fin may still be turning; switch off its supply"
+    )
 
 
 def test_commands_that_nobody_reads_any_more_are_noticed_at_the_next_tick():
@@ -112,7 +114,7 @@ def test_commands_that_nobody_reads_any_more_are_noticed_at_the_next_tick():
     reason = tail.swim(lambda: tail.transport.readers.update({"/command": 0}))
     assert tail.noticed_after() < 0.03
     assert reason.startswith(
-        "stopped: no subscriber on /command any more, so commands are lost; start the driver again"
+        "stopped: /command no longer has a subscriber, so commands are lost; restart the driver"
     )
 
 

@@ -72,7 +72,7 @@ def test_the_newest_reference_counts_and_an_old_one_does_not():
     node.now = 10.6
     assert node.node.reference() is None
     assert node.node.reference() is None
-    assert node.told == ["/fin/reference: no reference for 0.5 s: the last one has expired"]
+    assert node.told == ["/fin/reference: no reference for 0.5 s, so the last one has expired"]
     node.ask(3.0, 0.0)
     assert node.node.reference() == (3.0, 0.0)
 
@@ -93,7 +93,7 @@ def test_references_that_end_are_followed_by_what_is_configured(lost):
     node.now += 0.1
     node.node.observe(request, SAMPLE, None)
     assert node.node.reference() == ((0.0, 0.0) if lost == "zero" else None)
-    reason = "/fin/reference: no reference for 0.5 s; start its publisher, then this node again"
+    reason = "/fin/reference: no reference for 0.5 s; start its publisher, then restart this node"
     assert request.trip == (("reference_lost", reason) if lost == "stop" else None)
     node.ask(1.0, 1.0)
     assert node.node.reference() == (1.0, 1.0)
@@ -173,7 +173,7 @@ def test_a_reference_in_another_frame_or_of_other_bytes_is_refused():
     assert node.node.reference() is None
     told = node.told
     assert len(told) == 2
-    assert "in the frame 'camera'; this node's is 'fin_mount'" in told[0]
+    assert "frame is 'camera', but this node's is 'fin_mount'" in told[0]
     assert all("\n" not in line for line in told)
 
 
@@ -195,15 +195,15 @@ def test_a_stop_that_cannot_be_read_stops_too():
     assert "not a valid std_msgs/msg/Bool" in node.node.stop_reason()
     node = Node()
     node.transport.failing = True
-    assert "cannot be heard" in node.node.stop_reason()
+    assert "cannot be received" in node.node.stop_reason()
 
 
 def test_a_stop_that_cannot_be_read_is_not_taken_back_by_the_next_message():
     node = Node()
     node.transport.put("/fin/stop", b"\x00\x01\x00\x00")
     node.stop(asked=False)
-    assert "cannot be read" in node.node.stop_reason()
-    assert "cannot be read" in node.node.stop_reason()
+    assert "unreadable message" in node.node.stop_reason()
+    assert "unreadable message" in node.node.stop_reason()
 
 
 @pytest.mark.parametrize("offered", ["reliable", "best_effort", "latched", "from before"])
@@ -227,11 +227,11 @@ def test_a_stop_that_cannot_be_read_counts_once_however_many_readers_it_comes_to
     [
         (
             "/fin/stop",
-            "/fin/stop: a publisher cannot be received, so it cannot stop the fin; give it ROS 2's",
+            "/fin/stop: messages of a publisher cannot be received, so it cannot stop the fin; use ROS 2's",
         ),
         (
             "/fin/reference",
-            "/fin/reference: a publisher cannot be received; it must be reliable, not best effort",
+            "/fin/reference: messages of a publisher cannot be received; it must be reliable, not best effort",
         ),
     ],
 )

@@ -307,7 +307,9 @@ def test_a_reading_that_is_no_number_is_a_complaint(rig):
     rig.say(np.nan)
     sample = rig.machine.read()
     assert sample.angle == 0.25
-    assert sample.complaints == ("/joint: refused: its position is nan; correct its publisher",)
+    assert sample.complaints == (
+        "/joint: message rejected: its position is nan, not finite; correct its publisher",
+    )
     rig.say(0.3)
     assert rig.machine.read().complaints == ()
 
@@ -317,7 +319,7 @@ def test_a_silent_topic_is_told_with_those_that_are_there():
     del rig.transport.waiting["/wrench"]
     with pytest.raises(
         DeviceError,
-        match=r"/wrench: no geometry_msgs/msg/WrenchStamped in 0.05 s; found "
+        match=r"/wrench: no geometry_msgs/msg/WrenchStamped within 0.05 s; found "
         r"/somebody \(std_msgs/msg/Bool\); start its driver, or",
     ):
         rig.machine.open()
@@ -326,7 +328,7 @@ def test_a_silent_topic_is_told_with_those_that_are_there():
 
 def test_another_joint_is_told_at_once_by_its_name():
     rig = Rig(joint_name="tail")
-    with pytest.raises(DeviceError, match="no joint 'tail' in it; it has 'fin'"):
+    with pytest.raises(DeviceError, match="no joint 'tail'; its joints are 'fin'"):
         rig.machine.open()
 
 

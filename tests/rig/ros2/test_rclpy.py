@@ -202,9 +202,9 @@ def test_a_thread_that_failed_is_told_to_who_reads(rclpy, transport):
     rclpy.ended.set()
     wait_until(lambda: transport.failure is not None)
     assert node.stop_reason() == (
-        "emergency stop cannot be heard: rclpy has stopped (context is not valid); start again"
+        "emergency stop cannot be received: rclpy has stopped (context is not valid); start softfin again"
     )
-    with pytest.raises(DeviceError, match=r"/x: not sent \(context is not valid\)"):
+    with pytest.raises(DeviceError, match=r"/x: message not sent \(context is not valid\)"):
         transport.publish("/x", JOINT).send(b"")
 
 
@@ -218,13 +218,14 @@ def test_an_installation_that_does_not_start_is_told_in_one_line(rclpy):
 
 def test_a_message_package_that_is_not_there_is_told(transport):
     with pytest.raises(
-        RigError, match="ROS 2 has no own/msg/Flipper here; build and source its package"
+        RigError,
+        match="this ROS 2 installation does not have own/msg/Flipper; build and source its package",
     ):
         transport.publish("/x", "own/msg/Flipper")
-    with pytest.raises(RigError, match="ROS 2 has no std_msgs/msg/Empty here"):
+    with pytest.raises(RigError, match="this ROS 2 installation does not have std_msgs/msg/Empty"):
         transport.subscribe("/x", "std_msgs/msg/Empty")
 
 
 def test_a_network_is_not_its_to_choose(rclpy):
-    with pytest.raises(RigError, match="--network eth0 is for DDS"):
+    with pytest.raises(RigError, match="--network eth0 applies only to DDS"):
         open_transport(TransportConfig(network="eth0"))

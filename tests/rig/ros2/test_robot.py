@@ -163,7 +163,7 @@ def test_what_is_beyond_the_fins_is_told_once_and_flagged():
     pool.run()
     assert pool.saturated() == [True] * 12
     assert 7 < pool.achieved()[-1, 1] < 9
-    assert sum("beyond the fins' reach in sway" in line for line in pool.told) == 1
+    assert sum("out of the fins' reach in sway" in line for line in pool.told) == 1
     assert max(np.hypot(*pool.forces(name).T).max() for name in FINS) <= 4 + 1e-9
 
 
@@ -181,8 +181,8 @@ def test_wrenches_that_end_stop_every_fin():
     error = pool.run(8.0)
     assert isinstance(error, SafetyStop)
     assert str(error) == (
-        "/robot/reference: no wrench for 0.5 s; every fin was told to stop; start its publisher, "
-        "then the nodes again"
+        "/robot/reference: no wrench for 0.5 s; every fin was told to stop; start the publisher, "
+        "then restart the nodes"
     )
     assert not pool.alive
     assert pool.clock.now < 104
@@ -210,8 +210,8 @@ def test_without_a_new_wrench_the_fins_may_be_asked_for_nothing():
     [
         ((np.nan, 0, 0, 0, 0, 0), "base_link", "its force x is nan"),
         ((0, 0, 0, 0, np.inf, 0), "", "its torque y is inf"),
-        ((1e300, 0, 0, 0, 0, 0), "", "a number beyond 1e+06 N or N m"),
-        (WRENCH, "map", "it is in the frame 'map'; this node's is 'base_link'"),
+        ((1e300, 0, 0, 0, 0, 0), "", "a component exceeds 1e+06 N or N m"),
+        (WRENCH, "map", "its frame is 'map', but this node's is 'base_link'"),
     ],
 )
 def test_a_wrench_that_cannot_be_is_refused_in_words_once(wrench, frame, told):
@@ -259,7 +259,7 @@ def test_a_robot_whose_fins_are_all_dead_ends():
     pool.at(1.0, pool.alive.clear)
     error = pool.run()
     assert isinstance(error, SafetyStop)
-    assert str(error).endswith("no fin is left")
+    assert str(error).endswith("no fins are left")
 
 
 def test_fins_that_are_not_there_at_the_start_are_told_in_one_line():
@@ -280,7 +280,7 @@ def test_a_fin_that_is_not_there_at_the_start_may_be_dead():
     pool = Pool(silent_fin="dead")
     pool.alive.discard("front_left")
     pool.run(12.0)
-    assert sum("front_left is not there" in line for line in pool.told) == 1
+    assert sum("front_left is missing" in line for line in pool.told) == 1
     np.testing.assert_allclose(pool.achieved()[-1], WRENCH, atol=0.01)
 
 
@@ -324,7 +324,7 @@ def test_a_stop_that_cannot_be_read_stops_too():
 def test_a_transport_that_ends_is_a_stop():
     pool = Pool()
     pool.at(1.0, lambda: setattr(pool.transport, "failing", True))
-    with pytest.raises(SafetyStop, match="cannot be heard"):
+    with pytest.raises(SafetyStop, match="cannot receive messages"):
         pool.node.run(pool.request)
 
 
@@ -343,7 +343,7 @@ def test_fins_that_do_not_stop_are_named():
     pool = Pool()
     pool.obey = False
     pool.run(2.0)
-    assert pool.told[-1].startswith(f"{', '.join(FINS)}: told to stop 3 s ago and still publishing")
+    assert pool.told[-1].startswith(f"{', '.join(FINS)}: told to stop 3 s ago but still publishing")
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,8 @@
-"""The web pages of an Axia80, read over HTTP before its stream: product, scale and units.
+"""Web pages of an Axia80, read over HTTP before streaming: product, scale and units.
 
-``/netftapi2.xml`` must be there, with the five fields that every client needs; ``/netftcalapi.xml``
-adds the serial number of the calibration where the sensor has that page. The names of the five are
-those that public drivers read, that of the serial number is from memory; none was seen on a real
+``/netftapi2.xml`` is required, with the five fields that every client needs; ``/netftcalapi.xml``,
+if present, adds the calibration's serial number. The names of the five fields are those that public
+drivers read; the name of the serial number is unverified. We have not seen either page on a real
 Axia80.
 """
 
@@ -22,10 +22,10 @@ SETTINGS = "/netftapi2.xml"
 CALIBRATION = "/netftcalapi.xml"
 
 MAX_PAGE_BYTES = 256 * 1024
-"""Longest page; the real ones have a few thousand bytes."""
+"""Maximum page size [bytes]; real pages have a few thousand bytes."""
 
 PAGE_TIMEOUT_S = 3.0
-"""Longest wait for the connection, and for the next part of the answer."""
+"""Longest wait for the connection, and for each part of the response [s]."""
 
 POUND_FORCE_N = 4.4482216152605
 KILOGRAM_FORCE_N = 9.80665
@@ -39,7 +39,7 @@ FORCE_UNITS = {
     "klbf": 1e3 * POUND_FORCE_N,
     "kgf": KILOGRAM_FORCE_N,
 }
-"""Units of force in newton."""
+"""Force units [N]."""
 
 TORQUE_UNITS = {
     "N-m": 1.0,
@@ -49,7 +49,7 @@ TORQUE_UNITS = {
     "lbf-ft": POUND_FORCE_N * FOOT_M,
     "kgf-cm": KILOGRAM_FORCE_N / 100,
 }
-"""Units of torque, in newton metres."""
+"""Torque units [N m]."""
 
 
 def _read_factor(units: dict[str, float]) -> pydantic.BeforeValidator:
@@ -64,29 +64,29 @@ def _read_factor(units: dict[str, float]) -> pydantic.BeforeValidator:
 
 
 class SensorSettings(Configuration):
-    """Product, scale and serial number, as the sensor's pages state them."""
+    """Product, scale and serial number as reported on the sensor's pages."""
 
     prodname: str
     calsn: str | None = None
-    """Serial number of its calibration; None where it has no such page or field."""
+    """Serial number of the calibration; None if the page or field is missing."""
     cfgcpf: float = pydantic.Field(ge=1, le=1e12)
-    """Counts for one unit of force."""
+    """Counts per force unit."""
     cfgcpt: float = pydantic.Field(ge=1, le=1e12)
-    """Counts for one unit of torque."""
+    """Counts per torque unit."""
     scfgfu: Annotated[float, _read_factor(FORCE_UNITS)]
-    """Unit of force [N]."""
+    """Force unit [N]."""
     scfgtu: Annotated[float, _read_factor(TORQUE_UNITS)]
-    """Unit of torque [N m]."""
+    """Torque unit [N m]."""
 
     @property
     def scale(self) -> list[float]:
-        """Newton and newton metre per count, of the six channels of a record."""
+        """Scale of the six channels of a record [N/count, N m/count]."""
         return [self.scfgfu / self.cfgcpf] * 3 + [self.scfgtu / self.cfgcpt] * 3
 
 
 def fetch_page(host: str, port: int, path: str) -> bytes | None:
-    """A page of the sensor itself, never of where it may redirect to; None where it has no such
-    page."""
+    """Return a page of the sensor without following redirects; None if the sensor does not have
+    it."""
     where = f"http://{host}:{port}{path}"
     try:
         connection = http.client.HTTPConnection(host, port, timeout=PAGE_TIMEOUT_S)
@@ -96,19 +96,21 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
             body = response.read(MAX_PAGE_BYTES + 1)
     except (OSError, http.client.HTTPException, ValueError) as error:
         reason = (
-            f"no answer in {PAGE_TIMEOUT_S:g} s" if isinstance(error, TimeoutError) else f"{error}"
+            f"no response within {PAGE_TIMEOUT_S:g} s"
+            if isinstance(error, TimeoutError)
+            else f"{error}"
         )
         raise DeviceError(
-            f"{where}: the force sensor's page cannot be read "
-            f"({' '.join(reason.split()) or type(error).__name__}); "
-            "check its power, cable and address, and http_port"
+            f"{where}: cannot read the force sensor's page "
+            f"({' '.join(reason.split()) or type(error).__name__}); check its power, cable, "
+            "address and http_port"
         ) from None
     if response.status == http.client.NOT_FOUND:
         return None
     if response.status != http.client.OK or len(body) > MAX_PAGE_BYTES:
         raise RigError(
-            f"{where}: answers {response.status} {response.reason[:80]} with {len(body)} bytes; "
-            f"expected 200 and at most {MAX_PAGE_BYTES}; is this the address of an Axia80?"
+            f"{where}: returned {response.status} {response.reason[:80]} with {len(body)} bytes; "
+            f"expected 200 and at most {MAX_PAGE_BYTES} bytes; is this the address of an Axia80?"
         )
     return body
 
@@ -116,7 +118,7 @@ def fetch_page(host: str, port: int, path: str) -> bytes | None:
 def read_settings(
     host: str, port: int, fetch: Callable[[str, int, str], bytes | None] = fetch_page
 ) -> SensorSettings:
-    """Settings of a sensor; raises DeviceError where it does not answer, RigError where its pages
+    """Read a sensor's settings; raises DeviceError if it does not respond and RigError if its pages
     cannot be used."""
     page = fetch(host, port, SETTINGS)
     source = f"http://{host}:{port}{SETTINGS}"
@@ -126,8 +128,8 @@ def read_settings(
 
 
 def parse_settings(page: bytes, calibration: bytes | None, source: str) -> SensorSettings:
-    """Settings from the bytes of both pages; raises RigError that names the field, its value and
-    what is allowed."""
+    """Parse the settings from both pages; raises RigError with the field, its value and the allowed
+    values."""
     found = {
         name: text
         for name, text in _fields(page, source).items()
@@ -144,11 +146,13 @@ def parse_settings(page: bytes, calibration: bytes | None, source: str) -> Senso
 
 
 def _fields(page: bytes, source: str) -> dict[str, str]:
-    """Text of the elements by name, where it is not empty."""
+    """Return the non-empty texts of the XML elements by name."""
     try:
+        # The page comes from the network, and entities of a document type could expand without
+        # limit.
         root = defusedxml.ElementTree.fromstring(page, forbid_dtd=True)
     except (ParseError, ValueError, LookupError, RecursionError) as error:
-        # Of defusedxml, too, whose errors are ValueErrors: a document type or entities.
+        # ValueError includes defusedxml's errors for document types and entities.
         reason = one_line(error)
         raise RigError(f"{source}: not a page of an Axia80 ({reason}); check the address") from None
     texts = {element.tag: " ".join((element.text or "").split()) for element in root.iter()}

@@ -1,8 +1,8 @@
-"""The ATI Axia80 force/torque sensor: its stream over UDP becomes one filtered wrench a tick, in
-softfin's axes.
+"""The ATI Axia80 force/torque sensor: its UDP stream is converted to one filtered wrench per tick,
+in softfin's axes.
 
-Scale and units come from the sensor's own pages, the stream is RDT (ATI manual 9610-05-Ethernet
-Axia). Tried against the emulator, which another program's client reads too; not against a real
+Scale and units come from the sensor's web pages; the stream uses RDT (ATI manual 9610-05-Ethernet
+Axia). Tested with the emulator, which a third-party client can also read, but not with a real
 sensor.
 """
 
@@ -23,55 +23,57 @@ from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import fetch_simulated_page
 
 FIRST_RECORD_S = 2.0
-"""Longest wait for the stream to begin; the request is sent four times meanwhile, as UDP may lose
-it."""
+"""Longest wait for the stream to start [s]; the request is sent four times in this period, because
+UDP may lose it."""
 
 SILENT_S = 1.5
-"""Time without a new record after which its stream has ended; the loop judges the age of the force
-long before."""
+"""Time without a new record after which the stream counts as ended [s]; the loop's limit on the age
+of the force is much shorter."""
 
 RETRY_S = 0.1
-"""Time without a new record after which the stream is requested again [s]. A sensor that restarted
-does not send by itself; once it does, its count tells that its zero is lost."""
+"""Time without a new record after which the stream is requested again [s]. A restarted sensor does
+not send until requested; its sample counter then reveals that its zero is lost."""
 
 BUSY_S = 10.0
-"""Longest wait for a sensor that is still busy when it is opened, as after its power-up [s]."""
+"""Longest wait for a sensor that is busy when opened, e.g. after its power-up [s]."""
 
 MEASURED_S = 0.5
-"""Stretch of the stream that shows its rate and fills the filter."""
+"""Duration of the stream for measuring its rate and filling the filter [s]."""
 
 
 class Axia80:
-    """One sensor; one thread calls it."""
+    """One sensor; not thread-safe."""
 
     def __init__(self, config: Axia80Config, clock: Clock = REAL) -> None:
         self.config = config
         self.settings: SensorSettings | None = None
-        """Settings on the sensor's pages; None until it was open."""
+        """Settings from the sensor's pages; None before the first `open`."""
         self.clock = clock
         self._name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
         self.device_lock = DeviceLock(self._name, config.address, config.rdt_port)
-        """Taken by `open`: the sensor streams to whoever asked last, so a second program would
-        silence the first."""
+        """Acquired by `open`: the sensor streams only to the latest client, so a second program
+        would cut off the first."""
 
     @property
     def serial(self) -> str | None:
-        """Serial number of its calibration; None if it reports none, or was never open."""
+        """Serial number of the calibration; None if the sensor does not report it or has not been
+        opened."""
         return None if self.settings is None else self.settings.calsn
 
     @property
     def stream(self) -> ForceStream:
-        """Stream of the sensor while it is open; raises DeviceError else."""
+        """Stream of the open sensor; raises DeviceError if the sensor is not open."""
         if self._stream is None or self._stream.client.closed:
             raise DeviceError(f"{self._name}: not open; open it first")
         return self._stream
 
     def open(self) -> None:
-        """Read its pages, start the stream and measure its rate, which takes half a second.
+        """Read the sensor's pages, start the stream and measure its rate, which takes half a
+        second.
 
-        Raises RigError where it is not as the rig's file describes it, DeviceError where it does
-        not answer; it is closed then.
+        Raises RigError if the sensor does not match the rig's file and DeviceError if it does not
+        respond; the sensor is then closed.
         """
         self.close()
         self.device_lock.acquire(self.clock)
@@ -105,9 +107,9 @@ class Axia80:
         self.read()
 
     def read(self) -> ForceReading:
-        """Take what has arrived, without waiting, and return the newest force.
+        """Process the records that have arrived and return the latest force, without waiting.
 
-        During a gap or in silence the reading is the old one and so is its time.
+        If nothing new has arrived, the reading and its time do not change.
         """
         stream = self.stream
         stream.take()
@@ -116,40 +118,40 @@ class Axia80:
         reading = stream.reading()
         if reading is None:
             raise DeviceError(
-                f"{self._name}: sent {stream.records} records, too few for a force; check the "
-                "network"
+                f"{self._name}: received {stream.records} records, too few to compute a force; "
+                "check the network"
             )
         return reading
 
     def keep_up(self) -> None:
-        """Take what has arrived, so that none of it grows old in the socket while something else is
-        waited for."""
+        """Process the records that have arrived, so that none becomes outdated in the socket during
+        other waits."""
         self.stream.take()
 
     def bias(self) -> None:
-        """Set the sensor's zero to the present load; it does not answer, so use `measured` to see
-        whether it did.
+        """Set the sensor's zero to the current load. The sensor does not acknowledge this, so use
+        `measured` to check the result.
 
-        Takes about 0.2 s; only with the fin at rest.
+        Takes about 0.2 s. Call only while the fin is at rest.
         """
         stream = self.stream
         if not stream.client.send(RdtCommand.BIAS):
             raise DeviceError(
-                f"{self._name}: the request to set its zero could not be sent; check the cable"
+                f"{self._name}: could not send the request to set its zero; check the cable"
             )
-        # Records on their way still have the old zero.
+        # Records in transit still have the old zero.
         self._wait(lambda: False, 0.1)
         stream.filter.clear()
         if not self._wait(lambda: stream.filter.full, FIRST_RECORD_S):
             raise DeviceError(
-                f"{self._name}: its stream stopped while its zero was set; check its power and "
+                f"{self._name}: stream stopped while its zero was being set; check its power and "
                 "cable"
             )
         stream.watch.accept_restart()
 
     def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
-        """Mean and standard deviation of all records over a while, unfiltered, in softfin's axes;
-        waits for it."""
+        """Wait for `seconds`, then return the mean and standard deviation of the unfiltered records
+        of that time, in softfin's axes [N, N m]."""
         stream = self.stream
         stream.take()
         collected = stream.collected = []
@@ -159,14 +161,14 @@ class Axia80:
             stream.collected = None
         if not collected:
             raise DeviceError(
-                f"{self._name}: sent nothing in {seconds:g} s; check its power and cable"
+                f"{self._name}: sent nothing for {seconds:g} s; check its power and cable"
             )
         values = np.stack(collected)
         turn = stream.rotation
         return rotated(values.mean(0), turn), rotated(values.std(0), np.abs(turn))
 
     def complaints(self) -> tuple[str, ...]:
-        """Errors as of the latest read, each one line that ends with a fix."""
+        """Return the errors as of the latest read, one line each, ending with the fix."""
         stream = self._stream
         if stream is None:
             return ()
@@ -175,13 +177,14 @@ class Axia80:
         silent = self.clock() - stream.taken
         if silent > SILENT_S:
             lines.append(
-                f"no new record for {silent:.1f} s; check its power and cable, and that no other "
-                "program reads it; if it was off, its zero is lost: run softfin rig zero --force"
+                f"no new record for {silent:.1f} s; check its power and cable, and make sure that "
+                "no other program reads it; if it was off, its zero is lost: run softfin rig "
+                "zero --force"
             )
         return tuple(f"{self._name}: {line}" for line in lines)
 
     def notes(self) -> tuple[str, ...]:
-        """Remarks of its status that do not stop the fin: busy, simulated."""
+        """Return notes on its status that do not stop the fin, e.g. busy or simulated."""
         if self._stream is None or self._stream.client.closed:
             return ()
         return tuple(
@@ -189,7 +192,7 @@ class Axia80:
         )
 
     def counters(self) -> dict[str, int]:
-        """Counts since it was opened; none before."""
+        """Return the counters since `open`, by name; empty before."""
         stream = self._stream
         if stream is None:
             return {}
@@ -202,14 +205,14 @@ class Axia80:
         }
 
     def close(self) -> None:
-        """Stop the stream and close the socket; any number of times, never raises."""
+        """Stop the stream and close the socket; may be called repeatedly and never raises."""
         if self._stream is not None and not self._stream.client.closed:
             self._stream.client.send(RdtCommand.STOP)
             self._stream.client.close()
         self.device_lock.release()
 
     def _await_stream(self, stream: ForceStream) -> None:
-        """Wait until it sends, at the rate that it is set to."""
+        """Wait until the sensor sends at the configured rate and is no longer busy."""
         config = self.config
         for _ in range(4):
             stream.request()
@@ -217,10 +220,10 @@ class Axia80:
                 break
         else:
             raise DeviceError(
-                f"{self._name}: its page at port {config.http_port} answers, but no record came "
-                f"from UDP port {config.rdt_port} in {FIRST_RECORD_S:g} s ({stream.client.refused} "
-                "malformed datagrams); check rdt_port, RDT on the sensor's communication page, "
-                "and the firewall"
+                f"{self._name}: its web page on port {config.http_port} works, but no record "
+                f"arrived from UDP port {config.rdt_port} within {FIRST_RECORD_S:g} s "
+                f"({stream.client.refused} malformed datagrams); check rdt_port, the RDT setting "
+                "on the sensor's communication page, and the firewall"
             )
 
         def fits() -> bool:
@@ -228,7 +231,7 @@ class Axia80:
             is_measured = stream.times.measured_s >= MEASURED_S and stream.filter.full
             return is_measured and abs(stream.times.rate_hz / config.rate_hz - 1) <= 0.1
 
-        # A busy computer delivers in bursts, whose mean rate fits in the end.
+        # A busy computer delivers records in bursts; their mean rate converges to the true one.
         if not self._wait(fits, 5.0):
             raise RigError(
                 f"{self._name}: sends {stream.times.rate_hz:.0f} records per second, but rate_hz "
@@ -238,8 +241,8 @@ class Axia80:
 
         if not self._wait(lambda: not stream.watch.is_busy, BUSY_S):
             raise DeviceError(
-                f"{self._name}: busy for more than {BUSY_S:g} s; do not use its web pages, "
-                "or switch it off and on, then run: softfin rig zero --force"
+                f"{self._name}: busy for more than {BUSY_S:g} s; do not use its web pages; if it "
+                "stays busy, switch it off and on, then run: softfin rig zero --force"
             )
 
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:

@@ -1,57 +1,56 @@
-"""Faults of an Axia80's stream that its status bits do not show: a restart, values that stand
-still, busy for long.
+"""Detection of faults that an Axia80's status bits do not report: a restart, frozen values, and a
+long busy state.
 
-Pure: records go in, lines for people come out. A record has the sensor's own count of its samples
-(`ft_sequence`), which only its power switch resets.
+Without I/O: records in, messages out. Each record contains the sensor's sample counter
+(`ft_sequence`), which is reset only by a power cycle.
 """
 
 from softfin.rig.axia80.rdt import BUSY_BIT, RdtRecord, wrapped_step
 
 FROZEN_S = 0.1
-"""Time for which values may be the same in all six channels, or the sensor busy [s]. From memory,
-the noise of an Axia80 is thousands of counts, so that two equal records in a row are rare
-already."""
+"""Time for which all six channels may stay constant, or the sensor may be busy [s]. The noise of an
+Axia80 is thousands of counts (not verified), so even two equal consecutive records are rare."""
 
 REORDERED_SAMPLES = 4096
-"""Samples by which the sensor's count may go back without a restart: half a second."""
+"""Number of samples by which the counter may go back without a restart: half a second at 8 kHz."""
 
 RATE_MEASURED_S = 0.3
-"""Shortest duration over which the rate of the sensor's count is measured [s]."""
+"""Shortest duration over which the counter's rate is measured [s]."""
 
 RATE_ERROR = 0.02
-"""Relative error of that rate."""
+"""Relative error of the measured rate."""
 
 HELD_UP_S = 1.0
-"""Time by which records may be held up on their way [s]: their counts then do not fit the time
+"""Time by which records may be delayed on their way [s]; their counters then do not match the time
 between them."""
 
 
 MAX_STEP_S = 60.0
-"""Step ahead of the count that no record which was held up explains [s]."""
+"""Step of the counter that is too large for delayed records [s]."""
 
 
 class StreamWatch:
-    """Watches records in their order."""
+    """Watch over the records, in order of arrival."""
 
     def __init__(self, rate_hz: float) -> None:
         self.has_restarted = False
-        """Whether the sensor restarted since the stream was opened."""
+        """Whether the sensor has restarted since the stream was opened."""
         self._stuck_records = round(FROZEN_S * rate_hz)
         self._equal_counts = self._equal_samples = self._busy = 0
         self._began = 0.0
-        """When the first record arrived [s]."""
+        """Arrival time of the first record [s]."""
         self._samples = 0
-        """Samples that the sensor has counted since then."""
+        """Number of samples counted by the sensor since then."""
         self._newest: tuple[RdtRecord, float] | None = None
 
     @property
     def ft_sequence(self) -> int:
-        """The sensor's count of samples at the newest record; 0 before the first."""
+        """Sample counter in the latest record; 0 before the first."""
         return 0 if self._newest is None else self._newest[0].ft_sequence
 
     @property
     def ft_rate_hz(self) -> float:
-        """Measured rate of the sensor's count [Hz]; 0 before it is known."""
+        """Measured rate of the sample counter [Hz]; 0 until it is known."""
         duration = 0.0 if self._newest is None else self._newest[1] - self._began
         return self._samples / duration if duration >= RATE_MEASURED_S else 0.0
 
@@ -61,7 +60,7 @@ class StreamWatch:
         return self._busy > self._stuck_records
 
     def take(self, record: RdtRecord, time: float) -> None:
-        """Take a record that arrived at a time [s] and is newer than those before."""
+        """Process a record that arrived at `time` [s]; it must be newer than those before."""
         self._busy = self._busy + 1 if record.status >> BUSY_BIT & 1 else 0
         if self._newest is None:
             self._began = time
@@ -77,12 +76,13 @@ class StreamWatch:
         self._equal_counts = self._equal_counts + 1 if record.counts == before.counts else 0
 
     def _fits(self, samples: int, elapsed_s: float) -> bool:
-        """Whether the count went on by as many samples as the time since the record before brings.
+        """Return whether the counter advanced by the number of samples expected for the elapsed
+        time [s].
 
-        A restart in a pause may be long past, so that the count is higher than before it: samples
-        are missing then. And after three days a count is so high that one from 0 looks like a step
-        ahead. Records that were held up together look like more samples than the time brings, which
-        is not a restart.
+        If the sensor restarted long ago in a pause, its counter may be higher than before the
+        pause, but samples are missing. After three days, the counter is so high that a restart at 0
+        looks like a step ahead. Records that were delayed together look like more samples than
+        expected, which is not a restart.
         """
         rate_hz = self.ft_rate_hz
         if rate_hz <= 0:
@@ -91,24 +91,26 @@ class StreamWatch:
         return -MAX_STEP_S <= missing_s <= HELD_UP_S + RATE_ERROR * elapsed_s
 
     def accept_restart(self) -> None:
-        """The sensor's zero was set since: an earlier restart no longer matters."""
+        """Forget an earlier restart, because the sensor's zero has been set since."""
         self.has_restarted = False
 
     def lines(self) -> list[str]:
-        """Return each fault as a line that ends with a fix."""
+        """Return one line per fault, ending with its fix."""
         lines = []
         if self.has_restarted:
-            # Force limits and controller would work with the load of its mount as an offset.
+            # The load of the mount would be an offset in all forces that the limits and the
+            # controller use.
             lines.append(
-                "restarted, its zero is lost; let the fin rest and run: softfin rig zero --force"
+                "restarted, so its zero is lost; let the fin rest and run: softfin rig zero --force"
             )
         if max(self._equal_counts, self._equal_samples) >= self._stuck_records:
-            # Records still arrive, but force limits and controller would use a frozen value.
+            # Records still arrive, but the force limits and the controller would use a frozen
+            # value.
             lines.append(
-                "its values are frozen; switch it off and on, then run: softfin rig zero --force"
+                "values are frozen; switch it off and on, then run: softfin rig zero --force"
             )
         if self.is_busy:
             lines.append(
-                "it has been busy for too long, and its values may be old; do not use its web pages"
+                "busy for too long, so its values may be outdated; do not use its web pages"
             )
         return lines

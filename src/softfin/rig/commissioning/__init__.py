@@ -1,2 +1,1 @@
-"""Commissioning of a real rig: eight signed steps before anybody relies on it
-(docs/commissioning.md)."""
+"""Commissioning of a real rig: eight signed steps before you rely on it (docs/commissioning.md)."""

@@ -1,4 +1,4 @@
-"""Run the steps of a rig's commissioning in order, have each one signed, and save it to the
+"""Run the steps of a rig's commissioning in order, have each one signed, and save them in the
 form."""
 
 from pathlib import Path
@@ -30,22 +30,19 @@ def commission_step(
     clock: Clock,
     hour_s: float = 3600.0,
 ) -> SignedStep:
-    """Run one step of a rig's commissioning, have it signed, and add it to the form beside the
+    """Run one step of a rig's commissioning, have it signed, and add it to the form next to the
     rig's file.
 
-    Raises ConfigurationError if an earlier step is not passed.
+    Raises ConfigurationError if an earlier step has not been passed.
     """
     form = load_form(rig)
-    missing = [
-        earlier
-        for earlier in STEP_TITLES
-        if earlier < number and not form.is_passed(earlier, config)
-    ]
-    if missing:
+    missing = form.next_step(config)
+    if missing is not None and missing < number:
         raise ConfigurationError(
-            f"step {number}: step {missing[0]} ({STEP_TITLES[missing[0]]}) is not passed with this "
-            "drive and sensor; run the steps in order"
+            f"step {number}: step {missing} ({STEP_TITLES[missing]}) has not been passed "
+            "with this drive and sensor; run the steps in order"
         )
+    # Before the step, which may take an hour.
     date = date_and_time()
     folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
     operator.tell(f"Step {number} of {len(STEP_TITLES)}: {STEP_TITLES[number]}")

@@ -1,8 +1,8 @@
-"""The commissioning form: the results of each step, who signed it, and the configuration at the
+"""The commissioning form: for each step, its results, who signed it, and the configuration at that
 time.
 
-It is stored beside the rig's file: for rig.yaml in rig.commissioning.json, and for people in
-rig.commissioning.md. Every attempt is kept; the latest attempt at a step counts.
+It is stored next to the rig's file: for rig.yaml in rig.commissioning.json, and in readable form in
+rig.commissioning.md. Every attempt is kept; the latest attempt at each step counts.
 """
 
 import json
@@ -16,7 +16,7 @@ from softfin.rig.config import RigConfig
 from softfin.storage import artifact as artifacts
 
 STEP_TITLES = {
-    1: "Data sheets, settings of the drive, switch",
+    1: "Data sheets, drive settings, switch",
     2: "Checks and proof of the stop, fin off the shaft",
     3: "Angle and force by hand",
     4: "Every way to stop, small motion",
@@ -25,14 +25,14 @@ STEP_TITLES = {
     7: "One hour of random motion",
     8: "Several fins on one robot",
 }
-"""Titles of the steps by number, in order."""
+"""Titles of the steps, by number and in order."""
 
 VOIDING = ("drive", "sensor")
-"""Parts of the rig's file that, when changed, void all steps signed so far."""
+"""Parts of the rig's file; changing them invalidates all signed steps."""
 
 
 class Item(Configuration):
-    """One value that was measured or answered, and what was required of it."""
+    """One measured or answered value, and the requirement for it."""
 
     what: str
     value: str
@@ -45,17 +45,17 @@ class SignedStep(Configuration):
 
     number: int
     date: str
-    """Date and time, as ISO 8601."""
+    """Date and time in ISO 8601 format."""
     signed_by: str
     items: tuple[Item, ...]
     bags: tuple[str, ...] = ()
-    """Recordings of the step, relative to the rig's file."""
+    """Recordings of the step, as paths relative to the rig's file."""
     rig: JsonObject
-    """Configuration of the rig then."""
+    """Configuration of the rig at that time."""
 
     @property
     def passed(self) -> bool:
-        """Whether every item was as required; a step without items was not carried out."""
+        """Whether every item passed; a step without items was not carried out."""
         return bool(self.items) and all(item.passed for item in self.items)
 
 
@@ -63,15 +63,15 @@ class Form(Configuration):
     """The form of one rig."""
 
     attempts: tuple[SignedStep, ...] = ()
-    """All attempts, the oldest first."""
+    """All attempts, oldest first."""
 
     def latest(self, number: int) -> SignedStep | None:
-        """Return the latest attempt at a step; None if there was none."""
+        """Return the latest attempt at a step, or None if there is none."""
         return next((step for step in reversed(self.attempts) if step.number == number), None)
 
     def is_passed(self, number: int, config: RigConfig) -> bool:
-        """Whether the latest attempt at a step passed, with the drive and the sensor set up as they
-        are now."""
+        """Return whether the latest attempt at a step passed with the current drive and sensor
+        configuration."""
         step = self.latest(number)
         return (
             step is not None
@@ -80,11 +80,12 @@ class Form(Configuration):
         )
 
     def next_step(self, config: RigConfig) -> int | None:
-        """Return the number of the first step that is not passed; None if all are."""
+        """Return the number of the first step that has not been passed; None if all have."""
         return next((number for number in STEP_TITLES if not self.is_passed(number, config)), None)
 
     def warning(self, config: RigConfig) -> str | None:
-        """Return a line for a rig that is not commissioned, or no longer; None if it is."""
+        """Return a one-line warning if the rig is not, or no longer, commissioned; None
+        otherwise."""
         number = self.next_step(config)
         if number is None:
             return None
@@ -94,24 +95,24 @@ class Form(Configuration):
             else "no longer commissioned, or a step failed"
         )
         return (
-            f"rig of {config.fin}: {state}: step {number} of {len(STEP_TITLES)} is not passed; see "
-            "docs/commissioning.md and run: softfin rig commission --arm"
+            f"rig of {config.fin}: {state}: step {number} of {len(STEP_TITLES)} has not been "
+            "passed; see docs/commissioning.md and run: softfin rig commission --arm"
         )
 
 
 def form_file(rig: Path) -> Path:
-    """Return the file of a rig's form."""
+    """Return the path of a rig's form."""
     return rig.with_suffix(".commissioning.json")
 
 
 def bag_folder(rig: Path) -> Path:
-    """Return the folder of the recordings that are made while a rig is commissioned."""
+    """Return the folder for recordings made during the commissioning of a rig."""
     return rig.with_name(f"{rig.stem}-commissioning")
 
 
 def load_form(rig: Path) -> Form:
-    """Load the form of a rig's file; an empty one if there is none. Raises RigError if it cannot be
-    used."""
+    """Load the form for a rig's file, or an empty one if there is none; raises RigError if it is
+    invalid."""
     file = form_file(rig)
     if not file.exists():
         return Form()
@@ -124,7 +125,8 @@ def load_form(rig: Path) -> Form:
 
 
 def save_form(rig: Path, form: Form) -> None:
-    """Save the form of a rig's file, as JSON and for people; raises RunError."""
+    """Save the form for a rig's file as JSON and as Markdown; raises RunError if it cannot be
+    written."""
     artifacts.write_file(form_file(rig), form.model_dump_json(indent=2) + "\n")
     artifacts.write_file(form_file(rig).with_suffix(".md"), form_text(form, rig.name))
 
@@ -151,12 +153,13 @@ def form_text(form: Form, name: str) -> str:
 
 
 def config_values(config: RigConfig) -> JsonObject:
-    """Return a rig's configuration for JSON."""
+    """Return a rig's configuration as a JSON object."""
     return config.model_dump(mode="json")
 
 
 def _voiding_parts(rig: JsonObject) -> JsonObject:
-    return {
-        part: {name: value for name, value in rig[part].items() if name not in ADDRESS_FIELDS}
-        for part in VOIDING
-    }
+    # A change of address does not void a step: the devices are still the same.
+    parts = {}
+    for part in VOIDING:
+        parts[part] = {name: rig[part][name] for name in rig[part] if name not in ADDRESS_FIELDS}
+    return parts

@@ -1,8 +1,8 @@
-"""A host that is made to die: it swings a fin until it is killed; ``python -m
-softfin.rig.commissioning.host BAG``.
+"""Host process to be killed in a test: it swings a fin until then (``python -m
+softfin.rig.commissioning.host BAG``).
 
-Its rig comes as a line of JSON on standard input. The end of that input stops the fin: then the
-program that started this one is gone. It writes "moves" once the fin moves.
+It reads the rig's configuration as one line of JSON from standard input, and writes "moves" once
+the fin moves. The end of standard input stops the fin, because the parent process is then gone.
 """
 
 import json
@@ -18,8 +18,7 @@ from softfin.rig.stop import StopRequest
 
 
 def main() -> None:
-    """Swing through the whole range of the rig's commands, until this process is killed or the fin
-    is stopped."""
+    """Swing through the full command range until this process is killed or the fin is stopped."""
     config = RigConfig.build(json.loads(sys.stdin.readline()), "rig")
     request = StopRequest()
 

@@ -1,5 +1,4 @@
-"""Motions of a commissioning: swings, stops that are provoked, and a host that dies while the fin
-moves."""
+"""Motions for a commissioning: swings, provoked stops, and a host that dies while the fin moves."""
 
 import json
 import math
@@ -27,19 +26,19 @@ from softfin.rig.session import Session
 from softfin.rig.stop import StopRequest
 
 HALF_STROKE_TICKS = 60
-"""Minimum ticks between two commands of a swing; after a shorter stroke the fin waits."""
+"""Minimum number of ticks between commands of a swing; after a shorter stroke, the fin waits."""
 
 WATCHDOG_S = 2.0
-"""Timeout of softfin's own watchdog while a dead host is emulated [s]: long enough for the drive to
+"""Timeout of softfin's watchdog while a dead host is emulated [s]; long enough for the drive to
 stop the fin first."""
 
 WATCHED_S = 3.0
-"""Longest time for which a drive is watched after its host has died [s]."""
+"""Longest time for which a drive is monitored after its host has died [s]."""
 
 
 @dataclass
 class Peaks:
-    """Largest sizes of what was read during a motion."""
+    """Largest magnitudes of the readings during a motion."""
 
     following_rad: float = 0.0
     current_a: float = 0.0
@@ -47,7 +46,7 @@ class Peaks:
     torque_nm: float = 0.0
 
     def take(self, sample: Sample) -> None:
-        """Take one sample into account."""
+        """Update the peaks with one sample."""
         loads = sample.peak or sample.wrench
         self.following_rad = max(self.following_rad, abs(sample.following_error or 0.0))
         self.current_a = max(self.current_a, abs(sample.current or 0.0))
@@ -57,10 +56,10 @@ class Peaks:
 
 @dataclass(frozen=True)
 class Stopped:
-    """How a motion ended."""
+    """Result of a motion."""
 
     cause: str
-    """Short name of the stop, such as ``following``; "none" if the motion ended by itself."""
+    """Short name of the stop's cause, e.g. ``following``; "none" if the motion ended by itself."""
     reason: str
     seconds: float
     """Time from the last good reading to the end of the stop [s]."""
@@ -68,14 +67,14 @@ class Stopped:
     """Whether the drive confirmed that its motor is off."""
     peaks: Peaks
     skipped_ticks: int
-    """Ticks of the loop that were skipped."""
+    """Number of ticks skipped by the loop."""
 
 
 def changed(
     config: RigConfig, drive: JsonObject | None = None, safety: JsonObject | None = None
 ) -> RigConfig:
-    """Return a rig's configuration with other values of its drive or safety; raises
-    ConfigurationError."""
+    """Return a rig's configuration with some drive or safety values replaced; raises
+    ConfigurationError if it is invalid."""
     values = config.model_dump()
     values["drive"] |= drive or {}
     values["safety"] |= safety or {}
@@ -83,7 +82,8 @@ def changed(
 
 
 def narrowed(config: RigConfig, angle_rad: float, velocity_rad_s: float) -> RigConfig:
-    """Return a rig's configuration whose commands stay within +-angle and below a velocity."""
+    """Return a rig's configuration with commands limited to +-`angle_rad` and `velocity_rad_s`."""
+    # The minimum velocity must stay below the new maximum.
     slowest = min(config.drive.slowest_rad_s, 0.5 * velocity_rad_s)
     drive = {
         "angle_min_rad": -angle_rad,
@@ -97,8 +97,7 @@ def narrowed(config: RigConfig, angle_rad: float, velocity_rad_s: float) -> RigC
 def swings(
     amplitude_rad: float, velocity_rad_s: float, strokes: int | None = None
 ) -> Iterator[Target]:
-    """Yield the target of each stroke, from side to side; for ever unless a number of strokes is
-    given."""
+    """Yield the target of each stroke from side to side, endlessly unless `strokes` is given."""
     number = 0
     while strokes is None or number < strokes:
         side = 1 if number % 2 == 0 else -1
@@ -107,7 +106,8 @@ def swings(
 
 
 def stroke_ticks(amplitude_rad: float, velocity_rad_s: float) -> int:
-    """Return the ticks that a stroke from side to side takes, and a little longer for the ramps."""
+    """Return the number of ticks for a stroke from side to side, with some extra time for the
+    ramps."""
     return max(HALF_STROKE_TICKS, math.ceil(RATE_HZ * (2 * amplitude_rad / velocity_rad_s + 0.2)))
 
 
@@ -119,7 +119,8 @@ def move(
     bag: Path,
     observers: Sequence[Callable[[Sample, Target | None], None]] = (),
 ) -> Stopped:
-    """Move the fin through targets, each for some ticks, until they end or something stops it."""
+    """Move the fin to each target for `ticks` ticks, until the targets end or something stops
+    it."""
     peaks = Peaks()
     config = rig.config
     session = Session(
@@ -150,19 +151,20 @@ def move(
 
 @dataclass(frozen=True)
 class Death:
-    """Reaction of a drive to the death of its host."""
+    """A drive's reaction to the death of its host."""
 
     seconds: float
-    """Time from the death to the fin at rest without power [s]; infinite if that was not seen."""
+    """Time from the death until the fin is at rest with its motor off [s]; infinite if that was not
+    observed."""
     way_rad: float
-    """Angle by which the fin turned after the death [rad]."""
+    """Angle travelled by the fin after the death [rad]."""
     fault: str | None
-    """The drive's fault then."""
+    """The drive's fault afterwards."""
 
 
 class DriveWatch:
-    """Asks a drive by SDO alone, beside or after the program that drives it: it sends no heartbeat
-    and no SYNC."""
+    """Monitor of a drive over SDO only, during or after the run of the program that drives it;
+    sends no heartbeat and no SYNC."""
 
     def __init__(self, config: RigConfig, clock: Clock) -> None:
         self._units = Units.of(config.drive)
@@ -179,25 +181,25 @@ class DriveWatch:
         self._connection.close()
 
     def angle(self) -> float:
-        """Return the angle of the shaft [rad]."""
+        """Return the shaft angle [rad]."""
         return self._units.angle(self._connection.read(protocol.POSITION))
 
     def is_powered(self) -> bool:
-        """Whether the motor carries current."""
+        """Return whether the motor is powered."""
         state = protocol.decode(self._connection.read(protocol.STATUSWORD))
         return state not in protocol.UNPOWERED
 
     def is_referenced(self) -> bool:
-        """Whether the drive still knows its zero."""
+        """Return whether the drive still knows its zero."""
         return bool(self._connection.read(protocol.STATUSWORD) & protocol.Bit.REFERENCED)
 
     def fault(self) -> str | None:
-        """Return the drive's fault in words; None if it is in none."""
+        """Return a description of the drive's fault; None if it is not in fault."""
         return read_fault(self._connection)
 
     def watch(self, died: float, angle: float) -> Death:
-        """Watch until the fin is at rest without power; its host died at time `died` [s] and angle
-        `angle` [rad]."""
+        """Wait until the fin is at rest with its motor off; its host died at time `died` [s] and
+        angle `angle` [rad]."""
         stood_since = died
         off_since: float | None = None
         before = math.nan
@@ -213,6 +215,7 @@ class DriveWatch:
                     off_since = None
                 elif off_since is None:
                     off_since = now
+                # A fin is at rest if its position has not changed for 0.1 s.
                 if off_since is not None and now - stood_since > 0.1:
                     seconds = max(stood_since, off_since) - died
                     return Death(seconds, abs(here - angle), self.fault())
@@ -222,10 +225,10 @@ class DriveWatch:
 
 
 def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> Death:
-    """Emulate a dead host in simulated time: swing through the rig's range, and stop sending at a
-    tick."""
+    """Emulate a dead host in simulated time: swing through the rig's range and stop sending at tick
+    `moment`."""
     drive = config.drive
-    # Softfin's own watchdog would stop the fin first.
+    # softfin's own watchdog would otherwise stop the fin first.
     rig = Rig(changed(config, safety={"watchdog_s": WATCHDOG_S}), clock)
     session = Session(rig, Guard(rig.config.safety, rig.limits))
     ticks = stroke_ticks(drive.angle_max_rad, drive.fastest_rad_s)
@@ -238,12 +241,12 @@ def die_in_process(config: RigConfig, clock: Clock, moment: int, bag: Path) -> D
                 sample = session.tick()
                 if number * ticks + tick == moment:
                     return watch.watch(clock(), sample.angle)
-    raise AssertionError("swings go on for ever")
+    raise AssertionError("swings never end")
 
 
 def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag: Path) -> Death:
-    """Have another process swing the fin, and kill or stop it by a signal some time after it began
-    to move [s]."""
+    """Run a process that swings the fin, and send it a signal `wait_s` after the fin starts to move
+    [s]."""
     process = subprocess.Popen(
         [sys.executable, "-m", "softfin.rig.commissioning.host", str(bag)],
         stdin=subprocess.PIPE,
@@ -253,7 +256,7 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
     assert process.stdin is not None
     assert process.stdout is not None
     try:
-        # It stays open: the host stops the fin at its end, which comes with our own, too.
+        # Keep the pipe open: when it ends, also because this process dies, the host stops the fin.
         process.stdin.write(f"{json.dumps(config.model_dump(mode='json'))}\n")
         process.stdin.flush()
         first_line = process.stdout.readline().strip()
@@ -266,7 +269,8 @@ def die_by_signal(config: RigConfig, number: signal.Signals, wait_s: float, bag:
             process.send_signal(number)
             return watch.watch(REAL(), angle)
     except BaseException:
-        # It stops its fin at the end of its input; killed, it would leave that to the drive.
+        # The host stops its fin at the end of its input; if killed first, it would leave that to
+        # the drive.
         process.stdin.close()
         with suppress(subprocess.TimeoutExpired):
             process.wait(WATCHED_S)

@@ -1,4 +1,4 @@
-"""The operator beside the rig, who follows a step's instructions and answers its questions; tests
+"""The operator at the rig, who follows a step's instructions and answers its questions; tests
 emulate one."""
 
 import contextlib
@@ -16,33 +16,33 @@ from softfin.rig.stop import SIGNAL_CHECK_S, StopRequest, discard_typed_ahead
 
 @runtime_checkable
 class Operator(Protocol):
-    """A person, as the steps see one."""
+    """Interface of the steps to the operator."""
 
     def tell(self, text: str) -> None:
         """Show a line."""
 
     def wait(self, instruction: str) -> None:
-        """Show what to do, and return once it is done."""
+        """Show an instruction, and return once it has been carried out."""
 
     def confirm(self, question: str) -> bool:
-        """Ask a question whose answer is yes or no."""
+        """Ask a yes-or-no question."""
 
     def number(self, question: str) -> float:
         """Ask for a number."""
 
     def text(self, question: str) -> str:
-        """Ask for a line that is not empty."""
+        """Ask for a non-empty line of text."""
 
     def moving(self, instruction: str, request: StopRequest) -> AbstractContextManager[None]:
-        """Show what to do to the fin that moves within this context, where Enter alone asks for a
-        stop."""
+        """Show an instruction for the fin, which moves within this context; pressing Enter requests
+        a stop."""
 
 
 class TerminalOperator:
-    """A person at the terminal.
+    """An operator at the terminal.
 
-    One thread reads every line, so that Enter stops the fin at once while it moves, and a line that
-    was typed for one question cannot answer the next one.
+    A thread reads every line, so that Enter stops a moving fin immediately and a line typed for one
+    question cannot answer the next.
     """
 
     def __init__(
@@ -60,8 +60,8 @@ class TerminalOperator:
         self._write(f"{printable(text)}\n")
 
     def wait(self, instruction: str) -> None:
-        """Show what to do, and return once Enter was pressed."""
-        self._ask(f"{instruction}; Enter when done: ")
+        """Show an instruction, and return once Enter is pressed."""
+        self._ask(f"{instruction}; press Enter when done: ")
 
     def confirm(self, question: str) -> bool:
         """Ask until the answer is yes or no."""
@@ -77,7 +77,7 @@ class TerminalOperator:
             try:
                 return float(answer)
             except ValueError:
-                self.tell(f"{answer!r}: not a number; type a number such as 2.5")
+                self.tell(f"{answer!r}: not a number; type a number, e.g. 2.5")
 
     def text(self, question: str) -> str:
         """Ask until the answer is not empty."""
@@ -87,7 +87,7 @@ class TerminalOperator:
 
     @contextmanager
     def moving(self, instruction: str, request: StopRequest) -> Iterator[None]:
-        """Show what to do to the moving fin; Enter alone stops it."""
+        """Show an instruction for the moving fin; pressing Enter stops it."""
         self.tell(f"{instruction} (Enter stops the fin)")
         self._request = request
         try:
@@ -101,26 +101,27 @@ class TerminalOperator:
         self._write(printable(prompt))
         answer = self._next_line()
         if answer is None:
-            # The input stays ended: the next question must not wait forever.
+            # Keep the end-of-input marker, so that the next question does not wait forever.
             self._answers.put(None)
             raise RunError(
-                "commissioning: the terminal's input has ended; run the command again to resume at "
-                "this step"
+                "commissioning: the terminal's input has ended; run the command again to resume "
+                "at this step"
             )
         return answer
 
     def _discard_typed_ahead(self) -> None:
-        """Drop lines that were typed before the question: an earlier Enter must not answer it."""
+        """Discard lines typed before the question: an earlier Enter must not answer it."""
         discard_typed_ahead()
         with contextlib.suppress(queue.Empty):
             while self._answers.get_nowait() is not None:
                 pass
-            # The end of the input stays.
+            # Keep the end-of-input marker.
             self._answers.put(None)
 
     def _next_line(self) -> str | None:
         while True:
             with contextlib.suppress(queue.Empty):
+                # With a timeout, so that the main thread also handles signals.
                 return self._answers.get(timeout=SIGNAL_CHECK_S)
 
     def _read(self, lines: Iterable[str]) -> None:
@@ -132,7 +133,7 @@ class TerminalOperator:
                 elif not line.strip():
                     request.ask("emergency_stop", "stopped by a key")
         except (OSError, ValueError):
-            # Input that is not text, or a closed terminal, is treated as the end of the input.
+            # Binary input or a closed terminal is treated as the end of the input.
             pass
         if (request := self._request) is not None:
             request.ask(

@@ -1,9 +1,9 @@
-"""The eight steps of a commissioning: each yields what it found and what was required of it
+"""The eight steps of a commissioning; each yields its results and the requirements for them
 (docs/commissioning.md)."""
 
 import math
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -38,7 +38,7 @@ from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 
 CHECKS = 10
-"""Times that `rig check` must pass in a row."""
+"""Number of times that `rig check` must pass in a row."""
 
 RECEIVE_BUFFER_SETTING = Path("/proc/sys/net/core/rmem_max")
 
@@ -49,21 +49,21 @@ WEIGHT_TOLERANCE = 0.02
 
 SMALL_RAD = 0.3
 SLOW_RAD_S = 1.0
-"""Range and velocity of the first motions."""
+"""Amplitude [rad] and velocity [rad/s] of the first motions."""
 
 TRIALS = 5
-"""Trials of each way to stop."""
+"""Number of trials for each way to stop."""
 
 UNPOWERED_S = 0.5
-"""Longest time from the last good reading to the confirmed end of a stop [s]."""
+"""Longest time from the last good reading to the confirmed stop [s]."""
 
 DEADLY_SIGNALS = (signal.SIGKILL, signal.SIGSTOP)
-"""Signals after which softfin no longer runs. A simulated rig emulates both by sending
-nothing."""
+"""Signals after which softfin no longer runs. For a simulated rig, the host simply stops
+sending."""
 
 REST_MARGIN_S = 0.05
-"""Time beyond heartbeat and braking within which a dead host's fin must stand [s], since the drive
-acts in steps."""
+"""Time in addition to heartbeat and braking within which the fin of a dead host must stop [s]; the
+drive acts in discrete steps."""
 
 STROKES = 50
 SWINGS = 10
@@ -72,24 +72,24 @@ FOLLOWING_RAD = 0.05
 MIN_MARGIN = 1.2
 MAX_MARGIN = 2.5
 ADVISED_MARGIN = 1.5
-"""Limits of force, torque and current over the peaks that were measured in water."""
+"""Ratios of the force, torque and current limits to the peaks measured in water."""
 
 SENSOR_NOISE = 1e-3
 """Peaks below this are noise [N, N m, A]."""
 
 MAX_DRIFT_N = 0.1
-"""Largest change of the force at rest within the hour [N]."""
+"""Maximum change of the force at rest within the hour [N]."""
 
 
 class Way(NamedTuple):
-    """A way of stopping that the operator triggers while the fin swings."""
+    """A way to stop the swinging fin, triggered by the operator."""
 
     instruction: str
     causes: frozenset[str]
-    """Accepted reasons for the stop."""
+    """Accepted causes of the stop."""
     is_cut: bool = False
-    """Whether softfin cannot reach the drive then, so that the operator judges the stop by eye and
-    hand."""
+    """Whether softfin then loses contact with the drive, so that the operator judges the stop by
+    eye and hand."""
 
 
 BY_A_PERSON = frozenset({"emergency_stop"})
@@ -104,24 +104,24 @@ WAYS_TO_STOP = {
     "CAN adapter": Way("pull the CAN adapter from the computer", DRIVE_GONE, is_cut=True),
     "switch": Way("switch off the motor's supply", DRIVE_GONE, is_cut=True),
 }
-"""Ways to stop by name."""
+"""Ways to stop, by name."""
 
 BLOCKED_CAUSES = frozenset({"following", "current_peak", "current_sustained", "device"})
-"""Reasons for a stop that a blocked shaft may have."""
+"""Accepted causes of the stop of a blocked shaft."""
 
 
 @dataclass(frozen=True)
 class StepContext:
-    """The rig, the person beside it and the recordings of one step."""
+    """The rig, the operator and the folder for recordings of one step."""
 
     config: RigConfig
     operator: Operator
     folder: Path
-    """Folder of the step's recordings."""
+    """Folder for the step's recordings."""
     clock: Clock
     random: np.random.Generator
     hour_s: float = 3600.0
-    """Duration of the long motion [s]; a shorter one is only for tests."""
+    """Duration of the long motion [s]; shorter only in tests."""
 
     @property
     def is_simulated(self) -> bool:
@@ -129,40 +129,40 @@ class StepContext:
         return isinstance(self.clock, SimulatedClock)
 
     def rig(self, config: RigConfig | None = None) -> Rig:
-        """Return the rig, or one with other limits."""
+        """Return the rig with its own or another configuration."""
         return Rig(config or self.config, self.clock if self.is_simulated else None)
 
     def bag(self, name: str) -> Path:
-        """Return the path of a recording of this step."""
+        """Return the path of a recording file for this step."""
         return self.folder / f"{name}.mcap"
 
 
 def asked(operator: Operator, what: str, question: str) -> Item:
-    """Return the answer to a question that must be yes."""
+    """Ask a question that must be answered with yes."""
     answer = operator.confirm(question)
     return Item(what=what, value="yes" if answer else "no", required="yes", passed=answer)
 
 
 def measured(what: str, value: float, required: str, passed: bool, unit: str) -> Item:
-    """Return a value that was measured, rounded for people."""
+    """Return an item for a measured value, rounded to three digits."""
     return Item(what=what, value=f"{value:.3g} {unit}", required=required, passed=passed)
 
 
 def compare_data_sheets(context: StepContext) -> Iterator[Item]:
-    """Step 1: the rig's file against data sheets; the settings of the drive; the switch of the
-    motor's supply."""
+    """Step 1: compare the rig's file with data sheets and check the drive settings and the switch
+    of the motor's supply."""
     operator = context.operator
     drive = context.config.drive
     safety = context.config.safety
     for what, question, value in (
         (
             "encoder lines",
-            "Lines of the encoder per turn of the motor, from its data sheet",
+            "Encoder lines per motor turn, from the encoder's data sheet",
             drive.encoder_lines,
         ),
         (
             "gear ratio",
-            "Turns of the motor per turn of the fin, from the gear's data sheet",
+            "Motor turns per fin turn, from the gearbox's data sheet",
             drive.gear_ratio,
         ),
     ):
@@ -174,7 +174,7 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
             required=f"{value:g}, as in the rig's file",
             passed=passed,
         )
-    nominal = operator.number("Nominal current of the motor [A], from its data sheet")
+    nominal = operator.number("Nominal motor current [A], from its data sheet")
     sustained = safety.current_sustained_a or math.inf
     required = "at least safety.current_sustained_a"
     yield measured(
@@ -184,13 +184,13 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
     yield asked(
         operator,
         "switch",
-        "Is a switch for the motor's supply within reach, and have you just tried it?",
+        "Is a switch for the motor's supply within reach, and have you just tested it?",
     )
 
 
 def check_and_prove(context: StepContext) -> Iterator[Item]:
-    """Step 2: `rig check` ten times, a wrong file that is refused, the receive buffer, the proof of
-    the stop."""
+    """Step 2: run `rig check` ten times, verify that a wrong file is refused, check the receive
+    buffer and prove the stop."""
     context.operator.wait("Take the fin off the shaft")
     failures = []
     for _ in range(CHECKS):
@@ -223,9 +223,10 @@ def check_and_prove(context: StepContext) -> Iterator[Item]:
 
 
 def measure_by_hand(context: StepContext) -> Iterator[Item]:
-    """Step 3: a quarter and a whole turn by hand, and a weight on each axis of the force."""
+    """Step 3: turn the shaft by a quarter and a full turn, and apply a weight along each axis of
+    the force."""
     operator = context.operator
-    operator.wait("Turn the shaft to zero by hand, and let go")
+    operator.wait("Turn the shaft to zero by hand and release it")
     zero_angle(context.config, context.clock if context.is_simulated else None)
     with DriveWatch(context.config, context.clock) as watch:
         for what, degrees in (("a quarter turn", 90), ("a whole turn", 360)):
@@ -236,7 +237,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
             wanted = math.radians(degrees)
             passed = abs(angle - wanted) <= ANGLE_TOLERANCE_RAD
             yield measured(what, angle, f"{wanted:.3f} +- {ANGLE_TOLERANCE_RAD} rad", passed, "rad")
-    operator.wait("Turn the shaft back to zero, and let the force sensor rest")
+    operator.wait("Turn the shaft back to zero, and do not touch the force sensor")
     zero_force(context.config, clock=context.clock if context.is_simulated else None)
     rig = context.rig()
     rig.sensor.open()
@@ -244,7 +245,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
         weight_n = WEIGHT_KG * WEIGHT_GRAVITY_M_S2
         for number, axis in enumerate("xy"):
             operator.wait(
-                f"Pull with {WEIGHT_KG:g} kg along +{axis} (for its direction, see docs/rig.md)"
+                f"Pull with {WEIGHT_KG:g} kg along +{axis} (see docs/rig.md for its direction)"
             )
             force = rig.sensor.measured(1.0)[0][:3]
             error = max(
@@ -253,7 +254,7 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
             )
             value = ", ".join(f"{value:+.2f}" for value in force)
             required = (
-                f"+{weight_n:.2f} N along {axis}, 0 along the others, +-{WEIGHT_TOLERANCE:.0%}"
+                f"+{weight_n:.2f} N along {axis}, 0 along the other axes, +-{WEIGHT_TOLERANCE:.0%}"
             )
             passed = error <= WEIGHT_TOLERANCE * weight_n
             yield Item(
@@ -265,71 +266,24 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
 
 
 def stop_in_every_way(context: StepContext) -> Iterator[Item]:
-    """Step 4: within +-0.3 rad at 1 rad/s, every way to stop, five times each."""
+    """Step 4: test every way to stop five times, within +-0.3 rad at 1 rad/s."""
     _require_proof(context)
     operator = context.operator
-    operator.wait("Next, the shaft swings slowly, again and again; keep your hands away")
+    operator.wait("Next, the shaft will swing slowly several times; keep your hands away")
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
     for name, way in WAYS_TO_STOP.items():
-        stops = []
-        left_on = 0
-        for trial in range(TRIALS):
-            stops.append(_provoke(context, narrow, f"{name}-{trial + 1}", way.instruction))
-            operator.wait(
-                f"After {name}: put everything back, wait until the devices run again, then "
-                "keep your hands away: the shaft may swing next"
-            )
-            left_on += _reset(context)
-        yield _compare_stops(name, way, stops)
-        value = f"still on after {left_on} of {TRIALS}" if left_on else "off"
-        yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
-        if way.is_cut:
-            question = (
-                f"In each of the {TRIALS} trials: did the fin stop within a quarter of a "
-                "second, and could you turn it by hand half a second later?"
-            )
-            yield asked(operator, f"{name}, by eye and hand", question)
-    allowed_s = (
-        narrow.drive.heartbeat_s + SLOW_RAD_S / narrow.drive.quick_stop_rad_s2 + REST_MARGIN_S
-    )
+        yield from _try_way(context, narrow, name, way)
     for number in DEADLY_SIGNALS:
-        operator.wait(
-            f"Next, the shaft swings {TRIALS} times, and {number.name} ends softfin each time; no "
-            "key stops it then, so keep your hands away and the switch within reach"
-        )
-        deaths = []
-        is_left_on = False
-        for trial in range(TRIALS):
-            death = _die(context, narrow, number, context.bag(f"{number.name}-{trial + 1}"))
-            deaths.append(death)
-            is_left_on = _reset(context)
-            fault = death.fault or "no fault"
-            operator.tell(f"        {number.name} {trial + 1}: {death.seconds:.2f} s, {fault}")
-            if is_left_on or death.seconds > allowed_s:
-                break
-        what = f"softfin ended by {number.name}"
-        worst_s = max(death.seconds for death in deaths)
-        passed = worst_s <= allowed_s and not is_left_on
-        yield measured(
-            f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s"
-        )
-        if not passed:
-            # A drive that does not stop by itself must not be tried again.
+        has_stopped = yield from _try_signal(context, narrow, number)
+        if not has_stopped:
+            # Do not try again with a drive that does not stop by itself.
             return
-        faults = {death.fault or "no fault" for death in deaths}
-        is_expected = all("0x8130" in fault for fault in faults)
-        yield Item(
-            what=f"{what}: fault",
-            value="; ".join(sorted(faults)),
-            required="0x8130",
-            passed=is_expected,
-        )
     yield _zero_after_reset(context)
     for what, question in (
         (
             "stop topic",
-            "If you use ROS 2: did `true` on the stop topic stop the fin all five times? (If you "
-            "do not use it, answer yes)",
+            "If you use ROS 2, did `true` on the stop topic stop the fin all five times? (If "
+            "not, answer yes)",
         ),
         (
             "computer off",
@@ -340,22 +294,24 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
 
 
 def move_fully(context: StepContext) -> Iterator[Item]:
-    """Step 5: 50 strokes through the whole range, and a shaft that is held."""
+    """Step 5: make 50 strokes through the full range, then hold the shaft."""
     _require_proof(context)
     drive = context.config.drive
     amplitude = min(drive.angle_max_rad, -drive.angle_min_rad)
     ticks = stroke_ticks(amplitude, drive.fastest_rad_s)
     targets = swings(amplitude, drive.fastest_rad_s, STROKES)
-    context.operator.wait("Next, the shaft makes full strokes; keep your hands away")
+    context.operator.wait("Next, the shaft will make full strokes; keep your hands away")
     request = StopRequest()
-    with context.operator.moving(f"The shaft makes {STROKES} full strokes now; keep away", request):
+    with context.operator.moving(
+        f"The shaft is now making {STROKES} full strokes; keep away", request
+    ):
         stopped = move(context.rig(), targets, ticks, request, context.bag("strokes"))
     passed = stopped.cause == "none"
     yield Item(
         what=f"{STROKES} strokes", value=stopped.reason, required="end by themselves", passed=passed
     )
     if not passed:
-        # The operator who stopped the fin does not expect it to move again.
+        # If the operator stopped the fin, it must not move again unexpectedly.
         return
     peaks = stopped.peaks
     passed = peaks.following_rad <= FOLLOWING_RAD
@@ -363,7 +319,7 @@ def move_fully(context: StepContext) -> Iterator[Item]:
         "following error", peaks.following_rad, f"at most {FOLLOWING_RAD} rad", passed, "rad"
     )
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
-    context.operator.wait("Put on a glove; next, the shaft swings slowly")
+    context.operator.wait("Put on a glove; next, the shaft will swing slowly")
     stopped = _provoke(context, narrow, "held", "hold the shaft with a glove until it stops")
     context.operator.wait("Let go of the shaft")
     _reset(context)
@@ -382,21 +338,22 @@ def move_fully(context: StepContext) -> Iterator[Item]:
 
 
 def move_in_water(context: StepContext) -> Iterator[Item]:
-    """Step 6: the fin in air, then in water, from small to full strokes; the safety limits against
-    its peaks."""
+    """Step 6: move the fin in air, then in water, from small to full strokes, and compare the
+    safety limits with its peaks."""
     _require_proof(context)
     drive = context.config.drive
     safety = context.config.safety
     full = min(drive.angle_max_rad, -drive.angle_min_rad)
     for medium in ("air", "water"):
         context.operator.wait(
-            f"Put the fin on the shaft, in {medium}, at rest at zero, and keep away: it swings now"
+            f"Put the fin on the shaft, in {medium}, at rest at zero; then keep away, because it "
+            "will swing next"
         )
         for amplitude in (SMALL_RAD, full / 2, full):
             velocity = SLOW_RAD_S if amplitude == SMALL_RAD else drive.fastest_rad_s
             request = StopRequest()
             with context.operator.moving(
-                f"The fin swings in {medium} by {amplitude:.2f} rad; keep away", request
+                f"The fin is now swinging by +-{amplitude:.2f} rad in {medium}; keep away", request
             ):
                 ticks = stroke_ticks(amplitude, velocity)
                 bag = context.bag(f"{medium}-{amplitude:.1f}")
@@ -415,24 +372,24 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
         ("current_peak_a", peaks.current_a, safety.current_peak_a, "A"),
     ):
         if peak < SENSOR_NOISE or limit is None:
-            # This rig does not measure it, such as an emulated one without torque.
+            # This rig does not measure it, e.g. an emulated rig without torque.
             continue
         required = (
-            f"safety.{what} = {limit:g} must be {MIN_MARGIN} to {MAX_MARGIN} times the peak; "
-            f"set {ADVISED_MARGIN * peak:.2g}"
+            f"safety.{what} = {limit:g} must be {MIN_MARGIN} to {MAX_MARGIN} times the peak; set "
+            f"it to {ADVISED_MARGIN * peak:.2g}"
         )
         passed = MIN_MARGIN * peak <= limit <= MAX_MARGIN * peak
         yield measured(f"peak for safety.{what}", peak, required, passed, unit)
 
 
 def move_for_an_hour(context: StepContext) -> Iterator[Item]:
-    """Step 7: random commands for an hour: nothing lost, nothing skipped, the force at rest where
-    it was."""
+    """Step 7: send random commands for one hour, without lost records, skipped ticks or a change of
+    the force at rest."""
     _require_proof(context)
     rig = context.rig()
     request = StopRequest()
     context.operator.wait(
-        "Next, the fin moves at random for an hour; make sure that nobody can reach it"
+        "Next, the fin will move at random for one hour; make sure that nobody can reach it"
     )
     before = _force_at_rest(context)
     targets = _random_targets(context)
@@ -453,11 +410,11 @@ def move_for_an_hour(context: StepContext) -> Iterator[Item]:
         change_n <= MAX_DRIFT_N,
         "N",
     )
-    yield asked(context.operator, "motor", "Can you keep your hand on the motor?")
+    yield asked(context.operator, "motor", "Is the motor cool enough to keep your hand on it?")
 
 
 def ask_about_robot(context: StepContext) -> Iterator[Item]:
-    """Step 8: what only a robot with several fins shows."""
+    """Step 8: ask about properties of a robot with several fins."""
     operator = context.operator
     if not operator.confirm("Is this fin one of several on a robot, or does it run unattended?"):
         yield Item(what="robot", value="one fin, attended", required="-", passed=True)
@@ -470,8 +427,8 @@ def ask_about_robot(context: StepContext) -> Iterator[Item]:
         ),
         (
             "each fin killed",
-            "Did each fin stop when you killed its softfin in the water, whether the others "
-            "continued or not?",
+            "Did each fin stop when you killed its softfin in the water, regardless of whether "
+            "the others continued?",
         ),
         ("radio off", "Did all fins stop when the radio or the network to the operator was cut?"),
         (
@@ -496,11 +453,11 @@ STEP_FUNCTIONS: dict[int, Callable[[StepContext], Iterator[Item]]] = {
     7: move_for_an_hour,
     8: ask_about_robot,
 }
-"""The steps by number, as the form has them."""
+"""The steps by number, as in the form."""
 
 
 def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
-    """Run a step to its end, or to the first error, which becomes an item as well."""
+    """Run a step to its end or to the first error, which is also reported as an item."""
     items = []
     try:
         for item in STEP_FUNCTIONS[number](context):
@@ -519,8 +476,8 @@ def run_step(number: int, context: StepContext) -> tuple[Item, ...]:
 
 
 def _settings(context: StepContext) -> Iterator[Item]:
-    """Read from the drive what it does by itself, and whether it leaves the limits of the current
-    anything to do."""
+    """Check the drive's own reactions, and whether its current limits allow the safety limits to
+    trip."""
     rig = context.rig()
     try:
         rig.drive.open()
@@ -529,20 +486,18 @@ def _settings(context: StepContext) -> Iterator[Item]:
             yield Item(
                 what=str(entry),
                 value="no such object" if value is None else str(value),
-                required=f"{wanted}, or no such object: then the proof in step 2 decides",
+                required=f"{wanted}, or no such object (then the proof in step 2 decides)",
                 passed=value in (None, wanted),
             )
         useless_limits = [result.text for result in check_currents(rig)]
     finally:
         rig.close()
     found = "; ".join(useless_limits) or "can trip"
-    yield Item(
-        what="limits of the current", value=found, required="can trip", passed=not useless_limits
-    )
+    yield Item(what="current limits", value=found, required="can trip", passed=not useless_limits)
 
 
 def _require_proof(context: StepContext) -> None:
-    """Raise RigError unless this drive is proved to stop by itself when softfin dies."""
+    """Raise RigError unless it has been proved that this drive stops by itself if softfin dies."""
     rig = context.rig()
     try:
         rig.drive.connect()
@@ -552,7 +507,7 @@ def _require_proof(context: StepContext) -> None:
 
 
 def _proof(context: StepContext) -> Item:
-    """Prove that the drive stops without softfin's heartbeats."""
+    """Prove that the drive stops if softfin's heartbeats end."""
     rig = context.rig()
     try:
         rig.drive.open()
@@ -565,7 +520,7 @@ def _proof(context: StepContext) -> Item:
 
 
 def _refusal_of_wrong_lines(context: StepContext) -> Item:
-    """Open the drive with a rig's file that names another encoder, which must be refused."""
+    """Open the drive with another number of encoder lines, which must be refused."""
     lines = context.config.drive.encoder_lines
     rig = context.rig(changed(context.config, drive={"encoder_lines": 2 * lines}))
     try:
@@ -580,12 +535,76 @@ def _refusal_of_wrong_lines(context: StepContext) -> Item:
     )
 
 
+def _try_way(context: StepContext, config: RigConfig, name: str, way: Way) -> Iterator[Item]:
+    """Try one way to stop several times."""
+    operator = context.operator
+    stops = []
+    left_on = 0
+    for trial in range(TRIALS):
+        stops.append(_provoke(context, config, f"{name}-{trial + 1}", way.instruction))
+        operator.wait(
+            f"After {name}: put everything back and wait until the devices run again; then "
+            "keep your hands away, because the shaft may swing next"
+        )
+        left_on += _reset(context)
+    yield _compare_stops(name, way, stops)
+    value = f"still on after {left_on} of {TRIALS}" if left_on else "off"
+    yield Item(what=f"motor after {name}", value=value, required="off", passed=not left_on)
+    if way.is_cut:
+        question = (
+            f"In all {TRIALS} trials, did the fin stop within a quarter of a second, and "
+            "could you turn it by hand half a second later?"
+        )
+        yield asked(operator, f"{name}, by eye and hand", question)
+
+
+def _try_signal(
+    context: StepContext, config: RigConfig, number: signal.Signals
+) -> Generator[Item, None, bool]:
+    """End softfin several times by a signal; return whether the drive stopped by itself in time."""
+    operator = context.operator
+    # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
+    braking_s = SLOW_RAD_S / config.drive.quick_stop_rad_s2
+    allowed_s = config.drive.heartbeat_s + braking_s + REST_MARGIN_S
+    operator.wait(
+        f"Next, the shaft will swing {TRIALS} times, and {number.name} ends softfin each "
+        "time; no key stops it then, so keep your hands away and the switch within reach"
+    )
+    deaths = []
+    is_left_on = False
+    for trial in range(TRIALS):
+        death = _die(context, config, number, context.bag(f"{number.name}-{trial + 1}"))
+        deaths.append(death)
+        is_left_on = _reset(context)
+        fault = death.fault or "no fault"
+        operator.tell(f"        {number.name} {trial + 1}: {death.seconds:.2f} s, {fault}")
+        if is_left_on or death.seconds > allowed_s:
+            break
+    what = f"softfin ended by {number.name}"
+    worst_s = max(death.seconds for death in deaths)
+    passed = worst_s <= allowed_s and not is_left_on
+    yield measured(
+        f"{what}: fin at rest, no power", worst_s, f"at most {allowed_s:.2f} s", passed, "s"
+    )
+    if not passed:
+        return False
+    faults = {death.fault or "no fault" for death in deaths}
+    is_expected = all("0x8130" in fault for fault in faults)
+    yield Item(
+        what=f"{what}: fault",
+        value="; ".join(sorted(faults)),
+        required="0x8130",
+        passed=is_expected,
+    )
+    return True
+
+
 def _provoke(context: StepContext, config: RigConfig, name: str, instruction: str) -> Stopped:
-    """Swing slowly until the operator, or whatever was provoked, stops the fin."""
+    """Swing slowly until the operator, or the provoked fault, stops the fin."""
     request = StopRequest()
     amplitude = config.drive.angle_max_rad
     velocity = config.drive.fastest_rad_s
-    with context.operator.moving(f"The fin swings now: {instruction}", request):
+    with context.operator.moving(f"The fin is now swinging: {instruction}", request):
         rig = context.rig(config)
         stopped = move(
             rig,
@@ -599,13 +618,13 @@ def _provoke(context: StepContext, config: RigConfig, name: str, instruction: st
 
 
 def _compare_stops(name: str, way: Way, stops: list[Stopped]) -> Item:
-    """Compare how the trials of one way ended with how they must end."""
+    """Compare the results of the trials for one way to stop with the requirement."""
     causes = {stopped.cause for stopped in stops}
     value = "; ".join(sorted(causes))
     passed = causes <= way.causes
     if way.is_cut:
         required = f"{' or '.join(sorted(way.causes))}; softfin reports an unconfirmed stop"
-        # The reason for an unconfirmed stop ends with what to do about it.
+        # The message of an unconfirmed stop contains "; BUT" and the fix.
         passed = passed and all(
             stopped.is_confirmed or "; BUT " in stopped.reason for stopped in stops
         )
@@ -625,15 +644,15 @@ def _compare_stops(name: str, way: Way, stops: list[Stopped]) -> Item:
 
 
 def _die(context: StepContext, config: RigConfig, number: signal.Signals, bag: Path) -> Death:
-    """Have the host die at a random moment while the fin moves."""
+    """Make the host die at a random moment while the fin moves."""
     if context.is_simulated:
         return die_in_process(config, context.clock, int(context.random.integers(5, 200)), bag)
     return die_by_signal(config, number, float(context.random.uniform(0.0, 1.0)), bag)
 
 
 def _reset(context: StepContext) -> bool:
-    """Acknowledge the fault that a drive may be in; whether its motor was still on, which is then
-    switched off."""
+    """Switch off the motor if it is still on, and acknowledge any fault; return whether the motor
+    was on."""
     with DriveWatch(context.config, context.clock) as watch:
         is_powered = watch.is_powered()
     rig = context.rig()
@@ -648,8 +667,8 @@ def _reset(context: StepContext) -> bool:
 
 
 def _zero_after_reset(context: StepContext) -> Item:
-    """Whether the drive still knows its zero, after all faults were reset and without a
-    power-cycle."""
+    """Return whether the drive still knows its zero after all faults were reset without a power
+    cycle."""
     with DriveWatch(context.config, context.clock) as watch:
         is_known = watch.is_referenced() or not context.config.drive.zero_needed
     return Item(
@@ -670,7 +689,7 @@ def _force_at_rest(context: StepContext) -> np.ndarray:
 
 
 def _random_targets(context: StepContext) -> Iterator[Target]:
-    """Yield random commands within the rig's range, three per second, for the duration of the long
+    """Yield random commands within the rig's limits, three per second, for the duration of the long
     motion."""
     limits = context.config.drive.limits
     for _ in range(round(3 * context.hour_s)):

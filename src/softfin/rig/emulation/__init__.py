@@ -1,2 +1,2 @@
-"""Emulated devices: they speak the drive's and the sensor's protocols, and the virtual tank moves
-behind them."""
+"""Emulated devices that implement the protocols of the drive and the sensor, connected to the
+virtual tank."""

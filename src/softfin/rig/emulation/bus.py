@@ -1,9 +1,9 @@
-"""A CAN bus over TCP for programs on one machine: python-can's virtual bus served by the protocol
-of socketcand.
+"""A CAN bus over TCP for programs on one computer: python-can's virtual bus served with the
+socketcand protocol.
 
-Protocol: the documentation of linux-can's socketcand, raw mode. python-can's own `socketcand`
-interface is the client; no kernel module is needed. Listens on the loopback address alone;
-python-can's `udp_multicast` would on every one.
+Protocol: raw mode as in the documentation of linux-can's socketcand. The client is python-can's
+`socketcand` interface; no kernel module is needed. The server listens only on the loopback address,
+whereas python-can's `udp_multicast` would use every network interface.
 """
 
 import contextlib
@@ -21,7 +21,8 @@ _SEND = re.compile(r"< send ([0-7][0-9A-Fa-f]{2}) ([0-8]) ((?:[0-9A-Fa-f]{1,2} ?
 
 
 class SocketcandServer(socketserver.ThreadingTCPServer):
-    """Serves one channel to any number of clients until `server_close`; port 0 takes a free one."""
+    """Server for one channel and any number of clients, until `server_close`; port 0 selects a free
+    port."""
 
     daemon_threads = allow_reuse_address = True
 
@@ -35,7 +36,7 @@ class SocketcandServer(socketserver.ThreadingTCPServer):
         ).start()
 
     def server_close(self) -> None:
-        """End with all clients; any number of times."""
+        """Disconnect all clients and stop; may be called repeatedly."""
         self.ending.set()
         self.shutdown()
         super().server_close()
@@ -48,8 +49,8 @@ class _Client(socketserver.BaseRequestHandler):
         self.request.settimeout(STOP_CHECK_S)
         channel = self.server.channel
         lines = self._lines()
-        # A client that does not speak the protocol is let go: in raw mode there is no answer that
-        # would tell it.
+        # Disconnect clients that violate the protocol, because raw mode does not have an error
+        # response.
         with contextlib.suppress(OSError):
             self.request.sendall(b"< hi >")
             for expected in (f"< open {channel} >", "< rawmode >"):
@@ -57,8 +58,8 @@ class _Client(socketserver.BaseRequestHandler):
                     return
                 self.request.sendall(b"< ok >")
             with can.Bus(interface="virtual", channel=channel) as bus:
-                # python-can's client takes the answer to rawmode for wrong when a frame comes in
-                # the same packet.
+                # python-can's client rejects the answer to rawmode if a frame arrives in the same
+                # packet.
                 time.sleep(0.05)
                 notifier = can.Notifier(bus, [self._forward], STOP_CHECK_S)
                 try:
@@ -75,7 +76,7 @@ class _Client(socketserver.BaseRequestHandler):
                 self.request.sendall(format_frame(message).encode())
 
     def _lines(self) -> Iterator[str]:
-        """Yield what the client sends, cut at each '>'; ends with the client, or with a line that
+        """Yield the client's messages, split at each '>', until it disconnects or sends a line that
         is too long."""
         rest = ""
         while not self.server.ending.is_set() and len(rest) <= 256:
@@ -88,7 +89,8 @@ class _Client(socketserver.BaseRequestHandler):
 
 
 def parse_frame(line: str) -> can.Message | None:
-    """The frame in a line of a client, of 11-bit identifiers alone; None where there is none."""
+    """Return the frame in a client's line; None if the line is not a frame with an 11-bit
+    identifier."""
     match = _SEND.fullmatch(line)
     data = bytes(int(part, 16) for part in match[3].split()) if match else b""
     if not match or len(data) != int(match[2]):
@@ -97,7 +99,7 @@ def parse_frame(line: str) -> can.Message | None:
 
 
 def format_frame(message: can.Message) -> str:
-    """A frame as a line for a client."""
+    """Return a frame as a line for a client."""
     return (
         f"< frame {message.arbitration_id:03X} {message.timestamp:.6f} "
         f"{bytes(message.data).hex().upper()} >"

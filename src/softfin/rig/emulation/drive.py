@@ -1,9 +1,9 @@
-"""An emulated EPOS2 on any python-can bus, a fin that moves by itself behind it: the protocol of
-the real one.
+"""An emulated EPOS2 on any python-can bus, with the protocol of a real one, driving an emulated
+fin.
 
-It is made from the same documents as our driver of it, so that it shares what both misread;
-canopen's LocalNode serves its objects. What a test wants to go wrong is a method: `fault`,
-`go_silent`, `reboot` ..
+It was written from the same documents as our driver, so it shares any misreading of them. canopen's
+LocalNode serves its objects. Methods such as `fault`, `go_silent` and `reboot` let tests provoke
+failures.
 """
 
 import contextlib
@@ -35,11 +35,11 @@ from softfin.rig.simulated_network import open_bus
 MOTION_STEP_S = 0.005
 RECEIVE_TIMEOUT_S = 0.05
 EMULATED_STANDSTILL_RPM = 5
-"""Velocity of the motor at which a fault reaction ends, and the voltage is taken."""
+"""Motor speed at which a fault reaction ends and the voltage is disabled [rpm]."""
 
 
 class _Network(canopen.Network):
-    """canopen's network over a cable that can be cut; its threads are those of the clock."""
+    """canopen's network over a cable that can be cut, with threads of the given clock."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
@@ -53,7 +53,8 @@ class _Network(canopen.Network):
             super().send_message(can_id, bytes(data), remote)
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
-        """Send at once, and then every period [s]; what canopen keeps as the task."""
+        """Send immediately and then every period [s]; returns an object with the methods of
+        canopen's periodic task."""
         ended = self._clock.event()
         newest = deque([data], maxlen=1)
 
@@ -68,19 +69,20 @@ class _Network(canopen.Network):
 
 
 class DriveTraits(NamedTuple):
-    """Ways in which drives may differ from each other, and in which this one behaves."""
+    """Properties in which drives may differ."""
 
     missing: frozenset[Object] = frozenset()
-    """Objects that it does not have."""
+    """Missing objects."""
     read_only: frozenset[Object] = frozenset()
-    """Objects that cannot be written, beside those that nobody can write."""
+    """Objects that cannot be written, in addition to those read-only by definition."""
     ignores_heartbeat: bool = False
-    """The motor goes on when the host's heartbeats end, whatever was written."""
+    """Whether the motor keeps running when the host's heartbeats end, regardless of the
+    settings."""
     needs_reset_of_communication: bool = False
-    """A fault of the communication can only be reset after NMT reset communication, as in an
+    """Whether a communication fault can be reset only after an NMT reset communication, as in an
     EPOS4."""
     coarse_velocity: bool = False
-    """Velocities are measured in whole counts per millisecond: 30 rpm of the motor with 500
+    """Whether velocities are measured in whole counts per millisecond: steps of 30 rpm with 500
     lines."""
     current_noise_a: float = 0.0
     """Standard deviation of the measured current [A]."""
@@ -90,8 +92,7 @@ USUAL = DriveTraits()
 
 
 class EmulatedDrive:
-    """A drive set up as `config` describes a real one; it has power from construction until
-    `close`."""
+    """A drive set up as described in `config`, powered from construction until `close`."""
 
     def __init__(
         self,
@@ -123,8 +124,8 @@ class EmulatedDrive:
             traits.current_noise_a,
         )
         self.at_limit = False
-        """Whether it holds back at a limit of its own, such as that of the current: bit 11 of the
-        statusword."""
+        """Whether an internal limit is active, e.g. that of the current (bit 11 of the
+        statusword)."""
         self._process_data = ProcessData(self._node, self._network.send_message)
         self._readings: dict[int, Callable[[], int]] = {
             protocol.STATUSWORD.number: lambda: self.statusword,
@@ -145,7 +146,7 @@ class EmulatedDrive:
         ]
 
     def close(self) -> None:
-        """Power-down; any number of times."""
+        """Power down; may be called repeatedly."""
         self._ending.set()
         while self._threads:
             self._threads.pop().join(1.0)
@@ -157,21 +158,22 @@ class EmulatedDrive:
             bus.shutdown()
 
     def remembered(self) -> JsonObject:
-        """State that is lost with the supply, for JSON: the zero."""
+        """Return the state that a power loss would erase (the zero), for JSON."""
         return {"zero_counts": self.motor.zero, "referenced": self.motor.referenced}
 
     def recall(self, remembered: JsonObject) -> None:
-        """Go on as if its supply had never been off."""
+        """Continue as if the supply had never been off."""
         self.motor.zero = int(remembered["zero_counts"])
         self.motor.referenced = bool(remembered["referenced"])
 
     def fault(self, code: int) -> None:
-        """Emergency frame, error history, fault reaction."""
+        """Enter a fault: send an emergency frame, update the error history and start the fault
+        reaction."""
         with self._lock:
             if self.state in protocol.FAULT_STATES:
                 return
-            # Reaction 0 takes the voltage at once; every other one is emulated as a brake at the
-            # steepest ramp.
+            # Reaction 0 disables the voltage immediately; all others are emulated as braking along
+            # the steepest ramp.
             brakes = (
                 self.state in protocol.POWERED and self._option(protocol.FAULT_REACTION, 2) != 0
             )
@@ -181,7 +183,7 @@ class EmulatedDrive:
             self._emergency(code)
 
     def send_error_frame(self, classes: int, controller: int = 0) -> None:
-        """Have the host's adapter report an error by a frame of SocketCAN."""
+        """Make the host's adapter report an error in a SocketCAN error frame."""
         data = bytes([0, controller, 0, 0, 0, 0, 0, 0])
         frame = can.Message(
             arbitration_id=classes, data=data, is_extended_id=False, is_error_frame=True
@@ -190,25 +192,25 @@ class EmulatedDrive:
         self._network.bus.send(frame)
 
     def drop_heartbeat(self) -> None:
-        """Send no more heartbeats; all else goes on."""
+        """Stop sending heartbeats; everything else continues."""
         self._node.nmt.stop_heartbeat()
 
     def go_silent(self) -> None:
-        """Cut the cable: nothing comes in and nothing goes out, the drive goes on by itself."""
+        """Cut the cable: nothing is received or sent, and the drive continues by itself."""
         self._network.silent = True
 
     def plug_in(self) -> None:
-        """Mend the cable."""
+        """Reconnect the cable."""
         self._network.silent = False
 
     def cut_supply(self) -> None:
-        """Switch the supply off: the fin coasts, and nobody answers until `plug_in`."""
+        """Switch off the supply: the fin coasts, and the drive does not respond until `plug_in`."""
         with self._lock:
             self.go_silent()
             self._enter(State.SWITCH_ON_DISABLED)
 
     def reboot(self) -> None:
-        """Start anew, as after a moment without supply: the zero is lost."""
+        """Restart as after a brief power loss: the zero is lost."""
         with self._lock:
             self.state = State.START
             self.motor.power_up()
@@ -218,10 +220,12 @@ class EmulatedDrive:
             self._restart_communication()
 
     def _restart_communication(self) -> None:
-        """Send the boot-up message, with the objects of the communication as they are delivered."""
+        """Reset the communication objects to their factory settings and send the boot-up
+        message."""
         with self._lock:
             self._is_cut_off = False
             self._host_beat: float | None = None
+            # Communication objects are below 0x2000 (CiA 301).
             for index in [index for index in self._node.data_store if index < 0x2000]:
                 del self._node.data_store[index]
             self._process_data.enabled.clear()
@@ -231,7 +235,7 @@ class EmulatedDrive:
 
     @property
     def statusword(self) -> int:
-        """Statusword as it would be sent now."""
+        """Current statusword."""
         with self._lock:
             motor = self.motor
             reaches = self.state in {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
@@ -268,7 +272,8 @@ class EmulatedDrive:
         return value
 
     def _option(self, entry: Object, default: int) -> int:
-        """Value of an object that a drive may lack; the default is how it behaves then."""
+        """Return the value of an optional object; `default` is the behaviour of a drive without
+        it."""
         return default if entry in self._traits.missing else self._value(entry)
 
     def _run(self) -> None:
@@ -282,6 +287,8 @@ class EmulatedDrive:
                     self._enter(State.FAULT)
                 if self.state is State.OPERATION_ENABLED and self._is_behind():
                     self.fault(0x8611)
+                # CiA 301: time in ms in bits 0 to 15, with 0 for no monitoring, and node number in
+                # bits 16 to 23.
                 silence = self._value(protocol.HEARTBEAT_CONSUMER) & 0xFFFF
                 if (
                     silence
@@ -292,11 +299,12 @@ class EmulatedDrive:
                     self._lose_host()
 
     def _lose_host(self) -> None:
-        """React to the end of the host's heartbeats as 0x6007 and 0x1029 say (CiA 402 and 301)."""
+        """React to the loss of the host's heartbeats according to 0x6007 and 0x1029 (CiA 402 and
+        301)."""
         if self._traits.ignores_heartbeat or self._option(protocol.LOSS_REACTION, 1) == 0:
             return
         self.fault(protocol.HOST_LOST)
-        # 0: to pre-operational; 1: stay as it is; 2: stopped.
+        # 0: change to pre-operational; 1: no change; 2: change to stopped.
         behaviour = self._option(protocol.LOSS_BEHAVIOUR, 0)
         if behaviour == 0 and self._node.nmt.state == "OPERATIONAL":
             self._node.nmt.send_command(protocol.NMT_PRE_OPERATIONAL)
@@ -329,7 +337,7 @@ class EmulatedDrive:
                 self.motor.mode = mode
                 self.motor.acknowledged = False
             elif index == protocol.HEARTBEAT_CONSUMER.number:
-                # Watching begins with the first heartbeat after this (CiA 301).
+                # Monitoring starts with the first heartbeat after this (CiA 301).
                 self._host_beat = None
             elif index == protocol.ERROR_COUNT.number:
                 self._newest_error = 0
@@ -344,20 +352,20 @@ class EmulatedDrive:
                 return
             if message is None or self._network.silent:
                 continue
-            # canopen takes 29-bit identifiers for 11-bit ones.
+            # canopen would mistake 29-bit identifiers for 11-bit ones.
             if not (message.is_error_frame or message.is_extended_id or message.is_remote_frame):
-                # Whatever canopen makes of a frame that makes no sense.
+                # canopen may raise any exception for an invalid frame.
                 with contextlib.suppress(Exception):
                     self._take(message.arbitration_id, bytes(message.data))
 
     def _take(self, cob_id: int, data: bytes) -> None:
         nmt = self._node.nmt
-        # For a short SDO canopen's server would print a traceback.
+        # canopen's server would print a traceback for an SDO that is too short.
         if cob_id == protocol.SDO_REQUEST + self._config.node and (
             len(data) != 8 or nmt.state == "STOPPED"
         ):
             return
-        # canopen answers SDOs, and follows NMT commands.
+        # canopen answers SDO requests and executes NMT commands.
         self._network.notify(cob_id, bytearray(data), self._clock())
         with self._lock:
             if cob_id == protocol.NMT and nmt.state == "INITIALISING":
@@ -379,6 +387,6 @@ class EmulatedDrive:
     def _emergency(self, code: int) -> None:
         if self._node.nmt.state != "STOPPED":
             with contextlib.suppress(can.CanError, RuntimeError):
-                # Error register 1: generic error, which every error sets (CiA 301); those of its
-                # kind are not emulated.
+                # Error register bit 0 is the generic error, which every error sets (CiA 301); the
+                # specific bits are not emulated.
                 self._node.emcy.send(code, int(code != 0), bytes(5))

@@ -1,7 +1,7 @@
-"""Power stage and motor of an emulated EPOS2: states, profile position mode, homing; the fin in
-counts and rpm.
+"""Power stage and motor of an emulated EPOS2: states, profile position mode and homing, with the
+fin in counts and rpm.
 
-Every target takes effect at once, as our driver asks for; a relative one is not taken.
+Every target takes effect immediately, as requested by our driver; relative targets are ignored.
 """
 
 import random
@@ -14,9 +14,9 @@ from softfin.rig.epos2.protocol import Object, State
 
 NEW_TARGET_BIT = 1 << 4
 RELATIVE_BIT = 1 << 6
-"""Bits of the controlword."""
+"""Controlword bits."""
 POSITION_LIMIT = 0xFF09
-"""Emergency: the target lies outside the drive's own limits."""
+"""Emergency code: the target is outside the drive's limits."""
 
 BY_ITSELF = {
     State.START: State.NOT_READY,
@@ -25,12 +25,13 @@ BY_ITSELF = {
     State.MEASURE_INIT: State.OPERATION_ENABLED,
     State.FAULT_REACTION_DISABLED: State.FAULT,
 }
-"""States that a drive leaves by itself, a tick later."""
+"""Successors of states that a drive leaves by itself, one step later."""
 
 
 def next_state(state: State, word: int, before: int) -> State:
-    """The state after a controlword, `before` being the last one: CiA 402 with maxon's two states
-    on the way."""
+    """Return the state after controlword `word`, with `before` the previous one: CiA 402 with
+    maxon's two additional states."""
+    # The reset is a rising edge of bit 7.
     if state is State.FAULT and word & ~before & protocol.FAULT_RESET:
         return State.SWITCH_ON_DISABLED
     if (
@@ -39,21 +40,26 @@ def next_state(state: State, word: int, before: int) -> State:
         or word & protocol.FAULT_RESET
     ):
         return state
+    # Bit 1, enable voltage, is 0.
     if not word & 2:
         return State.SWITCH_ON_DISABLED
+    # Bit 2, quick stop, is active low.
     if not word & 4:
         return State.QUICK_STOP_ACTIVE if state in protocol.POWERED else State.SWITCH_ON_DISABLED
     if state is State.QUICK_STOP_ACTIVE:
         return State.OPERATION_ENABLED if word & 9 == 9 else state
+    # Bit 0, switch on, is 0: shutdown.
     if not word & 1:
         return State.READY
+    # Bit 3, enable operation, is 0.
     if not word & 8:
         return state if state is State.SWITCH_ON_DISABLED else State.SWITCHED_ON
     return State.REFRESH if state is State.SWITCHED_ON else state
 
 
 class EmulatedMotor:
-    """`value(entry)` is the drive's object, `fault(code)` its fault."""
+    """Emulated motor; `value(entry)` reads an object of the drive, and `fault(code)` puts the drive
+    into fault."""
 
     def __init__(
         self,
@@ -74,10 +80,11 @@ class EmulatedMotor:
         self.power_up()
 
     def power_up(self) -> None:
-        """Begin anew: the zero is lost."""
+        """Power up, without a zero."""
         self.mode = protocol.PROFILE_POSITION
         self.referenced = False
-        # An incremental encoder counts from wherever it wakes up; [counts] of the fin's own angle.
+        # An incremental encoder starts counting at the position of power-up; [counts] from the
+        # fin's own zero.
         self.zero = self._units.counts(self._fin.now().angle)
         self.release()
 
@@ -87,7 +94,7 @@ class EmulatedMotor:
         self._forget()
 
     def release(self) -> None:
-        """Let the fin coast, without voltage, and forget the target."""
+        """Disable the voltage, so that the fin coasts, and forget the target."""
         self._fin.coast()
         self._forget()
 
@@ -98,17 +105,17 @@ class EmulatedMotor:
 
     @property
     def position(self) -> int:
-        """Position of the fin [counts]."""
+        """Fin position [counts]."""
         return self._units.counts(self._fin.now().angle) - self.zero
 
     @property
     def demand(self) -> int:
-        """Position of the profile [counts]."""
+        """Profile position [counts]."""
         return self._units.counts(self._fin.now().demand) - self.zero
 
     @property
     def rpm(self) -> int:
-        """Velocity of the motor [rpm]."""
+        """Motor velocity [rpm]."""
         rpm = self._fin.now().velocity * self._units.rpm_per_rad_s
         return (
             self._units.direction * self._velocity_step_rpm * round(rpm / self._velocity_step_rpm)
@@ -116,18 +123,19 @@ class EmulatedMotor:
 
     @property
     def current(self) -> int:
-        """Current of the motor [mA]."""
+        """Motor current [mA]."""
         return round(
             1000 * (self._fin.now().current + self._noise.gauss(0.0, self._current_noise_a))
         )
 
     @property
     def is_target_reached(self) -> bool:
-        """Bit 10 of the statusword: the profile has ended, or without one the shaft is at rest."""
+        """Bit 10 of the statusword: the profile is complete or, without a profile, the shaft is at
+        rest."""
         return self.rpm == 0 if self._goal is None else self._goal == self.demand
 
     def control(self, word: int, before: int) -> None:
-        """Follow a controlword while operation is enabled."""
+        """Execute a controlword while operation is enabled."""
         is_new = bool(word & ~before & NEW_TARGET_BIT)
         if self.mode == protocol.HOMING:
             if is_new and self._value(protocol.HOMING_METHOD) == protocol.HOME_HERE:

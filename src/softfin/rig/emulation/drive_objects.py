@@ -1,7 +1,7 @@
-"""The object dictionary of an emulated EPOS2, and its process data (PDO).
+"""Object dictionary of an emulated EPOS2, and its process data (PDOs).
 
-Process data are off and empty at first. They are sent at every SYNC and act as soon as they are
-taken (transmission types 1 and 255); other transmission types are refused.
+PDOs are initially disabled and empty. They are sent at every SYNC and applied immediately on
+reception (transmission types 1 and 255); other transmission types are refused.
 """
 
 from collections.abc import Callable
@@ -15,10 +15,11 @@ from softfin.rig.epos2.config import Epos2Config
 from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
-"""Process data of each kind, as an EPOS2 has them."""
+"""Number of RPDOs and of TPDOs of an EPOS2."""
 FIRST_TAKEN = 0x1400
 FIRST_SENT = 0x1800
-"""First object of the process data of each kind; its mapping is 0x200 above it."""
+"""First communication object of the RPDOs and of the TPDOs; the mapping object is 0x200 above
+it."""
 READ_ONLY_OBJECTS = frozenset(
     {
         protocol.DEVICE_TYPE,
@@ -46,18 +47,19 @@ _TYPES = {
 CANNOT_BE_MAPPED = 0x06040041
 OUT_OF_RANGE = 0x06090030
 WRONG_STATE = 0x08000022
-"""Reasons why a write is refused (SDO abort codes)."""
+"""SDO abort codes for refused writes."""
 
 
 def values(config: Epos2Config) -> dict[Object, int]:
-    """The objects of a drive as delivered, set up for this motor and encoder: our limits are not in
-    it yet."""
+    """Return the objects of a drive in factory state, set up for this motor and encoder but without
+    our limits."""
     start = dict.fromkeys(protocol.OBJECTS, 0) | {
+        # CiA 402: device profile 402 (0x0192), servo drive (0x0002).
         protocol.DEVICE_TYPE: 0x00020192,
         protocol.SYNC_ID: protocol.SYNC,
         protocol.SERIAL_NUMBER: 0x36020000 + config.node,
-        # From memory: no action at a lost heartbeat, and a brushless motor. A drive as delivered
-        # may differ.
+        # Not verified: no action on a lost heartbeat, and a brushless motor. A new drive may
+        # differ.
         protocol.LOSS_REACTION: 0,
         protocol.FAULT_REACTION: 2,
         protocol.QUICK_STOP_OPTION: 6,
@@ -72,7 +74,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
         protocol.ACCELERATION: 10000,
         protocol.DECELERATION: 10000,
         protocol.QUICK_STOP_DECELERATION: 10000,
-        # From memory: an EPOS2 Module 36/2 gives 2 A for long and 4 A for a moment.
+        # Not verified: an EPOS2 Module 36/2 supplies 2 A continuously and 4 A briefly.
         protocol.CONTINUOUS_CURRENT: 2000,
         protocol.CURRENT_LIMIT: 4000,
         # Homing and profile position: bits 5 and 0.
@@ -94,7 +96,7 @@ def values(config: Epos2Config) -> dict[Object, int]:
 
 
 def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONLY_OBJECTS) -> Any:
-    """canopen's object dictionary with every object at its value."""
+    """Return canopen's object dictionary with the initial value of every object."""
     library: Any = od
     found = library.ObjectDictionary()
     records = {entry.number for entry in start if entry.sub}
@@ -113,41 +115,42 @@ def dictionary(start: dict[Object, int], read_only: frozenset[Object] = READ_ONL
 
 
 class ProcessData:
-    """Process data of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
+    """PDOs of canopen's LocalNode `node`; `send(cob_id, data)` sends a frame."""
 
     def __init__(self, node: Any, send: Callable[[int, bytes], None]) -> None:
         self._node = node
         self._send = send
         self.enabled: dict[int, dict[int, list[tuple[int, int, int]]]] = {}
-        """Index, sub-index and bytes of what is mapped, by COB-ID, until one of their objects is
-        written."""
+        """Cache of the enabled PDOs by first object: index, sub-index and length in bytes of the
+        mapped objects, by COB-ID. Cleared when a PDO object is written."""
 
     def synchronise(self) -> None:
-        """Send what is due at a SYNC."""
+        """Send the TPDOs in response to a SYNC."""
         for cob_id, entries in self._enabled(FIRST_SENT).items():
             self._send(
                 cob_id, b"".join(self._node.get_data(index, sub) for index, sub, _ in entries)
             )
 
     def take(self, cob_id: int, data: bytes) -> None:
-        """Follow a frame; frames other than process data change nothing."""
+        """Apply the RPDO in a frame; other frames have no effect."""
         entries = self._enabled(FIRST_TAKEN).get(cob_id, [])
         parts = []
         rest = data
         for index, sub, size in entries:
             parts.append((index, sub, rest[:size]))
             rest = rest[size:]
-        # One frame holds at one moment: what it orders comes after what it sets.
+        # A frame applies as a unit, so write its controlword after the values that it acts on.
         for part in sorted(parts, key=lambda part: part[0] == protocol.CONTROLWORD.number):
             self._node.set_data(*part)
 
     def check(self, index: int, subindex: int, data: bytes | bytearray) -> None:
-        """Raise SdoAbortedError where this may not be written into an object of process data
-        now."""
+        """Raise SdoAbortedError if this value must not be written to a PDO object now."""
         self.enabled.clear()
         value = int.from_bytes(data, "little")
         number = index & ~0x200
         if index != number:
+            # CiA 301: the mapping may change only while the PDO is disabled, and entries only while
+            # their count is 0.
             is_on = not self._value(number, 1, "I") & protocol.INVALID
             if is_on or (subindex and self._value(index, 0, "B")):
                 raise canopen.SdoAbortedError(WRONG_STATE)

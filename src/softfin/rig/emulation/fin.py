@@ -1,43 +1,42 @@
-"""The fin behind both emulated devices: what they need of it."""
+"""Interface of the emulated devices to their fin."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from softfin.rig.machine import Wrench
 
 COAST_RAD_S2 = 10.0
-"""Deceleration of a fin without voltage [rad/s2]; assumed: far less than a quick stop, so that the
-two differ."""
+"""Deceleration of a fin without voltage [rad/s2]; assumed, far lower than in a quick stop, so that
+the two are distinguishable."""
 
 
 class FinMotion(NamedTuple):
-    """Motion and force of an emulated fin at one moment."""
+    """Motion and force of an emulated fin at one time."""
 
     angle: float
-    """Angle of the shaft [rad]."""
+    """Shaft angle [rad]."""
     velocity: float
-    """Angular velocity of the shaft [rad/s]."""
+    """Shaft angular velocity [rad/s]."""
     demand: float
-    """Angle of the drive's profile [rad]."""
+    """Profile angle of the drive [rad]."""
     current: float
-    """Current of the motor [A]."""
+    """Motor current [A]."""
     wrench: Wrench
-    """Wrench of the fin on its mount, in softfin's axes, as the sensor's own electronics would hand
-    it on."""
+    """Wrench of the fin on its mount, in softfin's axes [N, N m], as output by the sensor's
+    electronics."""
 
 
 @runtime_checkable
 class EmulatedFin(Protocol):
-    """A fin on a shaft that follows a profile, and moves on with its clock; safe to call from
-    several threads."""
+    """A fin on a shaft that follows a profile and advances with its clock; must be thread-safe."""
 
     def move(self, angle: float, velocity: float) -> None:
-        """Go to an angle [rad] at a profile velocity [rad/s], from now on."""
+        """Move to an angle [rad] at a profile velocity [rad/s]."""
 
     def halt(self) -> None:
-        """Brake and stay."""
+        """Brake and hold."""
 
     def coast(self) -> None:
-        """Go on without a motor, which the water slows down at `COAST_RAD_S2`."""
+        """Coast without the motor, decelerating at `COAST_RAD_S2`."""
 
     def now(self) -> FinMotion:
-        """Motion and force at this moment."""
+        """Return the current motion and force."""

@@ -1,9 +1,9 @@
-"""A whole emulated rig on this computer: drive, sensor and the virtual tank behind both, and the
-rig's file for it.
+"""A complete emulated rig on this computer: drive, sensor and the virtual tank, and the rig's file
+for it.
 
-In simulated time, the default, everything is within the process. In real time softfin reaches the
-drive over python-can's virtual bus within one process, over socketcand on loopback from another,
-and the sensor over UDP and HTTP.
+In simulated time, the default, everything is within one process. In real time, softfin reaches the
+drive over python-can's virtual bus within the same process or over socketcand on loopback from
+another, and the sensor over UDP and HTTP.
 """
 
 import contextlib
@@ -33,15 +33,17 @@ from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
 
 SENSOR_MOUNTING = "y,-x"
-"""Mounting of the emulated sensor; not softfin's axes, so that no frame is right by chance."""
+"""Mounting of the emulated sensor; different from softfin's axes, so that a wrong frame cannot go
+unnoticed."""
 
 REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
-"""Limits for emulators in real time that share their computer with browsers and compilers; a real
-fin deserves the defaults, and in simulated time nothing is late."""
+"""Relaxed limits for real-time emulation on a computer that also runs browsers and compilers. A
+real fin uses the defaults, and nothing is late in simulated time."""
 
 
 class EmulatedRig(contextlib.ExitStack):
-    """Serves from construction until `close`; in simulated time unless it is given a real clock."""
+    """An emulated rig, running from construction until `close`, in simulated time unless `clock` is
+    a real clock."""
 
     def __init__(
         self,
@@ -51,8 +53,8 @@ class EmulatedRig(contextlib.ExitStack):
         channel: str | None = None,
         clock: Clock | None = None,
     ) -> None:
-        """`fin` in place of a tank, on the same clock; `channel` of the bus, a new one for each rig
-        by default."""
+        """`fin` replaces the tank and must use the same clock; `channel` is that of the bus, by
+        default a new one for each rig."""
         super().__init__()
         self.clock = clock or SimulatedClock()
         if fin is None:
@@ -61,7 +63,8 @@ class EmulatedRig(contextlib.ExitStack):
         self.fin: Any = fin
         self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
-        # Within the process nobody else has the ports of a sensor as it is delivered.
+        # In simulated time, the sensor can use its factory ports, because they exist only within
+        # this process.
         ports = (49152, 80) if simulated else (0, 0)
         self.sensor = EmulatedAxia80(self.fin, *ports, frame=SENSOR_MOUNTING, clock=self.clock)
         self.callback(self.sensor.close)
@@ -72,16 +75,16 @@ class EmulatedRig(contextlib.ExitStack):
         self.server = None if simulated else self.enter_context(SocketcandServer(self.channel))
 
     def save(self) -> None:
-        """Keep the state for the next command, where the rig is one of a file."""
+        """Save the state for the next command, if the rig has a file."""
 
     def description(self) -> str:
-        """Describe where the rig listens."""
+        """Return a description of the rig's addresses."""
         bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
         pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
         return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"
 
     def values(self, **changes: object) -> JsonObject:
-        """Contents of the rig's file."""
+        """Return the contents of the rig's file, with `changes`."""
         bus: JsonObject = {"interface": SIMULATED, "channel": self.channel}
         if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
@@ -95,15 +98,15 @@ class EmulatedRig(contextlib.ExitStack):
 
 
 rigs: dict[Path, EmulatedRig] = {}
-"""The emulated rigs of this process, by their files."""
+"""Emulated rigs of this process, by file."""
 
 
 def kept_rig(config: RigConfig) -> EmulatedRig:
-    """The emulated rig that a file describes, as the command before has left it; raises
+    """Return the emulated rig of a file in the state left by the previous command; raises
     RigError."""
     if config.file is None:
         raise RigError(
-            "an emulated rig needs a file; write one with softfin rig emulate, and load it"
+            "an emulated rig needs a file; write one with softfin rig emulate and load it"
         )
     if config.file not in rigs:
         rigs[config.file] = _KeptRig(config, config.file)
@@ -111,15 +114,15 @@ def kept_rig(config: RigConfig) -> EmulatedRig:
 
 
 def state_file(rig: Path) -> Path:
-    """File of the state, beside the rig's file."""
+    """Return the path of the state file, next to the rig's file."""
     return rig.with_suffix(".state.json")
 
 
 class _KeptRig(EmulatedRig):
-    """A rig in simulated time whose state is kept beside its file for the next command.
+    """A rig in simulated time with a state file next to its file, for the next command.
 
-    The state is where the fin stands and how the water moves, the zero of the drive and of the
-    sensor, and how much of the noise has been drawn.
+    The state consists of the fin's position, the motion of the water, the zeros of the drive and
+    the sensor, and the position in the noise sequence.
     """
 
     def __init__(self, config: RigConfig, file: Path) -> None:
@@ -128,8 +131,8 @@ class _KeptRig(EmulatedRig):
             tank = Tank(TankConfig.build(config.emulation.tank, f"{file}: emulation.tank"))
         except ConfigurationError as error:
             raise RigError(str(error)) from None
-        # Two commands at once would start from the same state, and the last one to end would
-        # overwrite the state of the other.
+        # Two simultaneous commands would start from the same state, and the last to finish would
+        # overwrite the other's state.
         lock = DeviceLock(
             f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16]
         )
@@ -143,7 +146,7 @@ class _KeptRig(EmulatedRig):
             if self._state.exists():
                 state = json.loads(self._state.read_bytes())
                 if state["emulation"] != self._emulation:
-                    raise ValueError("of another seed or tank")
+                    raise ValueError("state of another seed or tank")
                 for name, part in self._parts.items():
                     part.recall(state[name])
         except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
@@ -161,8 +164,8 @@ class _KeptRig(EmulatedRig):
 
 
 def write_simulated(path: Path, tank: Tank, values: JsonObject, seed: int) -> None:
-    """Write the file of a rig that each command emulates itself, in simulated time; `values` are
-    the tank's file's."""
+    """Write the file of a rig emulated by each command in simulated time; `values` are the contents
+    of the tank's file."""
     rig = _rig_values(
         _drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"}
     )
@@ -171,18 +174,18 @@ def write_simulated(path: Path, tank: Tank, values: JsonObject, seed: int) -> No
 
 
 def write_rig(path: Path, values: JsonObject, comment: str) -> None:
-    """Write a rig's file, with a comment above."""
-    # A new rig starts without what was found out about the one that was there.
+    """Write a rig's file, with a comment at the top."""
+    # A new rig must not inherit the record of the one that it replaces.
     record_file(path).unlink(missing_ok=True)
     text = f"# {comment}; for a real rig, see docs/rig.md.\n"
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
-# The emulated fin draws 1.1 A at its peaks and 0.3 A on average over 0.5 s; the emulated drive
-# gives 4 A and 2 A.
+# The emulated fin draws peaks of 1.1 A and 0.3 A on average over 0.5 s; the emulated drive allows 4
+# A and 2 A.
 EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
-"""Limits of the current that an emulated fin keeps, and that trip before the drive limits the
-current itself."""
+"""Current limits that an emulated fin stays within, and that trip before the drive limits the
+current."""
 
 
 def _rig_values(drive: Epos2Config, bus: JsonObject, **ports: int) -> JsonObject:
@@ -197,7 +200,8 @@ def _rig_values(drive: Epos2Config, bus: JsonObject, **ports: int) -> JsonObject
 
 
 def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
-    """The drive of the tank: 500 lines and a reduction of 111:1 are its encoder's steps."""
+    """Return the configuration of the tank's drive; 500 lines and a gear ratio of 111:1 match the
+    steps of the tank's encoder."""
     values: dict[str, float] = {
         "node": 1,
         "encoder_lines": 500,

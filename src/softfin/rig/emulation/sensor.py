@@ -1,7 +1,7 @@
-"""An emulated Axia80: speaks RDT over UDP and serves its web pages; an emulated fin loads it.
+"""An emulated Axia80, loaded by an emulated fin: implements RDT over UDP and serves its web pages.
 
-Its counts are those of the fin's force rotated back into the sensor's axes and units; what is out
-of range is flagged.
+The fin's wrench is rotated into the sensor's axes and converted to counts; loads out of range are
+flagged.
 """
 
 import contextlib
@@ -34,25 +34,26 @@ from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SimulatedSocket
 
 RANGE = (500.0, 500.0, 900.0, 20.0, 20.0, 20.0)
-"""Measuring range of the M20 [N, N m], from memory; loads beyond it are flagged and clipped."""
+"""Measuring range of the M20 [N, N m], not verified; loads beyond it are flagged and clipped."""
 
 ADC_RATE_HZ = 7812.0
 
 BUSY_AT_START_S = 0.3
-"""Time after power-up for which the sensor is busy [s]; that it is busy then is from memory, its
-time is assumed."""
+"""Time for which the sensor is busy after power-up [s]; assumed, and not verified that it is busy
+then."""
 
 NOISE = np.random.default_rng(0).integers(-1, 2, (1021, 6))
-"""Noise [counts], by the count of samples. A real sensor has noise, from memory thousands of
-counts; this one has as little as shows that it is alive, so that tests can compare forces."""
+"""Noise [counts], indexed by the sample counter. The noise of a real sensor is thousands of counts
+(not verified); here it is just large enough to show that the sensor is alive, so that tests can
+compare forces."""
 
 WAKE_S = 0.002
-"""Longest time that a record waits to be sent; the sensor sends what is due since then."""
+"""Longest interval between sends [s]; all records due by then are sent."""
 
 
 class EmulatedAxia80:
-    """Serves from construction until `close`, from daemon threads; faults may be set from any
-    thread."""
+    """Emulated sensor, running in daemon threads from construction until `close`; faults may be set
+    from any thread."""
 
     def __init__(
         self,
@@ -65,38 +66,40 @@ class EmulatedAxia80:
         counts: tuple[float, float] = (1e6, 1e6),
         clock: Clock = REAL,
     ) -> None:
-        """`units` and `counts` for one unit of force and of torque."""
+        """`units` are those of force and torque, and `counts` the counts per unit of each."""
         self.rate_hz = rate_hz
         self.pages = sensor_pages(units, counts)
-        """Web pages of the sensor, by path; may be changed at any time."""
+        """Web pages, by path; may be changed at any time."""
         self.status = 0
-        """Status of every record; a test may set its bits."""
+        """Status of every record; tests may set its bits."""
         self.transmit: Callable[[bytes], Iterable[bytes]] = lambda datagram: (datagram,)
-        """Datagrams that arrive for one that is sent; a test may have it lost, doubled or late."""
+        """Function that maps a sent datagram to those that arrive; tests may lose, duplicate or
+        delay datagrams."""
         self.busy_s = BUSY_AT_START_S
-        """Time after power-up for which it is busy [s]; like the following ones, a test may set
-        it."""
+        """Time for which the sensor is busy after power-up [s]; tests may set this and the
+        following attributes."""
         self.are_values_frozen = False
-        """Whether all six channels stand still, while the records go on."""
+        """Whether all six channels are frozen while records continue."""
         self.drift_n_s = 0.0
-        """Drift of its zero since power-up, of each axis of the force [N/s]."""
+        """Drift of the zero since power-up, for each axis of the force [N/s]."""
         self.filter_delay_s = 0.0
-        """Delay of its own low-pass filter [s], which its records do not show."""
+        """Delay of the sensor's internal low-pass filter [s], which is not visible in its
+        records."""
         self._fin = fin
         self._clock = clock
-        # The inverse of the client's: from softfin's axes into the sensor's.
+        # The inverse of the client's rotation: from softfin's axes to the sensor's.
         self._rotation = rotation(frame).T
         self._scale = np.repeat(
             [counts[0] / FORCE_UNITS[units[0]], counts[1] / TORQUE_UNITS[units[1]]], 3
         )
+        # Counts are 32-bit integers, and the noise adds up to 1 count.
         self._limits = np.minimum(np.array(RANGE) * self._scale, 2**31 - 2)
         self._bias = np.zeros(6)
         self._powered_at = clock()
         self._counts = (0, 0, 0, 0, 0, 0)
         self._silent_until = 0.0
         self._history: deque[tuple[float, np.ndarray]] = deque()
-        """Loads and their times, of which the first is the newest that has passed its own
-        filter."""
+        """Loads and their times; the first is the latest to have passed the internal filter."""
         self._lock = threading.Lock()
         self._closing = clock.event()
         self._stream: _Stream | None = None
@@ -122,24 +125,24 @@ class EmulatedAxia80:
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
     def remembered(self) -> JsonObject:
-        """State that would be lost with its supply, for JSON: its zero in its own axes [N, N m],
-        count of samples."""
+        """Return the state that a power loss would erase, for JSON: the zero in the sensor's axes
+        [N, N m] and the sample counter."""
         with self._lock:
             return {"bias": self._bias.tolist(), "samples": self._samples(self._clock())}
 
     def recall(self, remembered: JsonObject) -> None:
-        """Continue as if its supply had never been off."""
+        """Continue as if the supply had never been off."""
         with self._lock:
             self._bias = np.array(remembered["bias"], float)
             self._powered_at = self._clock() - int(remembered["samples"]) / ADC_RATE_HZ
 
     def silence(self, seconds: float = float("inf")) -> None:
-        """Neither receive nor send for so long [s]; 0 ends it."""
+        """Neither receive nor send for a time [s]; 0 ends the silence."""
         self._silent_until = self._clock() + seconds
 
     def reboot(self, seconds: float = 0.5) -> None:
-        """Switch off and on: silent for so long [s], then without client, bias and its count of
-        samples."""
+        """Switch off and on: silent for a time [s], then without client and zero, and with a new
+        sample counter."""
         with self._lock:
             self._stream = None
             self._bias = np.zeros(6)
@@ -147,14 +150,14 @@ class EmulatedAxia80:
             self.silence(seconds)
 
     def close(self) -> None:
-        """Stop serving; any number of times."""
+        """Stop the sensor; may be called repeatedly."""
         self._closing.set()
         self._thread.join()
         self._ports.close()
 
     def _serve(self) -> None:
         while not self._closing.is_set():
-            # Nothing comes in time, or an answer to a client that is gone.
+            # A timeout, or an ICMP error for a client that is gone.
             with contextlib.suppress(OSError):
                 data, sender = self._socket.recvfrom(2048)
                 request = decode_request(data)
@@ -164,7 +167,7 @@ class EmulatedAxia80:
                         if command is RdtCommand.BIAS:
                             self._bias = self._felt(self._clock())
                         elif command is RdtCommand.STOP:
-                            # Whoever sends it: there is one stream, that of the last client.
+                            # From any client: there is only one stream, to the latest client.
                             self._stream = None
                         else:
                             self._stream = _Stream(sender, self._clock(), wanted)
@@ -178,7 +181,7 @@ class EmulatedAxia80:
                         self._socket.sendto(arriving, stream.client)
 
     def _measure(self, stream: "_Stream", now: float) -> list[bytes]:
-        """Records that are due: all of them have the load of this moment."""
+        """Return the records that are due, all with the current load."""
         due = int((now - stream.began) * self.rate_hz) - stream.sent
         if stream.wanted:
             due = min(due, stream.wanted - stream.sent)
@@ -203,11 +206,11 @@ class EmulatedAxia80:
         return datagrams
 
     def _samples(self, time: float) -> int:
-        """Count of its converter's samples since power-up, which starts at 0."""
+        """Return the sample counter, which is 0 at power-up."""
         return max(0, int((time - self._powered_at) * ADC_RATE_HZ))
 
     def _felt(self, now: float) -> np.ndarray:
-        """Load in its own axes behind its filter, with the drift of its zero."""
+        """Return the filtered load in the sensor's axes, including the drift of its zero."""
         self._history.append((now, np.array(rotated(self._fin.now().wrench, self._rotation))))
         while len(self._history) > 1 and self._history[1][0] <= now - self.filter_delay_s:
             self._history.popleft()
@@ -221,15 +224,15 @@ class _Stream:
     client: tuple[str, int]
     began: float
     wanted: int
-    """Records to send; 0 for no end."""
+    """Number of records to send; 0 for an endless stream."""
     sent: int = 0
 
 
 def sensor_pages(
     units: tuple[str, str], counts: tuple[float, float], serial: str = "FT00000"
 ) -> dict[str, bytes]:
-    """The two pages that clients read, by path, in the form of the real ones; units and counts of
-    force and torque."""
+    """Return the two pages read by clients, by path, in the format of the real ones; `units` and
+    `counts` are those of force and torque."""
     settings = {
         "prodname": "Emulated Axia80-M20",
         "scfgfu": units[0],
@@ -244,8 +247,7 @@ def sensor_pages(
 
 
 def serve_pages(port: int, pages: Mapping[str, bytes]) -> ThreadingHTTPServer:
-    """Serve bytes by path from a daemon thread, until the server's `shutdown` and
-    `server_close`."""
+    """Serve bytes by path in a daemon thread, until the server's `shutdown` and `server_close`."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:

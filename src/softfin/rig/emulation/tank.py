@@ -1,7 +1,6 @@
-"""The virtual tank as the fin behind emulated devices: it moves on with the clock, whoever looks.
+"""The virtual tank as the fin of emulated devices; it advances with the clock.
 
-Between two samples of 10 ms motion and force are interpolated, so all that is measured is one
-sample old.
+Motion and force are interpolated between samples of 10 ms, so all readings are one sample old.
 """
 
 import math
@@ -21,12 +20,12 @@ from softfin.rig.emulation.fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
 
 AMPERE_PER_NM = 1 / (111 * 0.0259)
-"""Current of the emulated motor for a torque at the fin: a reduction of 111:1 and 25.9 mN m/A, both
-assumed."""
+"""Motor current per torque at the fin [A/(N m)], assuming a gear ratio of 111:1 and a torque
+constant of 25.9 mN m/A."""
 
 
 class TankFin:
-    """Meets the EmulatedFin contract."""
+    """A virtual tank that implements the `EmulatedFin` protocol."""
 
     def __init__(self, tank: Tank, seed: int = 0, clock: Clock = REAL) -> None:
         self.tank = tank
@@ -34,7 +33,7 @@ class TankFin:
         self._lock = threading.RLock()
         self._state: PyTree = self.tank.init(jax.random.key(seed))
         self._command = rest_command(self.tank.limits)
-        # Twice, so that everything is compiled before anybody looks.
+        # Two steps, so that everything is compiled before the first reading.
         self._before = self._after = self._step()
         self._before = self._after
         self._after = self._step()
@@ -42,26 +41,26 @@ class TankFin:
         self._latest: tuple[float, FinMotion] | None = None
 
     def remembered(self) -> JsonObject:
-        """Return the whole state for JSON."""
+        """Return the complete state, for JSON."""
         with self._lock:
             self._catch_up()
             leaves = [np.asarray(leaf).tolist() for leaf in jax.tree.leaves(self._plain())]
             return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
 
     def recall(self, remembered: JsonObject) -> None:
-        """Go on from there; raises ValueError where that is the state of another tank."""
+        """Continue from a remembered state; raises ValueError if it is from another tank."""
         with self._lock:
             plain = self._plain()
             leaves = remembered["state"]
             if len(leaves) == len(jax.tree.leaves(plain)) - 2:
-                # Earlier versions had no zero of the sensor and did not keep the true force: it had
-                # never been zeroed.
+                # Earlier versions did not store the sensor's zero and the true force; their sensors
+                # had never been zeroed.
                 plain = (_without_zero(plain[0]), plain[1])
             now, tree = jax.tree.flatten((plain, self._before, self._after))
             held = (*leaves, remembered["before"], remembered["after"])
             then = [np.asarray(leaf, like.dtype) for leaf, like in zip(held, now, strict=True)]
             if [leaf.shape for leaf in then] != [leaf.shape for leaf in now]:
-                raise ValueError("a state of another tank")
+                raise ValueError("state of another tank")
             plain, self._before, self._after = jax.tree.unflatten(tree, then)
             state, self._command = jax.tree.map(jnp.asarray, plain)
             if state.force is None:
@@ -72,8 +71,8 @@ class TankFin:
             self._latest = None
 
     def move(self, angle: float, velocity: float) -> None:
-        """Go to an angle, brought within what the tank's drive takes, as the drive's own limits
-        would."""
+        """Move to an angle [rad], clamped to the limits of the tank's drive, as a real drive would
+        do."""
         limits = self.tank.limits
         with self._lock:
             self._catch_up()
@@ -83,19 +82,20 @@ class TankFin:
             )
 
     def halt(self) -> None:
-        """Go at the fastest ramp to where it can stop."""
+        """Brake along the steepest ramp: move to the angle at which the fin can stop."""
         with self._lock:
             self._catch_up()
             angle = self._after[0]
             velocity = self._after[1]
             self.move(
+                # Braking distance: v^2 / (2 a).
                 angle + velocity * abs(velocity) / (2 * float(self.tank.drive.acceleration)),
                 math.inf,
             )
 
     def coast(self) -> None:
-        """Go as far as it would coast; the tank's drive has one ramp, so it keeps its velocity
-        until shortly before."""
+        """Move as far as the fin would coast. The tank's drive has a single ramp, so the fin keeps
+        its velocity until shortly before the end."""
         with self._lock:
             self._catch_up()
             angle = self._after[0]
@@ -103,10 +103,10 @@ class TankFin:
             self.move(angle + velocity * abs(velocity) / (2 * COAST_RAD_S2), abs(velocity))
 
     def now(self) -> FinMotion:
-        """Motion and force one sample ago."""
+        """Return the motion and force one sample ago."""
         with self._lock:
             now = self._clock()
-            # Drive and sensor ask many times at one moment.
+            # Drive and sensor call this many times at the same time.
             if self._latest is None or self._latest[0] != now:
                 self._catch_up()
                 part = min(max((now - self._time) / TICK_S, 0.0), 1.0)
@@ -121,7 +121,7 @@ class TankFin:
             return self._latest[1]
 
     def _plain(self) -> tuple[Any, Command]:
-        """State and command, the random key as numbers."""
+        """Return state and command, with the random key as plain numbers."""
         return self._state._replace(key=jax.random.key_data(self._state.key)), self._command
 
     def _catch_up(self) -> None:
@@ -142,8 +142,8 @@ def _without_zero(state: PyTree) -> Any:
 
 @jax.jit
 def _tick(tank: Tank, state: PyTree, command: Command) -> tuple[Any, Any]:
-    """Advance by one sample: the state, and angle, velocity, the profile's angle, torque and both
-    forces."""
+    """Advance by one sample; return the state, and angle, velocity, profile angle, torque and force
+    (x, y) as one array."""
     state, reading = tank.advance(state, command, 1)
     read: Reading = jax.tree.map(lambda x: x[0], reading)
     drive = state.drive

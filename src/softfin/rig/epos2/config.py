@@ -1,4 +1,4 @@
-"""Configuration of the drive and of the bus to it, and the units between them: counts, rpm and
+"""Configuration of the drive and its CAN bus, and conversion to the drive's units: counts, rpm and
 rpm/s of the motor."""
 
 import math
@@ -10,76 +10,79 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 
 MAX_BRAKE_S = 0.5
-"""Longest quick stop from the highest velocity [s]; the wait for a longer one would time out."""
+"""Longest allowed quick stop from the highest velocity [s]; softfin stops waiting for a longer
+one."""
 
 
 class BusConfig(Configuration):
-    """A CAN bus as python-can names it."""
+    """A CAN bus, in python-can's terms."""
 
     interface: str
-    """Interface of the adapter: socketcan, pcan, kvaser, slcan, socketcand, virtual ..; no
-    default."""
+    """python-can interface of the adapter, e.g. socketcan, pcan, kvaser, slcan, socketcand or
+    virtual; no default."""
     channel: str
-    """Channel of the interface, such as can0; no default."""
+    """Channel of the interface, e.g. can0; no default."""
     bitrate: int = Field(1_000_000, gt=0, le=1_000_000)
-    """Bitrate [bit/s]; the factory setting of an EPOS2 is 1 Mbit/s. SocketCAN uses the bitrate that
-    ``ip link`` set."""
+    """Bitrate [bit/s]; the factory setting of an EPOS2 is 1 Mbit/s. SocketCAN uses the bitrate set
+    with ``ip link``."""
     options: dict[str, str | int | float | bool] = Field(default_factory=dict)
-    """Further options of the interface, such as host and port of socketcand."""
+    """Additional options for the interface, such as host and port for socketcand."""
 
 
 class Epos2Config(Configuration):
-    """An EPOS2 with its motor, gear and encoder."""
+    """An EPOS2 drive with its motor, gearbox and encoder."""
 
     node: int = Field(ge=1, le=127)
-    """Number of the drive on the bus, as its switches or EPOS Studio set it."""
+    """Node number of the drive on the bus, set with its DIP switches or in EPOS Studio."""
     encoder_lines: int = Field(gt=0, le=2_500_000)
-    """Lines (pulses) of the encoder in one turn of the motor; compared with the drive's own
-    setting."""
+    """Encoder lines (pulses) per motor revolution; must match the setting in the drive."""
     gear_ratio: float = Field(gt=0)
-    """Turns of the motor in one turn of the fin; 1 without a gear."""
+    """Motor revolutions per revolution of the fin shaft; 1 without a gearbox."""
     direction: Literal[1, -1] = 1
-    """-1 where positive counts turn the fin to negative angles."""
+    """-1 if positive counts correspond to negative fin angles."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
-    """Angle of the fin where the drive counts zero [rad]."""
+    """Fin angle at which the drive's position is zero [rad]."""
     angle_min_rad: float = PAPER_LIMITS.angle_min
-    """Smallest angle that the drive itself allows [rad]; the paper's, Sec. III-A."""
+    """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
     angle_max_rad: float = PAPER_LIMITS.angle_max
-    """Largest angle that the drive itself allows [rad]; the paper's, Sec. III-A."""
+    """Maximum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
     slowest_rad_s: float = Field(PAPER_LIMITS.velocity_min, gt=0)
-    """Lowest profile velocity of a command [rad/s]; the paper's, Sec. III-A."""
+    """Minimum profile velocity of a command [rad/s]; the default is from the paper, Sec. III-A."""
     fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
-    """Highest profile velocity, which the drive enforces [rad/s]; the paper's, Sec. III-A."""
+    """Maximum profile velocity, enforced by the drive [rad/s]; the default is from the paper, Sec.
+    III-A."""
     acceleration_rad_s2: float = Field(gt=0)
-    """Acceleration and deceleration of the profile [rad/s2]; no default: it follows from motor,
-    gear and fin."""
+    """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
+    gearbox and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
-    """Deceleration of a quick stop [rad/s2]; no default: as much as the fin's mount can take."""
+    """Quick-stop deceleration [rad/s2]; no default, because it depends on what the fin's mount can
+    withstand."""
     following_error_rad: float = Field(gt=0, le=1)
-    """Distance from the profile at which the drive faults [rad]; no default: if it is too large, a
-    blocked fin burns out its motor."""
+    """Following error at which the drive faults [rad]; no default. If it is too large, a blocked
+    fin burns out its motor."""
     current_limit_a: float | None = Field(None, gt=0, le=10)
-    """Maximum motor current, written to the drive [A]; None keeps the drive's own setting."""
+    """Maximum motor current, written to the drive [A]; None keeps the drive's setting."""
     heartbeat_s: float = Field(0.2, ge=0.1, le=1)
-    """Silence after which drive and host consider each other dead [s]: if the host hangs, the drive
-    stops this much later."""
+    """Heartbeat timeout of both the drive and the host [s]: if the host hangs, the drive stops
+    after this time."""
     host_node: int | None = Field(None, ge=1, le=127)
-    """Node number of this program's heartbeat and SYNC, unique on the bus; None: 127 - node."""
+    """Node number that softfin uses for its heartbeat and SYNC; must be unique on the bus. None
+    means 127 - node."""
     sync_s: float = Field(TICK_S, ge=0.001, le=0.1)
-    """Period of the loop that reads the drive [s]."""
+    """Period at which the drive is read [s]."""
     zero_needed: bool = True
-    """Refuse to move until the fin is zeroed after each power-up of the drive; false only for an
-    absolute encoder."""
+    """Refuse to move until the fin has been zeroed after each power-up of the drive; set to false
+    only for an absolute encoder."""
 
     @property
     def host(self) -> int:
-        """Node number of this program: its own, so that no other program's heartbeats keep this
-        drive moving."""
+        """Return this program's node number, which must be unique: another program's heartbeats
+        under it would keep this drive moving."""
         return 127 - self.node if self.host_node is None else self.host_node
 
     @property
     def limits(self) -> Limits:
-        """Range of the commands."""
+        """Command limits."""
         return Limits(
             self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s
         )
@@ -90,57 +93,60 @@ class Epos2Config(Configuration):
             raise ValueError(problem)
         if self.host == 0:
             raise ValueError(
-                "node 127 leaves no number for the host; set host_node to one that no device has"
+                "node 127 leaves no default for host_node; set host_node to a node number that "
+                "is not in use"
             )
         if self.node == self.host:
             raise ValueError(
-                f"node and host_node are both {self.node}; set host_node to a number that no "
-                "device has"
+                f"node and host_node are both {self.node}; set host_node to a node number that is "
+                "not in use"
             )
         braking = self.fastest_rad_s / self.quick_stop_rad_s2
         if braking > MAX_BRAKE_S:
             raise ValueError(
-                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} takes {braking:.1f} s to stop from "
-                f"fastest_rad_s: at most {MAX_BRAKE_S:g} s; use "
+                f"quick_stop_rad_s2 {self.quick_stop_rad_s2:g} needs {braking:.1f} s to stop from "
+                f"fastest_rad_s, but at most {MAX_BRAKE_S:g} s is allowed; use "
                 f"{self.fastest_rad_s / MAX_BRAKE_S:.1f} or more"
             )
+        # The drive's velocities are integers in rpm: at 0 rpm it would never reach a target.
         if Units.of(self).rpm(self.slowest_rad_s) == 0:
             raise ValueError(
-                f"slowest_rad_s {self.slowest_rad_s:g} is less than 1 rpm of the motor; raise it"
+                f"slowest_rad_s {self.slowest_rad_s:g} rounds to 0 rpm at the motor; increase it"
             )
         return self
 
 
 class Units(NamedTuple):
-    """Conversion of the fin's angle to the drive's counts, rpm and rpm/s, and back."""
+    """Conversion between fin units (rad, rad/s, rad/s2) and drive units (counts, rpm, rpm/s)."""
 
     counts_per_rad: float
     rpm_per_rad_s: float
     direction: int
     zero: float
-    """Angle of the fin where the drive counts zero [rad]."""
+    """Fin angle at which the drive's position is zero [rad]."""
 
     @classmethod
     def of(cls, config: Epos2Config) -> "Units":
-        """Units of a drive."""
+        """Return the unit conversion for a drive."""
+        # Motor turns per radian of the fin.
         turns_per_rad = config.gear_ratio / (2 * math.pi)
-        # Quadrature: every line of the encoder gives four edges.
+        # Quadrature: each encoder line gives four edges, and the drive counts all of them.
         counts_per_rad = turns_per_rad * 4 * config.encoder_lines
         return cls(counts_per_rad, 60 * turns_per_rad, config.direction, config.zero_offset_rad)
 
     def counts(self, angle: float) -> int:
-        """Position [counts] at an angle [rad], to the nearest count."""
+        """Return the position [counts] at a fin angle [rad], rounded to the nearest count."""
         return self.direction * round((angle - self.zero) * self.counts_per_rad)
 
     def angle(self, counts: int) -> float:
-        """Angle [rad] at a position [counts]."""
+        """Return the fin angle [rad] at a position [counts]."""
         return self.direction * counts / self.counts_per_rad + self.zero
 
     def rpm(self, velocity: float) -> int:
-        """Speed of the motor [rpm], or its change in a second, for a velocity of the fin [rad/s];
-        its size."""
+        """Return the motor speed [rpm] for a fin velocity [rad/s], or rpm/s for rad/s2; always
+        positive."""
         return round(abs(velocity) * self.rpm_per_rad_s)
 
     def velocity(self, rpm: int) -> float:
-        """Velocity of the fin [rad/s] for one of the motor [rpm]."""
+        """Return the fin velocity [rad/s] for a motor velocity [rpm]."""
         return self.direction * rpm / self.rpm_per_rad_s

@@ -1,9 +1,9 @@
-"""The connection to the drive: a python-can bus with its receiving thread, and SDO transfers on it;
-bounded in time.
+"""Connection to the drive: a python-can bus with a receiver thread, and SDO transfers with
+timeouts.
 
-canopen's `Network` is not used: a malformed frame or one receiving error ends its thread, and every
-later frame, a quick stop too, then raises. Its SDO client waits on the real clock alone; every
-object used here fits into one frame.
+canopen's `Network` is not used: a malformed frame or a single receive error ends its thread, after
+which every send raises, even a quick stop. Its SDO client supports only the real clock. Expedited
+transfers are sufficient, because every object used here fits into one frame.
 """
 
 import contextlib
@@ -30,14 +30,14 @@ RECEIVER_CYCLE_S = 0.05
 UPLOAD = 0x40
 DOWNLOADED = 0x60
 ABORTED = 0x80
-"""Commands of an SDO: read an object; it was written; the transfer was refused."""
+"""SDO command specifiers: read request, write confirmed, transfer aborted."""
 
-# python-can would write to the terminal what our errors report.
+# Otherwise, python-can's log messages would repeat our errors in the terminal.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class SdoRefusal(DeviceError):
-    """The drive refused to read or write an object; `code` is its reason."""
+    """The drive refused to read or write an object; `code` is the SDO abort code."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
@@ -45,7 +45,7 @@ class SdoRefusal(DeviceError):
 
 
 class CanConnection:
-    """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called in the
+    """A bus with one drive; `on_frame(cob_id, data)` and `on_problem(line)` are called from the
     receiver's thread."""
 
     def __init__(
@@ -64,7 +64,7 @@ class CanConnection:
         self.name = f"CAN bus {config.interface} {config.channel}"
         self._bus: can.BusABC | None = None
         self._receiver: threading.Thread | None = None
-        # Re-entrant, for a stop in a signal handler that interrupts a send.
+        # Re-entrant, because a signal handler that stops the drive may interrupt a send.
         self._sending = clock.lock()
         self._requesting = clock.lock()
         self._answered = clock.event()
@@ -75,31 +75,32 @@ class CanConnection:
 
     @property
     def in_receiver(self) -> bool:
-        """Whether this is the receiver's thread, which must not wait for an answer."""
+        """Whether the caller is the receiver's thread, which must not wait for an answer."""
         return threading.current_thread() is self._receiver
 
     def open(self) -> None:
-        """Open the bus and start the receiver; raises RigError where the bus does not exist."""
+        """Open the bus and start the receiver; raises RigError if the bus cannot be opened."""
         options = self._config.options
         try:
             if self._config.interface == "socketcand":
-                # python-can would try for ten seconds, and fill the terminal.
+                # python-can would retry for ten seconds and flood the terminal.
                 address = (str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
                 socket.create_connection(address, timeout=2).close()
             bus = self._bus = open_bus(self._config, self._clock)
             self._clock.spawn(lambda: self._receive(bus), "drive receiver")
         except Exception as error:
-            # Every interface of python-can has errors of its own.
+            # Each python-can interface raises different exceptions.
             self.close()
             raise RigError(
                 f"{self.name} cannot be opened ({one_line(error)}); check bus.interface, "
-                "bus.channel and bus.options "
-                "in the rig's file, and that the adapter is plugged in and up"
+                "bus.channel and bus.options in the rig's file, and check that the adapter is "
+                "plugged in and up"
             ) from None
 
     def close(self) -> None:
-        """Close the bus; any number of times, never raises."""
+        """Close the bus; may be called repeatedly and never raises."""
         bus = self._bus
+        # First of all, because the receiver's thread runs until it sees another bus.
         self._bus = None
         if self._receiver is not None and not self.in_receiver:
             self._receiver.join(10 * RECEIVER_CYCLE_S)
@@ -108,28 +109,29 @@ class CanConnection:
                 bus.shutdown()
 
     def listen(self, seconds: float) -> frozenset[int]:
-        """Send nothing for a time [s]; return the COB-IDs of the frames that others sent
-        meanwhile."""
+        """Listen for `seconds` without sending; return the COB-IDs of the frames received."""
         foreign_ids = self._foreign_ids = set[int]()
         self._clock.sleep(seconds)
         self._foreign_ids = None
         return frozenset(foreign_ids)
 
     def send(self, cob_id: int, data: bytes) -> None:
-        """Send one frame; raises DeviceError where the bus does not take it."""
+        """Send one frame; raises DeviceError if the bus does not accept it."""
         bus = self._bus
         if bus is None:
             raise DeviceError(f"{self.name} is closed; open the drive first")
         if not self._sending.acquire(timeout=2 * SEND_TIMEOUT_S):
-            raise DeviceError(f"{self.name} takes no frames; check the adapter and its cable")
+            raise DeviceError(
+                f"{self.name} does not accept frames; check the adapter and its cable"
+            )
         try:
             bus.send(
                 can.Message(arbitration_id=cob_id, data=data, is_extended_id=False), SEND_TIMEOUT_S
             )
         except Exception as error:
             raise DeviceError(
-                f"{self.name} takes no frames ({one_line(error)}); check the adapter, cable, "
-                "termination and bitrate"
+                f"{self.name} does not accept frames ({one_line(error)}); check the adapter, "
+                "cable, termination and bitrate"
             ) from None
         finally:
             self._sending.release()
@@ -137,7 +139,7 @@ class CanConnection:
     def read(self, entry: Object) -> int:
         """Read an object of the drive; raises DeviceError."""
         size = entry.layout.size
-        # The answer may leave out its size.
+        # 0x43 | (unused bytes << 2) indicates the size; 0x42 is an answer without a size.
         allowed = (0x43 | 4 - size << 2, 0x42)
         answer = self._transfer(
             entry, struct.pack("<BHBI", UPLOAD, entry.number, entry.sub, 0), allowed
@@ -150,13 +152,17 @@ class CanConnection:
         self._transfer(entry, download(entry, value), (DOWNLOADED,))
 
     def _transfer(self, entry: Object, request: bytes, allowed: tuple[int, ...]) -> bytes:
-        """The answer to a request, which must begin with one of the allowed commands."""
+        """Send an SDO request and return the answer, which must start with one of the allowed
+        commands."""
+        # The receiver's thread would wait for an answer that only it can receive.
         if self.in_receiver or not self._requesting.acquire(timeout=2 * SDO_TIMEOUT_S):
             raise DeviceError(
                 f"drive's {entry} cannot be accessed: another request is still unanswered; try "
                 "again"
             )
         try:
+            # Before sending, because the receiver's thread may get the answer before `send`
+            # returns.
             self._answered.clear()
             self._request = request
             self._answer = b""
@@ -168,20 +174,18 @@ class CanConnection:
             self._requesting.release()
         if not answer:
             raise DeviceError(
-                f"drive {self.node} does not answer for {entry} within {SDO_TIMEOUT_S:g} s; "
-                "check its supply, the bus cable and its bitrate"
+                f"drive {self.node} did not answer for {entry} within {SDO_TIMEOUT_S:g} s; check "
+                "its supply, the bus cable and the bitrate"
             )
         if answer[0] == ABORTED:
             code = int.from_bytes(answer[4:], "little")
-            raise SdoRefusal(f"drive refuses {entry}: {protocol.abort_line(code)}", code)
+            raise SdoRefusal(f"drive refused {entry}: {protocol.abort_line(code)}", code)
         if answer[0] not in allowed:
-            raise DeviceError(
-                f"drive's answer for {entry} is not valid ({answer.hex()}); try again"
-            )
+            raise DeviceError(f"drive's answer for {entry} is invalid ({answer.hex()}); try again")
         return answer
 
     def _receive(self, bus: can.BusABC) -> None:
-        """The receiver's thread: nothing that a frame brings can end it."""
+        """Run the receiver's thread, which no frame or error can end."""
         self._receiver = threading.current_thread()
         while self._bus is bus:
             try:
@@ -195,12 +199,12 @@ class CanConnection:
                         f"{self.name} cannot be read ({one_line(error)}); check the adapter and "
                         "cable"
                     )
-                    # A bus that is gone must not take a whole core.
+                    # A lost bus must not keep a CPU core busy.
                     self._clock.sleep(RECEIVER_CYCLE_S)
 
     def _sort(self, message: can.Message) -> None:
         if not message.is_rx:
-            # An adapter that echoes what we send.
+            # Some adapters echo the frames that we send.
             return
         cob_id = message.arbitration_id
         data = bytes(message.data)
@@ -216,18 +220,19 @@ class CanConnection:
             self._on_frame(cob_id, data)
         elif len(data) != 8:
             self.counters["malformed frames"] += 1
-        # An answer names its object: late ones to earlier requests are dropped.
+        # An answer contains the index of its object, so late answers to earlier requests are
+        # dropped.
         elif self._request and data[1:4] == self._request[1:4]:
             self._answer = data
             self._answered.set()
 
     def _count_errors(self, classes: int, data: bytes) -> None:
-        """Count the errors in an error frame; an adapter that has given up, or is about to, is a
-        problem."""
+        """Count the errors in an error frame, and report an adapter that is bus-off or about to
+        be."""
         names = protocol.bus_errors(classes, data)
         self.counters.update(names)
-        # A single error is repeated by the controllers themselves: it costs a fraction of a
-        # millisecond, and no stop.
+        # CAN controllers retransmit a frame after an error: that takes a fraction of a millisecond
+        # and is no reason to stop.
         for name in names:
             if name in protocol.BUS_FAILURES:
                 self._on_problem(
@@ -236,12 +241,15 @@ class CanConnection:
 
 
 def download(entry: Object, value: int) -> bytes:
-    """The SDO that writes an object; raises DeviceError for a value that it cannot hold."""
+    """Return the SDO request that writes an object; raises DeviceError if the value is out of its
+    range."""
     unused = 4 - entry.layout.size
     try:
         data = entry.layout.pack(value) + bytes(unused)
     except struct.error:
         raise DeviceError(
-            f"drive's {entry} cannot hold {value}; change the value in the rig's file"
+            f"drive's {entry} cannot be set to {value}, which is outside its range; change the "
+            "value in the rig's file"
         ) from None
+    # CiA 301: expedited download that indicates the number of unused bytes.
     return struct.pack("<BHB", 0x23 | unused << 2, entry.number, entry.sub) + data

@@ -1,8 +1,8 @@
-"""The drive: a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to
+"""Driver for a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to
 a safe stop.
 
-One thread, that of the loop, calls everything but `stop`. Tried against our emulator, not yet on a
-real drive.
+The control loop's thread makes all calls except `stop`, which any thread may call. Tested with our
+emulator, not yet with a real drive.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,22 +17,22 @@ from softfin.rig.safety import OVERSHOOT_RAD, check_target
 
 RESET_TIMEOUT_S = 1.0
 LIMITED_S = 0.1
-"""Time for which the drive may hold back at a limit of its own: a steep stroke touches one for
-milliseconds."""
+"""Time for which the drive may run into one of its internal limits [s]; a steep stroke reaches one
+for milliseconds."""
 FIRST_ANSWER_S = 0.5
 STOP_TIMEOUT_S = 3.0
-"""Longest that one stop waits for another that is under way."""
+"""Longest wait for another stop in progress [s]."""
 ANSWER_STEP_S = 0.01
 UNANSWERED = 3
-"""Hand-shakes in a row without an answer after which it is a complaint."""
+"""Number of consecutive unanswered handshakes that counts as a problem."""
 UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
 
 
 class Epos2(Exchange):
-    """A drive that is opened, enabled, commanded and stopped; `on_fault` may call `stop`."""
+    """An EPOS2 drive: open, enable, command, stop. `on_fault` may call `stop`."""
 
     def connect(self) -> None:
-        """Connect to the node, whatever its state, changing nothing; raises RigError or
+        """Connect to the node in any state without changing anything; raises RigError or
         DeviceError."""
         self.device_lock.acquire(self.clock)
         self.reset()
@@ -47,8 +47,8 @@ class Epos2(Exchange):
             raise
 
     def open(self) -> None:
-        """Connect, check, write the limits and start the node, without power to the motor; closed
-        again on failure."""
+        """Connect, check, write the limits and start the node; the motor stays off. On failure,
+        close again."""
         self.connect()
         try:
             self.notes = procedures.check_settings(self.connection, self.config)
@@ -73,25 +73,25 @@ class Epos2(Exchange):
                     return
                 self.clock.sleep(ANSWER_STEP_S)
             raise DeviceError(
-                "drive sends no process data or no heartbeat; check the load of the bus and other "
-                "programs on it"
+                "drive sends no process data or no heartbeat; check the bus load and end other "
+                "programs that use the bus"
             )
         except BaseException:
             self.close()
             raise
 
     def close(self) -> None:
-        """Stop and release the bus; any number of times, never raises."""
+        """Stop the drive and release the bus; may be called repeatedly and never raises."""
         self.stop()
         self.owned = False
         self.connection.close()
         self.device_lock.release()
 
     def reset_fault(self) -> str | None:
-        """Acknowledge the drive's fault and return its name; None when there was none. Raises
-        DeviceError.
+        """Acknowledge the drive's fault and return its description; None if there was none. Raises
+        DeviceError if the fault persists.
 
-        The motor stays without power. The drive must be opened again before it is enabled.
+        The motor stays off. The drive must be reopened before it can be enabled.
         """
         fault = procedures.read_fault(self.connection)
         if fault is None:
@@ -102,7 +102,8 @@ class Epos2(Exchange):
             self.owned = False
         if procedures.newest_error(self.connection) in protocol.NEEDS_RESET_OF_COMMUNICATION:
             self._reset_communication()
-        # Otherwise it would at once miss the heartbeat of a host that is gone.
+        # Otherwise the drive would fault again at once, because the previous host no longer sends
+        # heartbeats.
         self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
         for word in protocol.RESET_EDGE:
             self.connection.write(protocol.CONTROLWORD, word)
@@ -112,16 +113,16 @@ class Epos2(Exchange):
                 self.sync_and_read()
                 return fault
             self.clock.sleep(ANSWER_STEP_S)
-        raise DeviceError(f"drive stays in fault: {fault}; the cause is still there")
+        raise DeviceError(f"drive is still in fault: {fault}; the cause is still present")
 
     def command(self, target: Target) -> None:
-        """Go there from now on; raises CommandError outside the limits, DeviceError where the drive
-        is not enabled."""
+        """Move to the target, replacing the previous one; raises CommandError if it is outside the
+        limits and DeviceError if the drive is not enabled."""
         low_angle, high_angle, slowest, fastest = limits = self.config.limits
         if trip := check_target(target, limits):
             raise CommandError(trip.reason)
-        # A target beyond the limit by a rounding error is set to the limit, which the drive itself
-        # enforces to the count.
+        # `check_target` tolerates rounding errors, but the drive enforces its limits to the count:
+        # clamp the target to them.
         counts = self.units.counts(min(max(target.angle, low_angle), high_angle))
         rpm = self.units.rpm(min(max(target.velocity, slowest), fastest))
         with self.lock:
@@ -131,7 +132,7 @@ class Epos2(Exchange):
             self.carry_on()
 
     def complaints(self) -> tuple[str, ...]:
-        """Describe each problem in one line with a fix; empty if there are none."""
+        """Return one line per problem, with its fix; empty if there are no problems."""
         with self.lock:
             status = self.status
             fault = self.status.fault()
@@ -150,53 +151,53 @@ class Epos2(Exchange):
                 ),
                 (
                     not status.rebooted and status.nmt != protocol.OPERATIONAL,
-                    f"drive left the operational state (NMT 0x{status.nmt or 0:02X}); close other "
-                    "programs, start again",
+                    f"drive left the operational state (NMT 0x{status.nmt or 0:02X}); close "
+                    "other programs and start again",
                 ),
                 (
                     enabled and status.state is not State.OPERATION_ENABLED,
-                    f"drive is {status.words} although it was enabled; check its enable input and "
-                    "other programs",
+                    f"drive is {status.words} although it was enabled; check its enable input "
+                    "and end other programs that use the drive",
                 ),
                 (
                     enabled and is_limited,
-                    "drive is held back by one of its own limits; reduce the velocity, "
+                    "drive has reached one of its internal limits; reduce the velocity, "
                     "acceleration or angle",
                 ),
                 (
                     enabled and status.has(Bit.ERROR),
-                    "drive is behind its profile by more than its limit; check for a blocked fin",
+                    "drive exceeds its following error limit; check for a blocked fin",
                 ),
                 (
                     enabled and unanswered >= UNANSWERED,
-                    f"drive did not accept a target {unanswered} times; check the bus and other "
-                    "programs",
+                    f"drive did not acknowledge a target {unanswered} times in a row; check the "
+                    "bus and end other programs that use the drive",
                 ),
             )
         return tuple(line for is_wrong, line in lines if is_wrong and line)
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Reason why the motor may still be on after a stop; None where the drive confirmed that it
+        """Warning that the motor may still be on after a stop; None if the drive confirmed that it
         is off."""
         return UNCONFIRMED if self.powered else None
 
     @property
     def referenced(self) -> bool:
-        """Whether the fin was zeroed since the drive's power-up."""
+        """Whether the fin has been zeroed since the drive was powered up."""
         return self.status.has(Bit.REFERENCED)
 
     def counters(self) -> dict[str, int]:
-        """Counters since `open`, by name."""
+        """Return the counters since `open`, by name."""
         counted = self.status.counters + self.connection.counters
         return {"targets repeated": self.handshake.repeated} | dict(counted)
 
     def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
-        """Give power to the motor, which holds where it is; on RigError or DeviceError it is
-        stopped again.
+        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
+        motor is off again.
 
-        It takes up to a second; `meanwhile` is called every few milliseconds, so that other devices
-        can be read.
+        This takes up to one second; `meanwhile` is called every few milliseconds, so that other
+        devices can be read.
         """
         angle = self._new_reading().angle
         low = self.config.angle_min_rad
@@ -211,13 +212,14 @@ class Epos2(Exchange):
                 f"fin is at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it back by "
                 "hand, or turn it to zero and run: softfin rig zero --arm"
             )
-        # A homing that failed must not have left its mode: there a target would be a new zero.
+        # After a failed homing, the drive may still be in homing mode, in which a new target would
+        # set a new zero.
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
     def home_here(self) -> None:
-        """Make the present position the drive's zero (homing method 35); the motor is powered for
-        it, nothing moves."""
+        """Make the current position the drive's zero (homing method 35); the motor is powered, but
+        nothing moves."""
         self._new_reading()
         procedures.set_mode(self.connection, protocol.HOMING)
         with self._stopped_afterwards():
@@ -228,18 +230,17 @@ class Epos2(Exchange):
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
 
     def prove_stop(self) -> float:
-        """Power the motor at rest and withhold the heartbeats; return the time until the drive
+        """Power the motor at standstill and withhold heartbeats; return the time until the drive
         faults by itself [s].
 
-        Nothing moves, so no zero is needed. Raises DeviceError if the drive does not fault; it must
-        be opened anew.
+        Nothing moves, so the fin does not need to be zeroed. Raises DeviceError if the drive does
+        not fault. The drive must be reopened afterwards.
         """
         self._new_reading()
-        # As for homing, so that a fin without a zero may stand beyond the drive's limits of the
-        # position.
+        # In homing mode, as in `home_here`: a fin that has not been zeroed may be outside the
+        # drive's position limits.
         procedures.set_mode(self.connection, protocol.HOMING)
-        # The fault is what is waited for: a stop from here must not take the power off before the
-        # drive does.
+        # The fault is expected: `on_fault` must not stop the drive before it stops by itself.
         on_fault = self.on_fault
         self.on_fault = None
         try:
@@ -253,7 +254,8 @@ class Epos2(Exchange):
 
     @contextmanager
     def _stopped_afterwards(self) -> Iterator[None]:
-        """Stop the motor however this ends; raises SafetyStop if it may still be on then."""
+        """Stop the motor when the block ends, even with an exception; raises SafetyStop if the
+        motor may still be on."""
         reason = "the drive was stopped"
         try:
             yield
@@ -264,15 +266,16 @@ class Epos2(Exchange):
             try:
                 self.stop()
             finally:
-                # Again, in case Ctrl-C came while it braked; it takes no time if the motor is off.
+                # Once more, in case Ctrl-C interrupted the first stop; this takes no time if the
+                # motor is off.
                 self.stop()
                 if self.stop_unconfirmed:
                     # This outranks any other error: the operator is next to a powered motor.
                     raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
 
     def switch_off(self) -> None:
-        """Stop a drive unconditionally, no matter which program powered it; raises DeviceError if
-        its motor stays on."""
+        """Stop the drive unconditionally, no matter which program powered it; raises DeviceError if
+        the motor is not confirmed off."""
         self.reset()
         try:
             self.connection.open()
@@ -285,18 +288,18 @@ class Epos2(Exchange):
             raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
 
     def stop(self) -> None:
-        """Quick stop at once, then no voltage; from any thread, any number of times; never
-        raises."""
+        """Quick-stop immediately, then disable voltage; may be called repeatedly from any thread
+        and never raises."""
         try:
             generation = self.generation
             free = self.brake()
             if not self.powered:
                 return
             if self.connection.in_receiver or not free:
-                # The receiver's thread brings the answers that the rest needs; and nobody waits for
-                # a bus that hangs. One such thread at a time, and none after one has failed: a bus
-                # that is gone reports an error every 50 ms, and the threads would keep the loop's
-                # own stop waiting.
+                # The rest of the stop needs answers from the receiver's thread, and must not block
+                # on a bus that hangs, so it runs in its own thread. There is one such thread at a
+                # time and none after a failure: a lost bus reports an error every 50 ms, and the
+                # threads would delay the loop's own stop.
                 if self.waiting_stop != generation and not self.rest_failed:
                     self.waiting_stop = generation
                     self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
@@ -306,7 +309,7 @@ class Epos2(Exchange):
             self.trouble = f"stopping the drive failed ({error}); press the emergency stop"
 
     def _new_reading(self) -> DriveStatus:
-        """Begin to power the motor up: a stop that comes from now on is not forgotten."""
+        """Return a new status before powering the motor up; a stop from here on is remembered."""
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
         with self.lock:
@@ -318,29 +321,29 @@ class Epos2(Exchange):
         if lines := self.complaints():
             raise DeviceError(lines[0])
         if not is_new:
-            raise DeviceError("drive does not answer; check its supply and the bus cable")
+            raise DeviceError("drive does not respond; check its supply and the bus cable")
         return self.status
 
     def _own_sync(self) -> None:
         self.sync_id = procedures.set_sync(self.connection, self.config)
         if self.sync_id != protocol.SYNC:
             return
-        self.notes += ("drive answers every program's SYNC; give each fin its own bus",)
+        self.notes += ("drive responds to every program's SYNC; connect each fin to its own bus",)
         if protocol.SYNC in self.foreign_ids:
             raise RigError(
-                f"{self.connection.name}: another program sends the SYNC that this drive answers; "
-                "give each fin its own bus, or end the other program"
+                f"{self.connection.name}: another program sends the SYNC that this drive responds "
+                "to; connect each fin to its own bus, or end the other program"
             )
 
     def _reset_communication(self) -> None:
-        """Reset the node's communication and wait for its boot-up; the drive keeps its zero."""
+        """Reset the node's communication and wait for its boot-up message; the drive keeps its
+        zero."""
         self.status.rebooted = False
         self.connection.send(
             protocol.NMT, bytes([protocol.NMT_RESET_COMMUNICATION, self.config.node])
         )
         with self.lock:
-            # A drive that does not start anew may do without: what counts is whether the fault goes
-            # away.
+            # A missing boot-up message is not an error: what matters is whether the fault clears.
             self.lock.wait_for(lambda: self.status.rebooted, RESET_TIMEOUT_S)
             self.status.rebooted = False
 
@@ -362,6 +365,7 @@ class Epos2(Exchange):
             self.stopping.release()
         try:
             self.send_heartbeat()
+            # CiA 301, object 0x1016: node number in bits 16 to 23, time in ms in bits 0 to 15.
             silence = round(1000 * self.config.heartbeat_s)
             procedures.write(
                 self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host << 16 | silence
@@ -372,10 +376,11 @@ class Epos2(Exchange):
             raise
 
     def _come_to_rest(self, generation: int) -> None:
-        """Finish a stop, unless the drive was powered up again since: that motor is not the one to
-        take for off."""
+        """Finish a stop, unless the drive has been powered up again: this stop must not mark that
+        motor as off."""
         is_acquired = self.stopping.acquire(timeout=STOP_TIMEOUT_S)
-        # From here on another stop must wait for itself: this one may be past it.
+        # From here on, another stop must start its own thread: this one may already have passed the
+        # point that it needs.
         self.waiting_stop = None
         if not is_acquired:
             return
@@ -384,8 +389,8 @@ class Epos2(Exchange):
                 return
             if procedures.rest(self):
                 self.powered = False
-                # The host's heartbeat ends with the program, which is no fault of a drive that is
-                # at rest.
+                # The host's heartbeat ends with the program, which should not put a stopped drive
+                # into fault.
                 self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
             else:
                 self.rest_failed = True

@@ -1,7 +1,9 @@
-"""Exchange between host and drive: SYNC, process data, heartbeats, new targets, and the quick stop.
+"""Communication between host and drive: SYNC, process data, heartbeats, new targets and the quick
+stop.
 
-Frames are taken in the receiver's thread, everything else is sent from the caller's. Nothing that
-could move the fin is sent but under the lock, with `armed` set: so nothing follows a stop.
+Frames are processed in the receiver's thread; the caller's thread sends everything else. Frames
+that could move the fin are sent only while holding the lock with `armed` set, so that none can
+follow a stop.
 """
 
 from collections import Counter
@@ -17,17 +19,17 @@ from softfin.rig.epos2.protocol import Bit, State
 from softfin.rig.lock import DeviceLock
 
 PATIENCE_TICKS = 6
-"""Ticks in which the drive must acknowledge a target; its statuswords come once a tick."""
+"""Ticks within which the drive must acknowledge a target; it sends one statusword per tick."""
 BEATS_AFTER_STOP = 3
-"""Heartbeats after a stop that the drive does not obey: an answer may be a few ticks late."""
+"""Heartbeats sent after a stop that the drive does not obey; an answer may be a few ticks late."""
 LOCK_TIMEOUT_S = 0.05
-"""A thread that hangs in a send must not keep a stop from going out."""
+"""Longest wait of a stop for the lock [s]: a thread that hangs in a send must not block a stop."""
 
 _SENT = tuple(protocol.layout(each) for each in protocol.SENT)
 _WORD_AND_TARGET, _VELOCITY = (protocol.layout(each) for each in protocol.TAKEN)
 _SIZES = {protocol.HEARTBEAT: 1, protocol.EMERGENCY: 8}
 _SIZES |= {pdo: each.size for pdo, each in zip(protocol.TPDO, _SENT, strict=True)}
-"""Bytes of each kind of frame."""
+"""Length of each kind of frame [bytes]."""
 ALL = (1 << len(_SENT)) - 1
 
 Setpoint: TypeAlias = tuple[int, int]
@@ -35,8 +37,7 @@ Setpoint: TypeAlias = tuple[int, int]
 
 
 class DriveStatus:
-    """The newest values of the drive; `take` returns a line where a frame reports that something
-    has gone wrong."""
+    """Latest values from the drive; `take` returns a message if a frame reports a fault."""
 
     def __init__(self, node: int, units: Units) -> None:
         self._node = node
@@ -45,52 +46,52 @@ class DriveStatus:
         self.position = 0
         """Position [counts]."""
         self.angle = self.demand = units.angle(0)
-        """Angle of the fin and the one that the drive demands [rad]."""
+        """Fin angle and the drive's demanded angle [rad]."""
         self.velocity = 0.0
-        """Angular velocity of the fin [rad/s]."""
+        """Fin angular velocity [rad/s]."""
         self.current = 0.0
-        """Current of the motor [A]."""
+        """Motor current [A]."""
         self.answered = 0
-        """A bit for each process datum that came since the last SYNC."""
+        """One bit per TPDO received since the last SYNC."""
         self.sync_time = 0.0
-        """Time of the last SYNC [s], at which the drive samples for its answers."""
+        """Time of the last SYNC, at which the drive samples its values [s]."""
         self.time = 0.0
-        """The newest SYNC that all process data have answered [s]: none of the values is older."""
+        """Time of the last SYNC that all TPDOs have answered [s]; no value is older."""
         self.heartbeat_time = 0.0
         self.nmt: int | None = None
         self.emergency: int | None = None
         self.rebooted = False
         self.limited_since: float | None = None
-        """Time since which the drive reports that it holds back at a limit of its own [s]; None if
-        it does not."""
+        """Time at which the drive started to report an active internal limit [s]; None if none is
+        active."""
         self.counters: Counter[str] = Counter()
 
     @property
     def state(self) -> State | None:
-        """State by the newest statusword; None before the first, and for one that no EPOS2
-        sends."""
+        """State in the latest statusword; None before the first one and for an unknown state."""
         return None if self.statusword is None else protocol.decode(self.statusword)
 
     @property
     def new(self) -> bool:
-        """Whether all values answer the last SYNC."""
+        """Whether all TPDOs for the last SYNC have been received."""
         return self.answered == ALL
 
     @property
     def words(self) -> str:
-        """The state for messages."""
+        """Name of the state for messages."""
         return (
             self.state.words
             if self.state
-            else f"in no state of an EPOS2 (statusword 0x{self.statusword or 0:04X})"
+            else f"in an unknown state (statusword 0x{self.statusword or 0:04X})"
         )
 
     def has(self, bit: Bit) -> bool:
-        """Whether a bit of the statusword is set."""
+        """Return whether a bit of the statusword is set."""
         return bool((self.statusword or 0) & bit)
 
     def fault(self) -> str | None:
-        """The drive's fault, by its emergency, its boot-up message or its statusword."""
+        """Return the drive's fault according to its emergency message, boot-up message or
+        statusword."""
         if self.emergency is not None:
             return protocol.fault_line(self.emergency)
         if self.rebooted:
@@ -98,17 +99,21 @@ class DriveStatus:
                 f"drive {self._node} restarted; check its supply, then zero the fin and start again"
             )
         if self.state in protocol.FAULT_STATES:
-            return "drive is in fault but did not report which one; run: softfin rig check"
+            return "drive is in fault but did not report the cause; run: softfin rig check"
         return None
 
     def synchronise(self, now: float) -> None:
-        """A SYNC is about to be sent."""
+        """Reset the answers before a SYNC is sent at time `now` [s]."""
+        # Counting starts with the first complete set of answers: before that, the node may not be
+        # operational yet.
         self.counters["syncs without all answers"] += self.time > 0 and not self.new
         self.answered = 0
         self.sync_time = now
 
     def take(self, cob_id: int, data: bytes, now: float) -> str | None:
-        """Decode one frame of the bus; frames of other nodes change nothing."""
+        """Decode one frame; frames from other nodes are ignored. Return a message if it reports a
+        new fault."""
+        # CiA 301: bits 7 to 10 are the function code, bits 0 to 6 the node number.
         function = cob_id & 0x780
         node = cob_id & 0x7F
         if node != self._node or function not in _SIZES:
@@ -117,17 +122,28 @@ class DriveStatus:
             self.counters["malformed frames"] += 1
             return None
         if function == protocol.HEARTBEAT:
-            self.heartbeat_time = now
-            self.nmt = data[0] & 0x7F
-            self.rebooted |= self.nmt == protocol.BOOT_UP
-            return self.fault() if self.nmt == protocol.BOOT_UP else None
+            return self._take_heartbeat(data, now)
         if function == protocol.EMERGENCY:
-            code = int.from_bytes(data[:2], "little")
-            # The first names the cause; what follows from it must not hide it.
-            self.emergency = None if code == 0 else self.emergency or code
-            return protocol.fault_line(code) if code else None
-        was_well = self.fault() is None
-        which = protocol.TPDO.index(function)
+            return self._take_emergency(data)
+        return self._take_process_data(protocol.TPDO.index(function), data, now)
+
+    def _take_heartbeat(self, data: bytes, now: float) -> str | None:
+        self.heartbeat_time = now
+        # Bit 7 is not part of the state (CiA 301).
+        self.nmt = data[0] & 0x7F
+        if self.nmt != protocol.BOOT_UP:
+            return None
+        self.rebooted = True
+        return self.fault()
+
+    def _take_emergency(self, data: bytes) -> str | None:
+        code = int.from_bytes(data[:2], "little")
+        # Keep the first code, which is the cause: subsequent errors must not hide it.
+        self.emergency = None if code == 0 else self.emergency or code
+        return protocol.fault_line(code) if code else None
+
+    def _take_process_data(self, which: int, data: bytes, now: float) -> str | None:
+        had_fault = self.fault() is not None
         values = _SENT[which].unpack(data)
         if which == 0:
             self.statusword, self.position = values
@@ -138,22 +154,23 @@ class DriveStatus:
                 self.limited_since = now
         elif which == 1:
             self.velocity = self._units.velocity(values[0])
+            # The drive sends mA.
             self.current = values[1] / 1000
         else:
             self.demand = self._units.angle(values[0])
         self.answered |= 1 << which
         if self.new:
             self.time = self.sync_time
-        return self.fault() if which == 0 and was_well else None
+        # Only TPDO 1 contains the statusword.
+        return self.fault() if which == 0 and not had_fault else None
 
 
 class Handshake:
-    """The hand-shake by which an EPOS2 takes a target; `patience` [s] is how long an answer may
-    take.
+    """The handshake for new targets of an EPOS2; `patience` is the longest wait for an answer [s].
 
-    Bit 4 of the controlword rises with the target; the drive answers with bit 12 of the statusword;
-    bit 4 falls, then bit 12 (maxon "EPOS2 Firmware Specification", rel5466). The newest target wins
-    while another is on its way.
+    The host sets bit 4 of the controlword with the target; the drive sets bit 12 of the statusword;
+    the host clears bit 4 and the drive clears bit 12 (maxon "EPOS2 Firmware Specification",
+    rel5466). A target that arrives during a handshake waits; a newer one replaces it.
     """
 
     def __init__(self, patience: float) -> None:
@@ -162,18 +179,18 @@ class Handshake:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything: the drive was stopped, or is enabled anew."""
+        """Forget everything, because the drive was stopped or is being enabled again."""
         self._is_raised = False
         self._since = 0.0
         self.waiting: Setpoint | None = None
-        """The target to give to the drive as soon as it can take it."""
+        """Next target, sent as soon as the drive can accept it."""
         self.current: Setpoint | None = None
-        """The target that the drive has, or is being given."""
+        """Target that the drive has or is receiving."""
         self.unanswered = 0
-        """Times in a row that the drive did not acknowledge the current target."""
+        """Number of consecutive times that the drive did not acknowledge a target."""
 
     def step(self, acknowledged: bool, now: float) -> Setpoint | bool | None:
-        """Return the next thing to send: a target to raise, True to lower bit 4, or None."""
+        """Return what to send next: a target to set bit 4 with, True to clear bit 4, or None."""
         late = now - self._since > self._patience
         if self._is_raised:
             if not (acknowledged or late):
@@ -185,13 +202,15 @@ class Handshake:
             else:
                 self.unanswered = self.unanswered + 1
                 self.repeated = self.repeated + 1
+                # Send the unacknowledged target again, unless there is a newer one.
                 self.waiting = self.waiting or self.current
             return True
         if self.waiting is None or (acknowledged and not late):
             return None
         self._since = now
         if acknowledged:
-            # A drive whose bit 12 does not fall takes no target: the lowering may have been lost.
+            # The drive accepts no target while its bit 12 is set: the frame that clears bit 4 may
+            # have been lost.
             self.unanswered += 1
             return True
         self._is_raised = True
@@ -201,8 +220,8 @@ class Handshake:
 
 
 class Exchange:
-    """One drive on one bus; `on_fault(line)` is called in the receiver's thread within milliseconds
-    of a fault."""
+    """One drive on one bus; `on_fault(line)` is called from the receiver's thread within
+    milliseconds of a fault."""
 
     def __init__(
         self,
@@ -216,54 +235,57 @@ class Exchange:
         self.clock = clock
         self.on_fault = on_fault
         self.connection = CanConnection(bus, config.node, self._take, self._report, clock)
-        # Where a bus is reached by a network, its channel alone does not tell two computers apart.
+        # If the bus is reached over a network, the channel alone does not identify the computer.
         server = [bus.options[name] for name in ("host", "port") if name in bus.options]
         name = f"drive {config.node} on {self.connection.name}"
         self.device_lock = DeviceLock(name, bus.interface, *server, bus.channel, config.node)
-        """Taken by `connect`, so that no second program uses the drive."""
+        """Acquired by `connect`, so that no second program uses the drive."""
         self.lock = clock.condition()
-        """Guards all below; notified of every frame."""
+        """Guards the attributes below; notified after every frame."""
         self.stopping = clock.lock()
-        """Held while the motor is brought to rest after a stop."""
+        """Lock held while a stop brings the motor to rest."""
         self.powered = False
-        """Whether the motor may have power: not confirmed otherwise since it was last enabled."""
+        """Whether the motor may be powered; False only after the drive has confirmed that it is
+        off."""
         self.own_ids = protocol.host_cob_ids(config.host)
-        """COB-IDs that nobody but this program sends."""
+        """COB-IDs reserved for this program."""
         self.beats_left = BEATS_AFTER_STOP
-        """Heartbeats that a drive may still get that does not obey a stop."""
+        """Number of heartbeats still allowed for a drive that does not obey a stop."""
         self.waiting_stop: int | None = None
-        """Generation whose stop a thread is about to finish; None if there is no such thread."""
+        """Generation whose stop is being finished by a separate thread; None if there is no such
+        thread."""
         self.rest_failed = False
-        """Whether a stop since the last power-up was not confirmed: later ones are brief."""
+        """Whether a stop since the last power-up was not confirmed; later stops are then brief."""
         self.generation = 0
-        """Number of times that the motor was powered up: a stop belongs to one of them."""
+        """Number of power-ups of the motor; each stop belongs to one of them."""
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything, as before the first frame."""
+        """Reset all state to that before the first frame."""
         self.status = DriveStatus(self.config.node, self.units)
         self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
         self.serial: int | None = None
-        """Serial number of the drive; None if it does not report it, or was not connected."""
+        """Serial number of the drive; None if the drive does not report it or has not been
+        connected."""
         self.foreign_ids: frozenset[int] = frozenset()
-        """COB-IDs of the frames that others sent before we did."""
+        """COB-IDs of the frames received before we sent anything."""
         self.notes: tuple[str, ...] = ()
-        """Notes on how the drive is set up, each one line, since it was opened."""
+        """Notes on the drive's setup since it was opened, one line each."""
         self.sync_id = protocol.SYNC
-        """COB-ID of the SYNC that the drive answers."""
+        """COB-ID of the SYNC that the drive responds to."""
         self.trouble: str | None = None
-        """The newest problem on the bus; it stays until the drive is connected again."""
+        """Latest problem on the bus, kept until the drive is connected again."""
         self.owned = False
-        """Whether this drive is ours to command."""
+        """Whether this program controls the drive."""
         self.armed = False
         """Whether targets may be sent."""
         self.stopped = False
-        """Whether it was stopped since it was last to be enabled: what began before a stop must not
-        go on after it."""
+        """Whether the drive has been stopped since enabling started: an action from before a stop
+        must not continue after it."""
 
     def sync_and_read(self, timeout: float = 0.003) -> DriveStatus:
-        """Have the drive sample, wait for the answers [s]; the newest known where they do not all
-        come."""
+        """Send a SYNC and wait up to `timeout` [s] for the answers; return the status, which keeps
+        older values if some are missing."""
         with self.lock:
             self.status.synchronise(self.clock())
             self.attempt(self.sync_id, b"")
@@ -273,21 +295,21 @@ class Exchange:
 
     @property
     def is_off(self) -> bool:
-        """Whether the drive has answered the last SYNC that its motor is off."""
+        """Whether the drive's answer to the last SYNC reports that its motor is off."""
         return bool(self.status.answered & 1) and self.status.state in protocol.UNPOWERED
 
     @property
     def obeys_stop(self) -> bool:
-        """Whether the drive reports that it brakes, by itself or for us, or that its motor is
+        """Whether the drive reports that it is braking, for whatever reason, or that its motor is
         off."""
         braking = (State.QUICK_STOP_ACTIVE, *protocol.FAULT_STATES)
         return self.is_off or self.status.state in braking
 
     def send_heartbeat(self) -> None:
-        """Send our heartbeat: a drive that is enabled stops by itself `heartbeat_s` after the last
-        one.
+        """Send our heartbeat; an enabled drive stops by itself `heartbeat_s` after the last one.
 
-        A drive that does not obey a stop must do that, so it gets `BEATS_AFTER_STOP` more at most.
+        A drive that does not obey a stop must stop in this way, so it receives at most
+        `BEATS_AFTER_STOP` more.
         """
         if self.stopped and self.powered and not self.obeys_stop:
             if self.beats_left <= 0:
@@ -296,7 +318,8 @@ class Exchange:
         self.attempt(protocol.HEARTBEAT + self.config.host, bytes([protocol.OPERATIONAL]))
 
     def attempt(self, cob_id: int, data: bytes) -> bool:
-        """Send where a bus that fails is a complaint and no error; whether it took the frame."""
+        """Send a frame, recording a failure in `trouble` instead of raising; return whether the bus
+        accepted it."""
         try:
             self.connection.send(cob_id, data)
         except DeviceError as error:
@@ -305,18 +328,19 @@ class Exchange:
         return True
 
     def order(self, word: int, counts: int | None = None) -> tuple[int, bytes]:
-        """The frame of a controlword with a target; without one, where the drive is."""
+        """Return the frame of a controlword with a target [counts]; the default target is the
+        current position."""
         data = _WORD_AND_TARGET.pack(word, self.status.position if counts is None else counts)
         return protocol.RPDO[0] + self.config.node, data
 
     def insist(self, word: int, also_by_sdo: bool = False) -> bool:
-        """Send a controlword by process data, and by SDO too if the node does not take those or
-        `also_by_sdo`; return whether the bus took it."""
+        """Send a controlword as process data, and also over SDO if the node is not operational or
+        `also_by_sdo` is set; return whether the bus accepted it."""
         is_sent = self.attempt(*self.order(word))
         if is_sent and self.status.nmt == protocol.OPERATIONAL and not also_by_sdo:
             return True
         if self.status.nmt == protocol.NODE_STOPPED:
-            # A node that somebody has stopped answers neither.
+            # A node in the NMT state "stopped" accepts neither.
             self.attempt(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node]))
         return (
             self.attempt(
@@ -326,8 +350,9 @@ class Exchange:
         )
 
     def brake(self) -> bool:
-        """Quick stop at once, from any thread; nothing is enabled or moved after it. False where a
-        send hangs."""
+        """Quick-stop immediately, from any thread; nothing is enabled or moved afterwards. Return
+        False if another thread hangs in a send."""
+        # If the lock is not available in time, go on without it: the stop must be sent in any case.
         locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
             self.armed = False
@@ -341,15 +366,16 @@ class Exchange:
         return locked
 
     def carry_on(self) -> None:
-        """Carry the hand-shake on, as far as the newest statusword lets it."""
+        """Advance the handshake as far as the latest statusword allows; the caller holds the
+        lock."""
         if not self.armed or self.status.state is not State.OPERATION_ENABLED:
-            # A drive that somebody else has stopped must not be started again by the next target.
+            # If something else has stopped the drive, the next target must not restart it.
             return
         step = self.handshake.step(self.status.has(Bit.ACKNOWLEDGED), self.clock())
         if isinstance(step, tuple):
             counts, rpm = step
-            # A stop does not wait for a send that hangs: where one has gone past this one, the
-            # target must not follow.
+            # A stop does not wait for a send that hangs, so it may have overtaken this one: check
+            # `armed` again before sending the target.
             if (
                 self.attempt(protocol.RPDO[1] + self.config.node, _VELOCITY.pack(rpm))
                 and self.armed
@@ -361,16 +387,19 @@ class Exchange:
 
     def _take(self, cob_id: int, data: bytes) -> None:
         if self.owned and cob_id in self.own_ids:
-            # The drive would take its heartbeats for ours, and this fin would keep moving after our
-            # death. It may have been silent while we listened, for example to wait for a person.
+            # The drive would take the other program's heartbeats for ours, and the fin would keep
+            # moving if this program died. That program may have been silent while we listened, e.g.
+            # waiting for user input.
             self._report(
                 f"another program on {self.connection.name} uses this program's node number "
-                f"{self.config.host}; end it, or give each rig's file its own drive.host_node"
+                f"{self.config.host}; end it, or set a different drive.host_node in each rig's "
+                "file"
             )
         with self.lock:
             fault = self.status.take(cob_id, data, self.clock())
             if fault and self.armed:
-                # The drive may clear it before anybody looks, but it has stopped the motor.
+                # The drive may clear the fault before `complaints` is called, but it has stopped
+                # the motor.
                 self.trouble = self.trouble or fault
             if cob_id == protocol.TPDO[0] + self.config.node:
                 self.carry_on()
@@ -383,7 +412,7 @@ class Exchange:
         self._tell(line)
 
     def _tell(self, line: str) -> None:
-        """Call `on_fault`; its errors must not end the receiver's thread, which also brings the
+        """Call `on_fault`; its errors must not end the receiver's thread, which also receives the
         answers to a stop."""
         try:
             if self.on_fault:

@@ -1,8 +1,8 @@
-"""Procedures with the drive: identify, check and set it up, power it up, home it, bring it to rest;
-bounded in time.
+"""Drive procedures: identify, check, configure, power up, home, bring to rest. Each one ends within
+a bounded time.
 
-Limits and settings are written and read back; nothing is stored for good: the drive forgets it at
-power-down.
+Limits and settings are written and read back. Nothing is stored permanently: the drive forgets it
+when powered down.
 """
 
 import contextlib
@@ -18,71 +18,74 @@ from softfin.rig.epos2.protocol import Bit, Object, State, fault_line
 from softfin.rig.safety import OVERSHOOT_RAD
 
 LISTEN_S = 0.3
-"""Time for which others are listened to before anything is sent; a program that drives sends every
-10 to 40 ms."""
+"""Time for which softfin listens on the bus before it sends anything [s]; a program that drives a
+fin sends every 10 to 40 ms."""
 ENABLE_TIMEOUT_S = 1.0
 DISABLE_TIMEOUT_S = 0.3
 STATE_STEP_S = 0.002
-"""Pause between two looks at the drive while it is brought from state to state."""
+"""Polling interval while the drive changes state [s]."""
 STANDSTILL_RPM = 5
 HOME_TOLERANCE_COUNTS = 20
 REFUSED = 3
-"""Orders in a row that the drive does not follow, before another way is tried."""
+"""Number of consecutive ineffective controlwords after which SDO is tried as well."""
 BUS_REFUSES_S = 0.15
-"""Time for which the bus takes no order: then no later one is worth a wait. An adapter whose queue
-is full refuses at once and recovers within some milliseconds."""
+"""Time after which a bus that accepts no frames is considered dead, so that later attempts do not
+wait [s]. An adapter with a full queue refuses immediately and recovers within a few
+milliseconds."""
 STOP_CONFIRMED_S = 0.3
-"""Time for which a motor must stay off; a program that still drives it would enable it within
-this."""
+"""Time for which the motor must stay off [s]; a program that still drives it would enable it again
+within this time."""
 LOSS_MARGIN_S = 0.3
-"""Time that a drive may take to fault after `heartbeat_s` of silence, with its braking at rest."""
+"""Time in which a drive must fault after `heartbeat_s` without heartbeats, including braking at
+standstill [s]."""
 NO_REMOTE_REQUEST = 1 << 30
 HOME = {
     protocol.HOMING_METHOD: protocol.HOME_HERE,
     protocol.HOME_OFFSET: 0,
     protocol.HOME_POSITION: 0,
 }
-"""Homing method that makes the present position zero."""
+"""Homing settings that make the current position zero."""
 
 
 def refuse_others(connection: CanConnection, config: Epos2Config) -> frozenset[int]:
-    """Listen before anything is sent; raise RigError if another program drives this drive or has
-    our number.
+    """Listen before sending anything; raise RigError if another program drives this drive or uses
+    our node number.
 
-    Its heartbeats would pass for ours: the drive would then go on although this program hangs.
-    Return the COB-IDs of the frames of others.
+    The drive would take that program's heartbeats for ours and keep moving if this program hangs.
+    Return the COB-IDs of all frames received.
     """
     foreign_ids = connection.listen(LISTEN_S)
     if foreign_ids & protocol.host_cob_ids(config.host):
         raise RigError(
-            f"{connection.name}: node number {config.host} of this program is in use by another "
-            "program or device; give each rig's file its own drive.host_node, or end the other "
-            "program"
+            f"{connection.name}: this program's node number {config.host} is in use by another "
+            "program or device; set a different drive.host_node in each rig's file, or end the "
+            "other program"
         )
     if foreign_ids & {
         protocol.SDO_REQUEST + config.node,
         *(pdo + config.node for pdo in protocol.RPDO),
     }:
         raise RigError(
-            f"{connection.name}: another program talks to drive {config.node}; end it, or correct "
+            f"{connection.name}: another program is using drive {config.node}; end it, or correct "
             "drive.node"
         )
     return foreign_ids
 
 
 def identify_drive(connection: CanConnection) -> None:
-    """Raise RigError where the node does not answer."""
+    """Raise RigError if the node does not respond."""
     try:
         connection.read(protocol.DEVICE_TYPE)
     except DeviceError:
         raise RigError(
-            f"no drive answers as node {connection.node} on {connection.name}; compare drive.node "
-            "with the drive's switches, and check supply, cable, termination and bus.bitrate"
+            f"no drive answers as node {connection.node} on {connection.name}; compare "
+            "drive.node with the drive's switches, and check its supply, cable, termination and "
+            "bus.bitrate"
         ) from None
 
 
 def read_fault(connection: CanConnection) -> str | None:
-    """The fault that the drive is in, asked for; None when it is in none."""
+    """Read the drive's fault over SDO; None if it is not in fault."""
     if protocol.decode(connection.read(protocol.STATUSWORD)) not in protocol.FAULT_STATES:
         return None
     code = newest_error(connection)
@@ -90,14 +93,14 @@ def read_fault(connection: CanConnection) -> str | None:
 
 
 def newest_error(connection: CanConnection) -> int:
-    """Code of the newest error in the drive's history; 0 if it has none."""
+    """Read the newest error code in the drive's error history; 0 if the history is empty."""
     if connection.read(protocol.ERROR_COUNT) == 0:
         return 0
     return connection.read(protocol.NEWEST_ERROR) & 0xFFFF
 
 
 def read_optional(connection: CanConnection, entry: Object) -> int | None:
-    """Read an object of the drive; None if it has no such object."""
+    """Read an object of the drive; None if the drive does not have it."""
     try:
         return connection.read(entry)
     except SdoRefusal as refusal:
@@ -107,7 +110,7 @@ def read_optional(connection: CanConnection, entry: Object) -> int | None:
 
 
 class Setting(NamedTuple):
-    """Object whose value would make units or limits wrong, and what is to be done about it."""
+    """Object with the values that units and limits rely on, and the fix for other values."""
 
     entry: Object
     fits: Callable[[int], bool]
@@ -115,21 +118,21 @@ class Setting(NamedTuple):
 
 
 def settings(config: Epos2Config) -> tuple[Setting, ...]:
-    """List the objects that must fit before anything is written."""
-    in_epos_studio = "set it to 0 in EPOS Studio, or every {} is off by powers of ten"
+    """Return the settings to check before anything is written."""
+    in_epos_studio = "set it to 0 in EPOS Studio, or every {} will be wrong by a power of ten"
     return (
         Setting(
             protocol.DEVICE_TYPE,
-            # CiA 402: the number of the profile for drives is in the lower half.
+            # CiA 402: the lower 16 bits contain the device profile number.
             lambda value: value & 0xFFFF == 402,
             "not a CiA 402 drive; correct drive.node",
         ),
         Setting(
             protocol.MOTOR_TYPE,
-            # From memory: 1 is a DC motor, 10 and 11 are brushless ones. All of them take the same
-            # commands.
+            # Not verified: 1 is a brushed DC motor, 10 and 11 are brushless motors. All accept the
+            # same commands.
             lambda value: value in (1, 10, 11),
-            "not a motor type that softfin supports; set the motor type in EPOS Studio",
+            "an unsupported motor type; set the motor type in EPOS Studio",
         ),
         Setting(
             protocol.ENCODER_LINES,
@@ -152,19 +155,20 @@ def settings(config: Epos2Config) -> tuple[Setting, ...]:
 
 
 def check_settings(connection: CanConnection, config: Epos2Config) -> tuple[str, ...]:
-    """Raise RigError for a drive in fault, enabled by somebody else, or set up otherwise than the
-    rig's file says.
+    """Raise RigError if the drive is in fault, already enabled, or set up differently from the
+    rig's file.
 
-    Return a note for each object that the drive does not have.
+    Return one note per object that the drive does not have.
     """
     if fault := read_fault(connection):
         raise RigError(f"{fault}; then run: softfin rig check --reset-fault")
     word = connection.read(protocol.STATUSWORD)
     state = protocol.decode(word)
     if state not in protocol.UNPOWERED:
-        words = state.words if state else f"not of an EPOS2 (statusword 0x{word:04X})"
+        words = state.words if state else f"in an unknown state (statusword 0x{word:04X})"
         raise RigError(
-            f"drive is already {words}; close the program that drives it, or switch it off and on"
+            f"drive is already {words}; end the program that drives it, or switch the drive off "
+            "and on"
         )
     notes = []
     for setting in settings(config):
@@ -177,8 +181,8 @@ def check_settings(connection: CanConnection, config: Epos2Config) -> tuple[str,
 
 
 def set_reactions(connection: CanConnection) -> tuple[str, ...]:
-    """Set what stops the fin when softfin dies; return a note for each object that the drive does
-    not have."""
+    """Write the settings that stop the fin if softfin dies; return one note per object that the
+    drive does not have."""
     notes = []
     for entry, value in protocol.REACTIONS.items():
         try:
@@ -187,37 +191,39 @@ def set_reactions(connection: CanConnection) -> tuple[str, ...]:
             if refusal.code not in protocol.MISSING:
                 raise
             notes.append(
-                f"drive has no {entry}; only rig check --prove shows whether it stops by itself"
+                f"drive has no {entry}; run `softfin rig check --prove --arm` to test whether it "
+                "stops by itself"
             )
     return tuple(notes)
 
 
 def set_sync(connection: CanConnection, config: Epos2Config) -> int:
-    """Have the drive answer to this program's own SYNC alone; return the COB-ID that it answers
-    to."""
+    """Make the drive respond only to this program's SYNC; return the COB-ID that it actually
+    responds to."""
     wanted = protocol.SYNC + config.host
     try:
         connection.write(protocol.SYNC_ID, wanted)
         held = connection.read(protocol.SYNC_ID) & 0x7FF
     except SdoRefusal:
-        # Whether an EPOS2 lets it be changed is not known; it then keeps the one that CiA 301 gives
-        # to all.
+        # Not verified whether an EPOS2 allows this change; if not, it keeps the shared SYNC of CiA
+        # 301.
         held = (read_optional(connection, protocol.SYNC_ID) or protocol.SYNC) & 0x7FF
     if held not in (wanted, protocol.SYNC):
         raise RigError(
-            f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, switch it off "
-            "and on"
+            f"drive's {protocol.SYNC_ID} stayed 0x{held:03X}; close other programs, and switch "
+            "the drive off and on"
         )
     return held
 
 
 def configure(connection: CanConnection, config: Epos2Config) -> None:
-    """Write limits, profile, mode, heartbeat and process data; the node must be pre-operational."""
+    """Write limits, profile, mode, heartbeat and PDO mapping; the node must be pre-operational."""
     units = Units.of(config)
-    # softfin keeps its commands within the range itself. A stroke to its end may overshoot by some
-    # counts, at which a drive that judges its actual position would fault.
+    # softfin itself keeps its commands within the range. A stroke to the end of the range may
+    # overshoot by a few counts, and a drive that checks its actual position would then fault.
     lowest = units.counts(config.angle_min_rad - OVERSHOOT_RAD)
     highest = units.counts(config.angle_max_rad + OVERSHOOT_RAD)
+    # A negative direction swaps the ends.
     ends = sorted((lowest, highest))
     values = {
         protocol.HEARTBEAT_CONSUMER: 0,
@@ -232,17 +238,18 @@ def configure(connection: CanConnection, config: Epos2Config) -> None:
         protocol.PROFILE_TYPE: 0,
     }
     if config.current_limit_a is not None:
+        # The drive uses mA.
         values[protocol.CURRENT_LIMIT] = round(1000 * config.current_limit_a)
     for entry, value in values.items():
         write(connection, entry, value)
     set_mode(connection, protocol.PROFILE_POSITION)
-    # Ten heartbeats in the time after which silence means that the drive is gone.
+    # Ten heartbeats per timeout, so that a few lost ones do no harm.
     write(connection, protocol.HEARTBEAT_PRODUCER, round(1000 * config.heartbeat_s / 10))
     for first, pdos, cob_id, transmission in (
         (0x1800, protocol.SENT, protocol.TPDO[0], protocol.ON_SYNC),
         (0x1400, protocol.TAKEN, protocol.RPDO[0], protocol.AT_ONCE),
     ):
-        # All four of each kind: what else the drive was once told to send and take is turned off.
+        # All four PDOs of each kind, so that PDOs left over from an earlier setup are disabled.
         for place in range(4):
             entries = pdos[place] if place < len(pdos) else ()
             _map(
@@ -261,19 +268,19 @@ def write(
     shown: Object | None = None,
     mask: int = -1,
 ) -> None:
-    """Write an object, read it or the one that shows it back; raises RigError where the drive holds
-    another value."""
+    """Write an object and read it (or `shown`) back; raises RigError if the bits in `mask`
+    differ."""
     connection.write(entry, value)
     held = connection.read(shown or entry)
     if (held ^ value) & mask:
         raise RigError(
             f"drive's {shown or entry} stayed {held} when {value} was written; close EPOS Studio "
-            "and other programs, or set a value in the rig's file that the drive accepts"
+            "and other programs, or use a value in the rig's file that the drive accepts"
         )
 
 
 def set_mode(connection: CanConnection, mode: int) -> None:
-    """Set the mode of operation; raises RigError where the drive is not in it then."""
+    """Set the mode of operation; raises RigError if the drive does not enter it."""
     write(connection, protocol.MODE, mode, shown=protocol.MODE_DISPLAY)
 
 
@@ -284,8 +291,8 @@ def _map(
     entries: tuple[Object, ...],
     transmission: int,
 ) -> None:
-    """Mapping objects are 0x200 above those of the communication; a PDO must be off while its
-    mapping changes."""
+    """Map a PDO: its mapping object is 0x200 above its communication object, and it must be
+    disabled while the mapping changes."""
 
     def set_cob_id(value: int) -> None:
         entry = Object(number, 1, "I", "COB-ID")
@@ -295,6 +302,7 @@ def _map(
     if not entries:
         return
     count = Object(number + 0x200, 0, "B", "mapped objects")
+    # CiA 301: set the count to 0, write the entries, then set the count.
     connection.write(count, 0)
     for place, entry in enumerate(entries, 1):
         write(connection, Object(number + 0x200, place, "I", "mapping"), entry.mapping)
@@ -304,9 +312,9 @@ def _map(
 
 
 def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], object]) -> None:
-    """Bring the drive to operation enabled, unless it is stopped meanwhile; raises DeviceError.
+    """Bring the drive to operation enabled; raises DeviceError on a timeout, a fault or a stop.
 
-    Calls `meanwhile` at each step.
+    Call `meanwhile` at each step.
     """
     status = exchange.status
     for _ in range(round(ENABLE_TIMEOUT_S / STATE_STEP_S)):
@@ -326,8 +334,8 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
             word = protocol.TO_ENABLED.get(status.state)
             if word is not None:
                 exchange.connection.send(*exchange.order(word))
-            # Every frame on the bus wakes it: those of other fins must not use up the time that
-            # this drive may take.
+            # Every frame on the bus notifies this lock. Waiting for `stopped` alone keeps frames of
+            # other fins from using up this drive's attempts.
             exchange.lock.wait_for(lambda: exchange.stopped, STATE_STEP_S)
     raise DeviceError(
         f"drive stays {status.words} and does not enable; check its supply and its enable input"
@@ -335,8 +343,8 @@ def reach_enabled(exchange: Exchange, then_arm: bool, meanwhile: Callable[[], ob
 
 
 def home(exchange: Exchange) -> None:
-    """Have a drive that is enabled in homing mode take the present position as home; raises
-    DeviceError."""
+    """Make the current position home, with the drive enabled in homing mode; raises DeviceError if
+    it refuses."""
     status = exchange.status
     with exchange.lock:
         if not exchange.stopped:
@@ -349,7 +357,7 @@ def home(exchange: Exchange) -> None:
             break
         near = abs(status.position) <= HOME_TOLERANCE_COUNTS
         attained = attained + 1 if is_new and status.has(Bit.ACKNOWLEDGED) and near else 0
-        # Twice: bit 12 may still stand from an earlier homing.
+        # Twice, because bit 12 may still be set from an earlier homing.
         if attained >= 2 and (status.has(Bit.REFERENCED) or not exchange.config.zero_needed):
             return
         exchange.clock.sleep(STATE_STEP_S)
@@ -357,8 +365,8 @@ def home(exchange: Exchange) -> None:
 
 
 def rest(exchange: Exchange) -> bool:
-    """Wait for standstill after a quick stop, take the voltage off; returns whether the drive
-    confirms that."""
+    """Wait for standstill after a quick stop, then disable the voltage; return whether the drive
+    confirms that it is off."""
     status = exchange.status
     config = exchange.config
 
@@ -369,15 +377,16 @@ def rest(exchange: Exchange) -> bool:
         )
         return exchange.is_off or (braked and status.new)
 
-    # Twice what braking from the highest velocity takes, and ten ticks.
+    # Twice the braking time from the highest velocity, v / a, plus ten ticks.
     braking = 2 * config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
     if not _insist_until(exchange, protocol.QUICK_STOP, stands, braking):
-        # The first word that gets through must not be the one that lets the fin coast.
+        # No controlword got through: the first that does must not be the one that lets the fin
+        # coast.
         return False
     _insist_until(exchange, protocol.DISABLE_VOLTAGE, lambda: exchange.is_off, DISABLE_TIMEOUT_S)
     if exchange.is_off:
         return True
-    # Without process data, as of a node that is not operational, the drive can still be asked.
+    # A node that is not operational sends no process data but still answers SDO requests.
     is_there = exchange.clock() - status.heartbeat_time <= config.heartbeat_s
     if exchange.rest_failed and not is_there:
         return False
@@ -385,11 +394,12 @@ def rest(exchange: Exchange) -> bool:
 
 
 def _insist_until(exchange: Exchange, word: int, done: Callable[[], bool], seconds: float) -> bool:
-    """Repeat a controlword until it is done or the time is over; return False if the bus takes no
+    """Repeat a controlword until `done()` or for `seconds`; return False if the bus accepts no
     frames.
 
-    The time is counted in ticks, so that a stopped clock ends it too. If an earlier stop tried all
-    of it in vain, it is brief unless the drive obeys now: a person has to know soon.
+    The time is counted in ticks, so that the loop ends even if the clock stops. If an earlier stop
+    used up its time without success, this one is brief unless the drive now obeys, so that the
+    operator is warned soon.
     """
     sync_s = exchange.config.sync_s
     is_later = exchange.rest_failed
@@ -400,7 +410,7 @@ def _insist_until(exchange: Exchange, word: int, done: Callable[[], bool], secon
             return True
         began = exchange.clock()
         exchange.send_heartbeat()
-        # A node may say that it is operational and still take no process data.
+        # A node may report the operational state and still ignore process data.
         also_by_sdo = not is_taken and (is_later or attempt >= REFUSED)
         is_sent = exchange.insist(word, also_by_sdo)
         exchange.sync_and_read(sync_s)
@@ -416,19 +426,18 @@ def _insist_until(exchange: Exchange, word: int, done: Callable[[], bool], secon
 
 
 def time_own_stop(exchange: Exchange) -> float:
-    """Withhold the heartbeats of a powered drive until it faults by itself; return how long that
-    takes [s].
+    """Withhold heartbeats from a powered drive until it faults by itself; return the time to the
+    fault [s].
 
-    Raises DeviceError if it does not fault for the loss of the heartbeats, or does not take its
-    power off.
+    Raises DeviceError if the drive does not fault in time, or faults for another reason.
     """
     exchange.send_heartbeat()
     last_heartbeat = exchange.clock()
     longest = exchange.config.heartbeat_s + LOSS_MARGIN_S
     while (silence := exchange.clock() - last_heartbeat) <= longest:
-        # All goes on as in a run but the heartbeats: nothing else may be what stops it. After the
-        # fault the node may have left the operational state, in which it answers no SYNC, so its
-        # state is read.
+        # SYNC continues as in a run, so that only the missing heartbeats can stop the drive. After
+        # the fault, the node may have left the operational state and no longer respond to SYNC, so
+        # the state is read over SDO.
         exchange.sync_and_read(STATE_STEP_S)
         state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
         if state is State.FAULT:
@@ -438,18 +447,19 @@ def time_own_stop(exchange: Exchange) -> float:
             return silence
         exchange.clock.sleep(STATE_STEP_S)
     raise DeviceError(
-        f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so a "
+        f"drive ignores the loss of softfin's heartbeats: no fault within {longest:.1f} s, so the "
         f"fin would keep moving if softfin died; set {protocol.LOSS_REACTION} to 1 and "
-        f"{protocol.FAULT_REACTION} to 2 in EPOS Studio, and move nothing until this test passes"
+        f"{protocol.FAULT_REACTION} to 2 in EPOS Studio, and do not move the fin until this test "
+        "passes"
     )
 
 
 def switch_off(exchange: Exchange) -> bool:
-    """Quick stop, then no voltage, whatever state drive and node are in; return whether the motor
-    is then off.
+    """Quick-stop, then disable the voltage, in any state of the drive and node; return whether the
+    motor is off.
 
-    By process data first, which take effect at once where they are mapped as softfin maps them, and
-    by SDO.
+    Each controlword is sent as process data, which works immediately if the PDOs are mapped as
+    softfin maps them, and over SDO.
     """
     connection = exchange.connection
     config = exchange.config
@@ -460,7 +470,7 @@ def switch_off(exchange: Exchange) -> bool:
             connection.write(protocol.CONTROLWORD, word)
             return protocol.decode(connection.read(protocol.STATUSWORD))
         except DeviceError:
-            # A node that is stopped answers no SDO; pre-operational it does.
+            # A stopped node does not answer SDO requests; a pre-operational node does.
             exchange.attempt(protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, config.node]))
             return None
 
@@ -472,8 +482,8 @@ def switch_off(exchange: Exchange) -> bool:
         return velocity is not None and abs(velocity) <= STANDSTILL_RPM
 
     def until(done: Callable[[], bool], seconds: float) -> bool:
-        """Until it is done or the time is over, but three times at least: one unanswered request
-        may take it all."""
+        """Retry until `done()` or for `seconds`, but at least three times: one unanswered request
+        may use up the time."""
         end = exchange.clock() + seconds
         attempts = 0
         while attempts < REFUSED or exchange.clock() <= end:
@@ -484,8 +494,8 @@ def switch_off(exchange: Exchange) -> bool:
             exchange.clock.sleep(config.sync_s)
         return False
 
-    # As long as braking from the highest velocity may take; then the voltage is taken whether it
-    # stands or not.
+    # Wait for as long as braking from the highest velocity may take; then disable the voltage even
+    # if the motor still turns.
     until(
         lambda: not brakes(), config.fastest_rad_s / config.quick_stop_rad_s2 + 10 * config.sync_s
     )
@@ -495,7 +505,7 @@ def switch_off(exchange: Exchange) -> bool:
 
 
 def _stays_off(exchange: Exchange) -> bool:
-    """Watch the motor for a while: a program that still drives it would power it again."""
+    """Return whether the motor stays off: a program that still drives it would power it again."""
     for _ in range(round(STOP_CONFIRMED_S / exchange.config.sync_s)):
         state = protocol.decode(exchange.connection.read(protocol.STATUSWORD))
         if state not in protocol.UNPOWERED:

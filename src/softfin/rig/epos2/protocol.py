@@ -1,9 +1,10 @@
-"""The protocol of an EPOS2: objects, process data, states, controlwords, and its faults and aborts
-in words.
+"""EPOS2 protocol: objects, process data, states, controlwords, and messages for faults and SDO
+aborts.
 
-Indices, states and codes are those of the maxon "EPOS2 Firmware Specification" (rel5466), by way of
-drivers written from it, and of CiA 301 and 402; the ways out are ours. Not met by a real drive yet;
-the sub-indices of 0x2210 and 0x6410 and the home position 0x2081 are the ones to look at first.
+Indices, states and codes come from CiA 301 and 402 and from the maxon "EPOS2 Firmware
+Specification" (rel5466), the latter through drivers written from it; the suggested fixes are ours.
+Not yet tested with a real drive: check the sub-indices of 0x2210 and 0x6410 and the home position
+0x2081 first.
 """
 
 import struct
@@ -13,7 +14,7 @@ from typing import NamedTuple
 BOOT_UP = 0x00
 NODE_STOPPED = 0x04
 OPERATIONAL = 0x05
-"""States of a node in its heartbeat."""
+"""Node states as sent in the heartbeat."""
 
 NMT_START = 0x01
 NMT_STOP = 0x02
@@ -27,9 +28,10 @@ EMERGENCY = 0x080
 SDO_ANSWER = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
-"""COB-IDs; the node's number is added, except to NMT and to the SYNC that all share.
+"""COB-IDs, to which the node number is added, except for NMT and the shared SYNC.
 
-A host's own SYNC is 0x080 plus its number: the emergency of a node that never sends one.
+A host's own SYNC is 0x080 plus its node number. This is the emergency COB-ID of that node, which
+the host never uses.
 """
 TPDO = (0x180, 0x280, 0x380)
 RPDO = (0x200, 0x300)
@@ -37,27 +39,27 @@ RPDO = (0x200, 0x300)
 PROFILE_POSITION = 1
 HOMING = 6
 HOME_HERE = 35
-"""Homing method: the present position is home; nothing moves."""
+"""Homing method: the current position becomes home; nothing moves."""
 
 
 class Object(NamedTuple):
     """One entry of the drive's object dictionary."""
 
     number: int
-    """Index in the dictionary; a tuple has a method of that name."""
+    """Index in the dictionary, not named `index` because tuples have a method of that name."""
     sub: int
     form: str
-    """Letter of its type in `struct`: B, H, I unsigned; b, h, i signed."""
+    """`struct` format character: B, H, I for unsigned; b, h, i for signed."""
     name: str
 
     @property
     def layout(self) -> struct.Struct:
-        """Layout of its bytes: little-endian, as CANopen has it."""
+        """Byte layout: little-endian, as specified by CANopen."""
         return struct.Struct(f"<{self.form}")
 
     @property
     def mapping(self) -> int:
-        """Entry that stands for it in a PDO's mapping."""
+        """Mapping entry for this object in a PDO: index, sub-index and length in bits."""
         return self.number << 16 | self.sub << 8 | 8 * self.layout.size
 
     def __str__(self) -> str:
@@ -107,33 +109,34 @@ CURRENT_LIMIT = Object(0x6410, 2, "H", "output current limit")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported modes")
 
 REACTIONS = {LOSS_REACTION: 1, FAULT_REACTION: 2, QUICK_STOP_OPTION: 6}
-"""Reactions that stop the fin when softfin dies: a lost heartbeat is a fault, a fault brakes at the
-quick-stop ramp, and a quick stop brakes at that ramp and then holds (CiA 402).
+"""Settings that stop the fin if softfin dies: a lost heartbeat is a fault, a fault brakes along the
+quick-stop ramp, and a quick stop brakes along that ramp and then holds the position (CiA 402).
 
-Any of them may be stored in the drive as "no action". Whether an EPOS2 has all three is known from
-memory alone.
+Any of them may be stored in the drive as "no action". We have not verified that an EPOS2 has all
+three objects.
 """
 
+# Collected from this module, so that the emulated drive has every object defined above.
 OBJECTS = tuple(value for value in list(globals().values()) if isinstance(value, Object))
 
 SENT = ((STATUSWORD, POSITION), (VELOCITY, MOTOR_CURRENT), (DEMAND,))
-"""Objects that the drive sends on every SYNC: TPDO 1, 2, 3."""
+"""Objects that the drive sends after each SYNC: TPDO 1, 2, 3."""
 TAKEN = ((CONTROLWORD, TARGET), (PROFILE_VELOCITY,))
-"""Objects that the drive takes at once: RPDO 1, 2."""
+"""Objects that the drive applies immediately: RPDO 1, 2."""
 ON_SYNC = 1
 AT_ONCE = 255
 """Transmission types of process data."""
 INVALID = 1 << 31
-"""Bit of a PDO's COB-ID: it is off."""
+"""Bit in a PDO's COB-ID that disables the PDO."""
 
 
 def host_cob_ids(host: int) -> frozenset[int]:
-    """Return the COB-IDs that nobody but the host of a number sends: its heartbeat and its SYNC."""
+    """Return the COB-IDs reserved for one host: its heartbeat and its SYNC."""
     return frozenset({HEARTBEAT + host, SYNC + host})
 
 
 def layout(objects: tuple[Object, ...]) -> struct.Struct:
-    """Layout of a PDO that carries these objects."""
+    """Return the byte layout of a PDO containing these objects."""
     return struct.Struct("<" + "".join(each.form for each in objects))
 
 
@@ -144,17 +147,18 @@ QUICK_STOP = 0x0002
 DISABLE_VOLTAGE = 0x0000
 FAULT_RESET = 0x0080
 NEW_TARGET = 0x003F
-"""Operation enabled, a new target (bit 4), absolute, at once (bit 5)."""
+"""Operation enabled, new target (bit 4), change immediately (bit 5), absolute (bit 6 is 0)."""
 START_HOMING = 0x001F
 RESET_EDGE = (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE)
-"""The controlwords that acknowledge a fault: bit 7 must rise, so it is lowered first."""
+"""Controlwords that acknowledge a fault: the drive needs a rising edge of bit 7, so it is cleared
+first."""
 
 
 class State(Enum):
-    """The twelve states of an EPOS2; the value is the statusword, masked.
+    """The twelve states of an EPOS2; each value is the masked statusword.
 
-    The generic masks of CiA 402, as in canopen's `State402`, would read refresh and measure-init as
-    "switched on".
+    The generic masks of CiA 402, used in canopen's `State402`, would decode refresh and
+    measure-init as "switched on".
     """
 
     START = 0x0000
@@ -177,21 +181,21 @@ class State(Enum):
 
 
 class Bit(IntFlag):
-    """Bits of the statusword beside the state."""
+    """Bits of the statusword that are not part of the state."""
 
     REMOTE = 1 << 9
     TARGET_REACHED = 1 << 10
     LIMIT = 1 << 11
     ACKNOWLEDGED = 1 << 12
-    """The new target was taken; in homing: the home is attained."""
+    """The new target was acknowledged; in homing mode: home attained."""
     ERROR = 1 << 13
-    """Following error; in homing: homing error."""
+    """Following error; in homing mode: homing error."""
     REFERENCED = 1 << 15
 
 
 FAULT_STATES = frozenset({State.FAULT_REACTION_DISABLED, State.FAULT_REACTION_ENABLED, State.FAULT})
 ENABLING = frozenset({State.REFRESH, State.MEASURE_INIT, State.OPERATION_ENABLED})
-"""Operation enabled, and the two states through which a drive gets there by itself."""
+"""Operation enabled, and the two states through which a drive passes on its way there."""
 POWERED = ENABLING | {State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ENABLED}
 """States in which the motor carries current."""
 UNPOWERED = frozenset(State) - POWERED
@@ -202,30 +206,32 @@ TO_ENABLED: dict[State | None, int] = {
     State.SWITCHED_ON: ENABLE_OPERATION,
     State.QUICK_STOP_ACTIVE: DISABLE_VOLTAGE,
 }
-"""The controlwords that bring a drive one step nearer to operation enabled; from other states it
-moves on by itself.
+"""Controlwords that bring a drive one step closer to operation enabled; in other states the drive
+advances by itself.
 
-A quick stop is first left through disabled voltage: a drive that was stopped is never let go on.
+A quick stop is always left by disabling the voltage, so that a stopped drive never resumes its
+motion.
 """
 _STATES = {state.value: state for state in State}
 
 
 def decode(statusword: int) -> State | None:
-    """The state in a statusword; None for one that no EPOS2 sends."""
+    """Return the state encoded in a statusword; None if it is not a state of an EPOS2."""
+    # The mask keeps bits 0 to 6, 8 and 14, by which an EPOS2 distinguishes its states.
     return _STATES.get(statusword & 0x417F)
 
 
 FAULTS = {
     0x1000: ("generic error", "switch the drive off and on"),
-    0x2310: ("over-current", "look for a short circuit or a blocked fin; lower the acceleration"),
-    0x3210: ("over-voltage", "look at the supply; brake more gently, or add a brake resistor"),
-    0x3220: ("under-voltage", "look at the supply: its voltage fell below what the drive needs"),
-    0x4210: ("over-temperature", "let the drive cool down; move less or slower"),
-    0x5113: ("+5 V supply too low", "look for a short circuit in the encoder's cable"),
-    0x5114: ("supply of the output stage too low", "look at the supply and at its fuse"),
+    0x2310: ("over-current", "check for a short circuit or a blocked fin; lower the acceleration"),
+    0x3210: ("over-voltage", "check the supply; brake more gently, or add a brake resistor"),
+    0x3220: ("under-voltage", "check the supply: its voltage fell below the drive's minimum"),
+    0x4210: ("over-temperature", "let the drive cool down; move less or more slowly"),
+    0x5113: ("+5 V supply too low", "check for a short circuit in the encoder's cable"),
+    0x5114: ("supply of the output stage too low", "check the supply and its fuse"),
     0x6100: (
         "internal software error",
-        "switch the drive off and on; update its firmware if it comes again",
+        "switch the drive off and on; update its firmware if the fault recurs",
     ),
     0x6320: (
         "software parameter error",
@@ -233,57 +239,57 @@ FAULTS = {
     ),
     0x7320: (
         "position sensor error",
-        "look at the encoder and its cable; its lines must be those of the drive",
+        "check the encoder and its cable; the drive's encoder lines must match the encoder",
     ),
-    0x8110: ("CAN overrun, objects lost", "put fewer nodes or a higher bitrate on the bus"),
-    0x8111: ("CAN overrun", "put fewer nodes or a higher bitrate on the bus"),
-    0x8120: ("CAN error passive", "look at the bus: termination, bitrate, cable"),
+    0x8110: ("CAN overrun, objects lost", "use fewer nodes or a higher bitrate on the bus"),
+    0x8111: ("CAN overrun", "use fewer nodes or a higher bitrate on the bus"),
+    0x8120: ("CAN error passive", "check the bus: termination, bitrate, cable"),
     0x8130: (
-        "heartbeat of the host lost",
+        "host heartbeat lost",
         "find out why the program hung or was killed; check the bus cable",
     ),
     0x8150: ("CAN message collision", "look for a second drive with the same node number"),
-    0x81FD: ("CAN bus off", "look at the bus: termination, bitrate, cable"),
-    0x81FE: ("CAN receive queue overrun", "put fewer nodes or a higher bitrate on the bus"),
-    0x81FF: ("CAN transmit queue overrun", "put fewer nodes or a higher bitrate on the bus"),
+    0x81FD: ("CAN bus off", "check the bus: termination, bitrate, cable"),
+    0x81FE: ("CAN receive queue overrun", "use fewer nodes or a higher bitrate on the bus"),
+    0x81FF: ("CAN transmit queue overrun", "use fewer nodes or a higher bitrate on the bus"),
     0x8210: (
-        "process data of a wrong length",
+        "process data with wrong length",
         "look for another program that writes to the same drive",
     ),
     0x8611: (
         "following error",
         "check for a blocked fin; reduce velocity or acceleration, or tune the drive",
     ),
-    0xFF01: ("hall sensor error", "look at the hall sensors' cable"),
-    0xFF02: ("index processing error", "look at the encoder's index channel"),
+    0xFF01: ("hall sensor error", "check the hall sensors' cable"),
+    0xFF02: ("index processing error", "check the encoder's index channel"),
     0xFF03: (
         "encoder resolution error",
-        "set the encoder's lines in the drive to those of the encoder",
+        "set the encoder lines in the drive to match the encoder",
     ),
-    0xFF04: ("hall sensor not found", "look at the hall sensors' cable"),
+    0xFF04: ("hall sensor not found", "check the hall sensors' cable"),
     0xFF06: ("negative limit switch", "turn the fin away from the switch"),
     0xFF07: ("positive limit switch", "turn the fin away from the switch"),
     0xFF08: (
         "hall angle detection error",
-        "look at the hall sensors' cable and at the motor's pole pairs",
+        "check the hall sensors' cable and the motor's pole pairs",
     ),
     0xFF09: ("software position limit", "turn the fin back inside its limits, or zero it again"),
-    0xFF0A: ("position sensor breach", "look at the encoder and its cable"),
-    0xFF0B: ("system overloaded", "look for too many messages on the bus"),
+    0xFF0A: ("position sensor breach", "check the encoder and its cable"),
+    0xFF0B: ("system overloaded", "reduce the number of messages on the bus"),
 }
 
 
 HOST_LOST = 0x8130
 NEEDS_RESET_OF_COMMUNICATION = frozenset({HOST_LOST, 0x8120, 0x81FD})
-"""Faults of the communication, of which an EPOS4 is only rid after NMT reset communication; an
-EPOS2 bears it."""
+"""Communication faults that an EPOS4 clears only after an NMT reset communication; harmless for an
+EPOS2."""
 
 
 def fault_line(code: int) -> str:
-    """Name and way out of a fault, such as ``drive fault 0x8611, following error: look for a
-    blocked fin; ..``."""
+    """Return the name of a fault and its fix, e.g. ``drive fault 0x8611, following error: check for
+    a blocked fin; ..``."""
     name, way_out = FAULTS.get(
-        code, ("not in softfin's list", "look it up in the EPOS2 Firmware Specification")
+        code, ("unknown to softfin", "look it up in the EPOS2 Firmware Specification")
     )
     return f"drive fault 0x{code:04X}, {name}: {way_out}"
 
@@ -292,20 +298,20 @@ NO_OBJECT = 0x06020000
 NO_SUB_INDEX = 0x06090011
 READ_ONLY = 0x06010002
 MISSING = frozenset({NO_OBJECT, NO_SUB_INDEX})
-"""Reasons of an SDO abort by which a drive says that it does not have an object."""
+"""SDO abort codes for an object that the drive does not have."""
 
 ABORTS = {
     0x05030000: "toggle bit not alternated",
-    0x05040000: "the drive gave up waiting",
+    0x05040000: "the drive timed out",
     0x05040001: "unknown command",
-    0x06010000: "object cannot be accessed like this",
-    0x06010001: "object can only be written",
-    READ_ONLY: "object can only be read",
+    0x06010000: "unsupported access to the object",
+    0x06010001: "object is write-only",
+    READ_ONLY: "object is read-only",
     NO_OBJECT: "object does not exist",
     0x06040041: "object cannot be mapped to process data",
-    0x06040042: "process data would become too long",
+    0x06040042: "process data would be too long",
     0x06060000: "hardware error",
-    0x06070010: "value has another length",
+    0x06070010: "wrong length of the value",
     NO_SUB_INDEX: "sub-index does not exist",
     0x06090030: "value outside its range",
     0x06090031: "value too high",
@@ -313,26 +319,26 @@ ABORTS = {
     0x06090036: "maximum below minimum",
     0x08000000: "general error",
     0x08000020: "value cannot be stored",
-    0x08000022: "not in the present state of the drive",
+    0x08000022: "not allowed in the drive's current state",
     0x0F00FFC0: "wrong NMT state",
     0x0F00FFBF: "illegal command",
     0x0F00FFBE: "wrong password",
     0x0F00FFBC: "not in service mode",
     0x0F00FFB9: "wrong node number",
 }
-"""Reasons of SDO aborts (CiA 301; the last five are maxon's)."""
+"""Descriptions of SDO abort codes (CiA 301; the last five are specific to maxon)."""
 
 
 def abort_line(code: int) -> str:
-    """Name and way out of an SDO abort, such as ``0x06020000, object does not exist: check that
-    ..``."""
+    """Return the name of an SDO abort and its fix, e.g. ``0x06020000, object does not exist: check
+    that ..``."""
     name = ABORTS.get(code, "see the EPOS2 Communication Guide")
     way_out = (
-        "check that the device is an EPOS2, close other programs such as EPOS Studio, switch the "
-        "drive off and on"
+        "check that the device is an EPOS2, close other programs such as EPOS Studio, and switch "
+        "the drive off and on"
     )
     if 0x06090030 <= code <= 0x06090036:
-        way_out = "set a value in the rig's file that the drive accepts"
+        way_out = "use a value in the rig's file that the drive accepts"
     return f"0x{code:08X}, {name}: {way_out}"
 
 
@@ -346,7 +352,7 @@ _ERROR_CLASSES = {
     0x080: "bus errors",
     0x100: "controller restarts",
 }
-"""Classes of errors in the identifier of an error frame (linux/can/error.h)."""
+"""Error classes in the identifier of an error frame (linux/can/error.h)."""
 _CONTROLLER_CLASS = 0x004
 _CONTROLLER_STATES = {
     0x01: "receive overflows",
@@ -356,14 +362,14 @@ _CONTROLLER_STATES = {
     0x10: "error passive",
     0x20: "error passive",
 }
-"""States of the controller in byte 1 of an error frame of its class."""
+"""Controller states in byte 1 of an error frame of the controller class."""
 BUS_FAILURES = frozenset({"error passive", "bus-off"})
-"""Errors after which the adapter is not to be relied on: its frames, a stop among them, may not
-reach the drive."""
+"""Errors after which the adapter is unreliable: frames, including a stop, may not reach the
+drive."""
 
 
 def bus_errors(classes: int, data: bytes) -> list[str]:
-    """Name the errors in an error frame of SocketCAN, each once."""
+    """Return the names of the errors in a SocketCAN error frame, sorted and without duplicates."""
     names = {name for bit, name in _ERROR_CLASSES.items() if classes & bit}
     if classes & _CONTROLLER_CLASS and len(data) > 1:
         names |= {name for bit, name in _CONTROLLER_STATES.items() if data[1] & bit}

@@ -1,2 +1,2 @@
-"""A recording watched while it is made: its file is followed, on this computer or another, and
-never written to."""
+"""Live monitor of a recording: follows its file, on this computer or another, without writing to
+it."""

@@ -1,8 +1,8 @@
-"""Follow a bag that grows: each byte is read once, memory holds a window, damage is reported in one
-line.
+"""Follow a growing bag: each byte is read once, only a time window is kept in memory, and damage is
+reported in one line.
 
-It opens the file to read and for no longer than one look, so it disturbs no recorder and holds up
-no unmounting.
+The file is opened read-only and closed after each poll, so the recorder is not disturbed and the
+disk can be unmounted.
 """
 
 import contextlib
@@ -23,19 +23,19 @@ from softfin.storage.formats import check_file_format
 from softfin.storage.paths import check_monitored
 
 READ_BYTES = 4 * 2**20
-"""Bytes that one look takes in, so that an old recording is seen to come in."""
+"""Maximum number of bytes read per poll, so that reading an old recording shows progress."""
 
 SILENT_RECORDING_S = 3.0
-"""Time without a new row after which a recording is silent [s]; a recorder writes twice a
+"""Time without a new row after which a recording counts as silent [s]; a recorder writes twice per
 second."""
 
 PATTERNS = ("*.mcap", "*/*.mcap", "*/*/*.mcap")
-"""A folder of bags, of bag folders, or of runs that hold them; no deeper, for a monitor should not
-read whole disks."""
+"""Patterns for a folder of bags, of bag folders, or of runs containing them; no deeper, so that the
+monitor does not search entire disks."""
 
 
 class Follower:
-    """The newest rows of a recording; call `poll` a few times a second."""
+    """The latest rows of a recording; call `poll` a few times per second."""
 
     def __init__(
         self,
@@ -45,14 +45,14 @@ class Follower:
         clock: Callable[[], float] = time.monotonic,
         wall: Callable[[], float] = time.time,
     ) -> None:
-        """Follow a bag, or the newest one of a folder; raises LogError where there is neither.
+        """Follow a bag, or the latest one in a folder; raises LogError if `path` is neither.
 
-        Of each topic, rows of `window_s` seconds are held.
+        The last `window_s` seconds of each topic are kept.
         """
         check_monitored(path)
         self.path = path
         self.follows_folder = path.is_dir()
-        """A newer bag may come when this one has ended."""
+        """Whether to look for newer bags."""
         self._window = window_s
         self._clock = clock
         self._wall = wall
@@ -63,7 +63,7 @@ class Follower:
         self._restart()
 
     def _restart(self) -> None:
-        """Begin with nothing read yet."""
+        """Reset to the state before the first read."""
         self._number += 1
         self.traces = {role: Trace(role) for role in ROLES}
         self._types: dict[int, str] = {}
@@ -73,10 +73,10 @@ class Follower:
         self._problem: str | None = None
         self._ended = self._broken = self._caught_up = False
         self._grown_at: float | None = None
-        """Time at which rows came that were not there at the first look."""
+        """Time of the latest rows that were not present at the first read [s]."""
 
     def poll(self) -> None:
-        """Take in what was written since."""
+        """Read what has been written since the last call."""
         if self.follows_folder and self._clock() - self._chosen_at >= 1.0:
             self._chosen_at = self._clock()
             self._choose()
@@ -95,10 +95,10 @@ class Follower:
             self._broken = True
 
     def summary(self) -> Summary:
-        """Summarize the recording as of the last look."""
+        """Summarize the recording as of the last poll."""
         times = [rows[-1].time for role in ("joint", "wrench") if (rows := self.traces[role].rows)]
         time_s = max(times, default=None)
-        # What is recorded in simulated time runs ahead of the day.
+        # Recordings in simulated time may be ahead of the wall clock.
         age = None if time_s is None else max(0.0, self._wall() - (self._start_ns * 1e-9 + time_s))
         return summarize(
             self.traces,
@@ -113,18 +113,19 @@ class Follower:
         )
 
     def _choose(self) -> None:
-        """Follow the bag of the folder that was written to last, if it is clearly newer than the
-        one followed."""
+        """Switch to the most recently written bag in the folder, if it is clearly newer than the
+        current one."""
         times: dict[Path, float] = {}
         for path in itertools.chain.from_iterable(map(self.path.glob, PATTERNS)):
-            # A file may be renamed or removed meanwhile.
+            # A file may be renamed or removed in the meantime.
             with contextlib.suppress(OSError):
                 if path.is_file() and not path.name.startswith("."):
                     times[path] = path.stat().st_mtime
         if not times:
             return
         newest = max(times, key=lambda path: (times[path], path.name))
-        # Two recordings at once do not take turns: another one must have been written to 1 s later.
+        # To avoid alternating between simultaneous recordings, the other one must have been written
+        # 1 s later.
         if newest != self._bag and (
             self._bag is None or times[newest] > times.get(self._bag, -float("inf")) + 1.0
         ):
@@ -132,25 +133,9 @@ class Follower:
             self._restart()
 
     def _read(self, file: io.BufferedIOBase) -> None:
-        status = os.fstat(file.fileno())
-        identity = (status.st_dev, status.st_ino)
-        if self._identity is not None and (
-            identity != self._identity or status.st_size < self._offset
-        ):
-            # Another file by the same name, as a copy or a repair leaves it.
-            self._restart()
-        self._identity = identity
-        self._size = status.st_size
-        if self._offset == 0:
-            magic = file.read(len(MAGIC))
-            if not MAGIC.startswith(magic):
-                raise LogError(
-                    "not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP"
-                )
-            if magic != MAGIC:
-                self._caught_up = True
-                return
-            self._offset = len(MAGIC)
+        self._check_identity(os.fstat(file.fileno()))
+        if self._offset == 0 and not self._read_magic(file):
+            return
         was_caught_up = self._caught_up
         before = self._count()
         end = self._offset + READ_BYTES
@@ -164,26 +149,52 @@ class Follower:
                 self._caught_up = True
         except LogError as error:
             raise LogError(
-                f"damaged ({error}); softfin bag recover saves the intact part"
+                f"damaged ({error}); to save the intact part, use softfin bag recover"
             ) from None
         finally:
-            # The joint's time counts where there is one: no other topic's wrong stamps empty all
-            # traces.
-            lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
-            newest = next((last for last in lasts if last is not None), 0.0)
-            for role, trace in self.traces.items():
-                trace.settle(
-                    -float("inf") if role == "event" else newest - self._window, self._serials
-                )
-            self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
+            self._settle()
             if was_caught_up and self._count() > before:
                 self._grown_at = self._clock()
+
+    def _check_identity(self, status: os.stat_result) -> None:
+        """Start again if this is another file than at the last poll, or a shorter one."""
+        identity = (status.st_dev, status.st_ino)
+        is_other = self._identity is not None and identity != self._identity
+        is_shorter = self._identity is not None and status.st_size < self._offset
+        if is_other or is_shorter:
+            # Another file with the same name, e.g. after a copy or repair.
+            self._restart()
+        self._identity = identity
+        self._size = status.st_size
+
+    def _read_magic(self, file: io.BufferedIOBase) -> bool:
+        """Read the magic bytes; return False if the file does not contain all of them yet."""
+        magic = file.read(len(MAGIC))
+        # A file that has just been created may still be shorter than the magic bytes.
+        if not MAGIC.startswith(magic):
+            raise LogError("not an MCAP file; use a bag that softfin or ros2 bag recorded as MCAP")
+        if magic != MAGIC:
+            self._caught_up = True
+            return False
+        self._offset = len(MAGIC)
+        return True
+
+    def _settle(self) -> None:
+        """Decode the rows within the window."""
+        # Use the joint's time if there is one, so that wrong timestamps in another topic do not
+        # empty all traces.
+        lasts = (trace.last for trace in (self.traces["joint"], *self.traces.values()))
+        newest = next((last for last in lasts if last is not None), 0.0)
+        for role, trace in self.traces.items():
+            since = -float("inf") if role == "event" else newest - self._window
+            trace.settle(since, self._serials)
+        self.traces["wrench"].zeros = self.traces["event"].recorded_zeros()
 
     def _count(self) -> int:
         return sum(trace.count for trace in self.traces.values())
 
     def _take(self, raw: RawRecord) -> None:
-        """Take a record in; one that is damaged is counted and passed over."""
+        """Process a record; damaged ones are counted and skipped."""
         try:
             records = decode_bag_record(raw)
         except LogError:
@@ -219,7 +230,8 @@ class Follower:
             return "reading"
         if age is None:
             return "waiting"
-        # Another computer's clock may differ from the recorder's: growth counts, once it was seen.
+        # The clocks of this computer and the recorder may differ, so once growth has been observed,
+        # use its time.
         quiet = age if self._grown_at is None else self._clock() - self._grown_at
         return "recording" if abs(quiet) < SILENT_RECORDING_S else "silent"
 

@@ -1,5 +1,4 @@
-"""Summary of a recording: the last seconds of each topic, and what a person wants to know at a
-glance."""
+"""Summary of a recording: the last seconds of each topic, and its state at a glance."""
 
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,17 +16,18 @@ from softfin.storage.bag.messages import JOINT_STATE, TYPES, WRENCH_STAMPED, typ
 from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
 
 MAX_ROWS = 30_000
-"""Rows of one topic that are held, whatever their times say: 30 s of a sensor that streams at 1
-kHz."""
+"""Maximum number of rows kept per topic, regardless of their times: 30 s of a sensor that streams
+at 1 kHz."""
 
 MAX_CHARACTERS = 300
-"""Characters of an event's text that are shown."""
+"""Maximum number of characters shown of an event's text."""
 
 WINDOW_S = WINDOW * TICK_S
-"""Window of the mean force, the same as in an evaluation [s]."""
+"""Averaging window of the mean force [s]; same as in an evaluation."""
 
 MAX_NUMBER = 1e100
-"""Numbers beyond it, in any unit, come from damage, and their sums are not finite."""
+"""Largest plausible number in any unit; larger ones come from damaged data and may have infinite
+sums."""
 
 ROLES = {
     "joint": messages.JOINT,
@@ -37,7 +37,7 @@ ROLES = {
     "current": messages.CURRENT,
     "event": messages.EVENTS,
 }
-"""The topic of each role."""
+"""Topic of each role."""
 
 STATES = {
     "waiting": "no rows yet",
@@ -49,15 +49,15 @@ STATES = {
 }
 
 Summary: TypeAlias = JsonObject
-"""A recording at one moment, ready for JSON; None is what is not known, or not yet."""
+"""State of a recording at one time, for JSON; unknown values are None."""
 
 Values: TypeAlias = tuple[float | str, ...]
-"""Angle [rad] and velocity [rad/s] of a joint or command; force x and y [N]; a current [A]; a
+"""Angle [rad] and velocity [rad/s] of a joint or command; force (x, y) [N]; current [A]; or
 text."""
 
 
 def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
-    """Return the values of a message; None where it is of another type than softfin records, or
+    """Return the values of a message; None if its type is not that recorded by softfin, or if it is
     damaged."""
     if type_name != TYPES[ROLES[role]]:
         return None
@@ -74,7 +74,7 @@ def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
             else float(message.data),
         )
     except Exception:
-        # Generated code reads damaged bytes, and fails in ways of its own; the caller counts it.
+        # The generated decoder may raise any exception for damaged bytes; the caller counts them.
         return None
 
 
@@ -82,14 +82,14 @@ class TraceRow(NamedTuple):
     """One message."""
 
     serial: int
-    """Number of the row among all that the follower has taken in."""
+    """Serial number among all rows read by the follower."""
     time: float
-    """Time of logging, since the recording's first message [s]."""
+    """Log time since the recording's first message [s]."""
     values: Values
 
 
 class Trace:
-    """Rows of one topic in the order in which they were written; messages are decoded when they are
+    """Rows of one topic, in the order in which they were written; messages are decoded only when
     needed."""
 
     def __init__(self, role: str) -> None:
@@ -97,18 +97,18 @@ class Trace:
         self.rows: deque[TraceRow] = deque(maxlen=MAX_ROWS)
         self.count = self.unreadable = 0
         self.gaps = 0
-        """Places where rows at 100 Hz are missing."""
+        """Number of gaps in the 100 Hz rows."""
         self.missing = 0
-        """Rows that would fill them."""
+        """Number of rows missing in the gaps."""
         self.last: float | None = None
-        """Time of the message that came last, decoded or not [s]."""
+        """Time of the latest message, decoded or not [s]."""
         self.zeros: Sequence[tuple[float, RestForce]] = ()
-        """Zeros of the force, each with the time at which it was measured [s]; `less_zero`
-        subtracts them."""
+        """Zeros of the force with the times at which they were measured [s]; subtracted by
+        `less_zero`."""
         self._waiting: deque[tuple[float, str, bytes]] = deque(maxlen=MAX_ROWS)
 
     def offer(self, time: float, type_name: str, data: bytes) -> None:
-        """Count a message, and hold it until `settle`."""
+        """Count a message and keep it until `settle`."""
         self.count += 1
         if self.last is not None and time - self.last > 1.5 * TICK_S:
             self.gaps += 1
@@ -117,8 +117,8 @@ class Trace:
         self._waiting.append((time, type_name, data))
 
     def settle(self, since: float, serials: Iterator[int]) -> None:
-        """Decode what was offered, from the last row before `since` on: it holds until the next one
-        comes."""
+        """Decode the offered messages, starting with the last one before `since` [s], which is
+        valid until the next one; discard older rows."""
         while self._waiting:
             time, type_name, data = self._waiting.popleft()
             if self._waiting and self._waiting[0][0] < since:
@@ -132,14 +132,14 @@ class Trace:
             self.rows.popleft()
 
     def recorded_zeros(self) -> list[tuple[float, RestForce]]:
-        """Return the zeros of the force that events record, each with the time at which it was
+        """Return the zeros of the force recorded in events, with the times at which they were
         measured [s]."""
         parsed = ((row.time, parse_zero(str(row.values[0]))) for row in self.rows)
         return [(time, zero) for time, zero in parsed if zero is not None]
 
     def less_zero(self, row: TraceRow) -> TraceRow:
-        """Return a row less the zero of its time: rows stay raw, because a zero may be read after
-        them."""
+        """Return a row minus the zero valid at its time; stored rows remain raw, because a zero may
+        be read after them."""
         if not self.zeros:
             return row
         zero = zeros_at(self.zeros, np.array([row.time]))[0].tolist()
@@ -148,12 +148,12 @@ class Trace:
         )
 
     def newest(self) -> list[float | None]:
-        """Return the two numbers that came last; None for what is not there."""
+        """Return the latest two values, padded with None."""
         values = self.less_zero(self.rows[-1]).values if self.rows else ()
         return [finite(value) for value in values] + [None] * 2
 
     def array(self) -> Float64[np.ndarray, "rows columns"]:
-        """Return time [s] and numbers of the rows that are held."""
+        """Return the time [s] and values of the stored rows."""
         rows = np.array(
             [(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64
         )
@@ -163,7 +163,7 @@ class Trace:
 
 
 def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
-    """Summarize a recording from its traces and from what is known of its file."""
+    """Summarize a recording from its traces and information about its file."""
     joint = traces["joint"]
     wrench = traces["wrench"]
     angle, velocity, *_ = joint.newest()
@@ -173,19 +173,19 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
         for rows in (joint.array(), wrench.array())
     )
     span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
+    # A full window of rows spans one tick less than WINDOW_S; half a tick is tolerance.
     is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
     has_mean = is_whole and bool((np.abs(forces[:, 1:]) < MAX_NUMBER).all())
     return {
         **about_the_file,
-        # Of the joint; the rate is that of the last 2 s, gaps are places where rows are missing at
-        # 100 Hz.
+        # For the joint: the rate is over the last 2 s, and gaps are relative to 100 Hz.
         "rows": joint.count,
         "rate_hz": float((len(recent) - 1) / span) if span > 0 else None,
         "gaps": joint.gaps,
         "missing": joint.missing,
         "force_gaps": wrench.gaps,
         "force_missing": wrench.missing,
-        # Messages that could not be decoded as their type.
+        # Number of messages that could not be decoded.
         "unreadable": sum(trace.unreadable for trace in traces.values()),
         "angle_rad": angle,
         "velocity_rad_s": velocity,
@@ -193,16 +193,16 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
         "command_velocity_rad_s": command_velocity,
         "current_a": traces["current"].newest()[0],
         "force_n": _pair(wrench.newest()),
-        # Over the last 2 s; None where a force in them is not a number.
+        # Over the last 2 s; None if these are incomplete or contain an invalid force.
         "mean_force_n": _pair(forces[:, 1:].mean(axis=0).tolist()) if has_mean else None,
         "reference_n": _pair(traces["reference"].newest()),
-        # Time since the recording's first row [s] and text, the newest last.
+        # Time since the recording's first row [s] and text, latest last.
         "events": [(row.time, str(row.values[0])) for row in list(traces["event"].rows)[-8:]],
     }
 
 
 def counts(summary: Summary) -> str:
-    """Describe rows, rate, gaps, size and damage in a line."""
+    """Describe rows, rate, gaps, size and damage in one line."""
     gaps = (
         ("joint", summary["gaps"], summary["missing"]),
         ("force", summary["force_gaps"], summary["force_missing"]),
@@ -220,7 +220,7 @@ def counts(summary: Summary) -> str:
 
 
 def finite(value: object) -> float | None:
-    """Return the number; None where it is not one that a device can mean."""
+    """Return the number; None if it is not a plausible reading."""
     return value if isinstance(value, float) and abs(value) < MAX_NUMBER else None
 
 

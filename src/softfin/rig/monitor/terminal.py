@@ -1,4 +1,4 @@
-"""A recording on the terminal: a screen of 80 columns and 24 lines; its last state where the output
+"""View of a recording in the terminal, 80 columns by 24 lines; only the final state if the output
 is piped."""
 
 from collections.abc import Callable, Mapping
@@ -15,10 +15,10 @@ from softfin.rig.monitor.follow import Follower
 from softfin.rig.monitor.summary import MAX_NUMBER, STATES, Summary, Trace, counts
 
 SHOWN_S = 20.0
-"""Time that the traces span [s]."""
+"""Time span of the traces [s]."""
 
 TRACE_COLUMNS = 20
-"""Letters of a trace: one a second."""
+"""Number of characters in a trace: one per second."""
 
 BLOCKS = "▁▂▃▄▅▆▇█"
 
@@ -26,7 +26,7 @@ COLOURS = {"recording": "bold green", "silent": "bold yellow", "damaged": "bold 
 
 
 def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None]) -> None:
-    """Show a recording until it ends, or for ever where a newer one may come."""
+    """Show a recording until it ends; for a folder, continue with newer recordings indefinitely."""
     try:
         with Live(console=console, auto_refresh=False, vertical_overflow="crop") as live:
             while True:
@@ -42,15 +42,15 @@ def watch(follower: Follower, console: Console, *, sleep: Callable[[float], None
 
 
 def render(summary: Summary, traces: Mapping[str, Trace]) -> Group:
-    """Return the whole screen."""
+    """Return the complete screen."""
     state = summary["state"]
     path = summary["path"]
     age = summary["age_s"]
     at = "" if summary["time_s"] is None else f", {summary['time_s']:.1f} s"
-    at += f", newest {age:.0f} s ago" if state == "silent" and age is not None else ""
+    at += f", latest {age:.0f} s ago" if state == "silent" and age is not None else ""
     events = [_line(f"{event_time:9.2f} s  {text}") for event_time, text in summary["events"][-6:]]
     return Group(
-        # The end of a path says more than its beginning.
+        # The end of a path is more informative than its beginning.
         _line(path if len(path) <= 79 else "…" + path[-78:]),
         _line(STATES[state] + at, COLOURS.get(state, "bold"), wrap=True),
         Text(),
@@ -87,8 +87,8 @@ def _table(summary: Summary, traces: Mapping[str, Trace]) -> Table:
 def sparkline(
     times: Float64[np.ndarray, " rows"], values: Float64[np.ndarray, " rows"]
 ) -> tuple[str, str, str]:
-    """Return least value, means over equal times as one letter each, most; a space where rows are
-    missing."""
+    """Return minimum, trace and maximum; the trace has one character per time bin for its mean, and
+    a space if rows are missing."""
     shown = (np.abs(values) < MAX_NUMBER) & (times > (times.max(initial=0.0) - SHOWN_S))
     times = times[shown]
     values = values[shown]
@@ -96,12 +96,14 @@ def sparkline(
         return "-", " " * TRACE_COLUMNS, "-"
     low = float(values.min())
     high = float(values.max())
+    # Bin 0 starts SHOWN_S before the latest row.
     bins = np.clip(
         ((times - times.max() + SHOWN_S) * TRACE_COLUMNS / SHOWN_S).astype(int),
         0,
         TRACE_COLUMNS - 1,
     )
     filled = np.bincount(bins, minlength=TRACE_COLUMNS)
+    # Sum divided by count; empty bins are drawn as spaces.
     means = np.bincount(bins, values, TRACE_COLUMNS) / np.maximum(filled, 1)
     heights = np.zeros(TRACE_COLUMNS) if high == low else (means - low) / (high - low)
     indices = np.clip((heights * len(BLOCKS)).astype(int), 0, len(BLOCKS) - 1)

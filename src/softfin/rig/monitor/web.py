@@ -1,8 +1,7 @@
-"""A recording as a page on localhost that draws its traces; read-only: no request changes or opens
-anything.
+"""View of a recording as a web page on localhost. Read-only: no request changes or opens anything.
 
-Two addresses, `/` and `/data?since=N`, both made in memory. No path of a request is ever looked up
-on a disk.
+The only two addresses, `/` and `/data?since=N`, are generated in memory. Request paths are never
+looked up on disk.
 """
 
 import contextlib
@@ -21,7 +20,7 @@ from softfin.core.canvas import with_canvas
 from softfin.core.choices import LOOPBACK
 from softfin.core.errors import ConfigurationError
 from softfin.rig.monitor.follow import Follower
-from softfin.rig.monitor.summary import STATES, WINDOW_S, counts, finite
+from softfin.rig.monitor.summary import STATES, WINDOW_S, TraceRow, counts, finite
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -31,22 +30,24 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-"""Let the page fetch nothing from elsewhere, and no other page show it."""
+"""Security headers: the page must not load anything from elsewhere or be embedded in another
+page."""
 
 
 class Server(socketserver.ThreadingTCPServer):
-    """Serves a recording, which it follows while a page asks; raises ConfigurationError where it
-    cannot listen."""
+    """Server for a recording, which is read only while a page requests data; raises
+    ConfigurationError if it cannot listen."""
 
     allow_reuse_address = daemon_threads = True
     request_queue_size = 128
-    """Connections that wait to be accepted; too few cost a burst of clients a second."""
+    """Maximum number of pending connections; if it is too small, a burst of clients is delayed by
+    one second."""
 
     def __init__(self, follower: Follower, host: str, port: int) -> None:
         self.host = host
         self._follower = follower
         self._reading = threading.Lock()
-        """Lock of the thread whose request reads."""
+        """Held by the request that is reading the recording."""
         page = (
             importlib.resources.files("softfin.rig.monitor")
             .joinpath("page.html")
@@ -64,62 +65,65 @@ class Server(socketserver.ThreadingTCPServer):
             ) from None
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Ignore a client that went away."""
+        """Ignore errors, because they mean that a client disconnected."""
 
     @property
     def address(self) -> str:
-        """The page's address, for a browser."""
+        """Address of the page for a browser."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"http://{host}:{self.server_address[1]}/"
 
     def data(self, since: int) -> bytes:
-        """Return rows whose serial number is above `since`, the summary, and the number to ask with
-        next, as JSON."""
+        """Return the rows with serial numbers above `since`, the summary, and the value of `since`
+        for the next request, as JSON."""
         with self._reading:
             self._follower.poll()
             summary = self._follower.summary()
-            traces = self._follower.traces
-            rows = {
-                role: [trace.less_zero(row) for row in trace.rows if row.serial > since]
-                for role, trace in traces.items()
-                if role != "event"
-            }
-        told = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
-        answer = {
-            "next": max((row.serial for found in rows.values() for row in found), default=since),
-            "rows": {
-                role: [[finite(value) for value in (row.time, *row.values)] for row in found]
-                for role, found in rows.items()
-            },
-            "summary": summary | told,
-        }
+            new_rows = {}
+            for role, trace in self._follower.traces.items():
+                if role != "event":
+                    new_rows[role] = [
+                        trace.less_zero(row) for row in trace.rows if row.serial > since
+                    ]
+        latest = since
+        plain_rows = {}
+        for role, rows in new_rows.items():
+            latest = max([latest, *(row.serial for row in rows)])
+            plain_rows[role] = [_plain_row(row) for row in rows]
+        texts = {"says": STATES[summary["state"]], "counts": counts(summary), "window_s": WINDOW_S}
+        answer = {"next": latest, "rows": plain_rows, "summary": summary | texts}
+        # Browsers cannot parse NaN in JSON.
         return json.dumps(answer, separators=(",", ":"), allow_nan=False).encode()
 
 
+def _plain_row(row: TraceRow) -> list[float | None]:
+    return [finite(value) for value in (row.time, *row.values)]
+
+
 class _Handler(BaseHTTPRequestHandler):
-    """Answers one request for the page or its data, and refuses everything else."""
+    """Handler for one request; accepts only the page and its data."""
 
     server: Server
     server_version = "softfin"
     sys_version = ""
     timeout = 3.0
-    """Longest silence of a client within its request or its answer [s]."""
+    """Longest pause of a client during its request or the response [s]."""
 
     def do_GET(self) -> None:
-        """Answer with the page, or the data."""
+        """Return the page or the data."""
         path, _, query = self.path.partition("?")
         if not _is_known(self.headers.get("Host", ""), self.server.host):
-            # Else any web page could read ours through a name of its own that it points at this
-            # computer.
-            self.send_error(HTTPStatus.FORBIDDEN, "not a name of this page")
+            # DNS rebinding: otherwise any web page could read ours through a host name that
+            # resolves to this computer.
+            self.send_error(HTTPStatus.FORBIDDEN, "unknown host name")
         elif self.path == "/":
             self._answer(self.server.page, "text/html; charset=utf-8")
         elif path != "/data":
-            self.send_error(HTTPStatus.NOT_FOUND, "there is only the page")
+            self.send_error(HTTPStatus.NOT_FOUND, "page not found")
         elif match := re.fullmatch(r"(?:since=([0-9]{1,15}))?", query):
             self._answer(self.server.data(int(match[1] or 0)), "application/json")
         else:
-            self.send_error(HTTPStatus.BAD_REQUEST, "since must be a whole number")
+            self.send_error(HTTPStatus.BAD_REQUEST, "since must be an integer")
 
     do_HEAD = do_GET
 
@@ -140,8 +144,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _is_known(host: str, own: str) -> bool:
-    """Whether the address was typed as a number, or as a name that is ours; the port may be that of
-    a tunnel."""
+    """Return whether a Host header is an IP address or one of our names; its port may be that of a
+    tunnel."""
     with contextlib.suppress(ValueError):
         name = urlsplit(f"//{host.strip()}").hostname or ""
         return name in ("localhost", own.lower()) or bool(ipaddress.ip_address(name))

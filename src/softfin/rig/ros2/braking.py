@@ -1,8 +1,7 @@
-"""A stop of a fin made of topics: messages that brake it, sent again and again until the fin is
-seen at rest.
+"""Stop a fin behind ROS 2 topics: send braking messages repeatedly until the fin is at rest.
 
-Whatever hangs in the transport, a send or a look at the fin, hangs in a thread of its own: the stop
-returns in time, and the other messages go out.
+Each kind of message and the reading of the fin have their own threads. If one of them hangs in the
+transport, the stop still returns in time, and the other messages are sent.
 """
 
 import contextlib
@@ -12,32 +11,32 @@ from collections.abc import Callable, Sequence
 from softfin.core.clock import Clock
 
 STOP_S = 0.5
-"""Longest wait for the fin to come to rest [s]; one that goes on is reported."""
+"""Longest wait for the fin to come to rest [s]; a fin that keeps moving is reported."""
 
 REPEAT_S = 0.02
-"""Time between two messages of one kind [s]: a driver that misses one hears the next within two
+"""Time between messages of the same kind [s]; a driver that misses one receives the next within two
 ticks."""
 
 LOOK_S = 0.005
-"""Time between two looks at the fin [s]."""
+"""Time between readings of the fin [s]."""
 
 REST_S = 0.1
-"""Time for which a fin must not turn to count as at rest [s]: ten readings of a driver at 100
-Hz."""
+"""Time for which a fin must not turn to count as at rest [s]; ten readings at 100 Hz."""
 
 REST_RAD = 0.01
-"""Angle within which a fin at rest stays meanwhile [rad]: 0.1 rad/s, and more than the noise of an
-encoder."""
+"""Angle by which a fin at rest may move in this time [rad]; corresponds to 0.1 rad/s and exceeds
+encoder noise."""
 
 
 class RestWatch:
-    """Judges by new readings whether a fin is at rest."""
+    """Detection of a fin at rest, from new readings."""
 
     def __init__(self) -> None:
         self._since: tuple[float, float] | None = None
 
     def is_at_rest(self, time: float, angle: float) -> bool:
-        """Take a reading, at a time [s] and an angle [rad]; the same one again proves nothing."""
+        """Process a reading at `time` [s] and `angle` [rad], and return whether the fin is at rest;
+        a repeated reading has no effect."""
         if self._since is None or abs(angle - self._since[1]) > REST_RAD:
             self._since = (time, angle)
         return time - self._since[0] >= REST_S
@@ -46,17 +45,17 @@ class RestWatch:
 def brake(
     clock: Clock, sends: Sequence[Callable[[], None]], look: Callable[[], tuple[float, float]]
 ) -> bool:
-    """Send messages until the fin is at rest, for `STOP_S` at most; return whether it is.
+    """Send messages until the fin is at rest, for at most `STOP_S`; return whether it is at rest.
 
-    Each of `sends` sends one message. `look` returns time [s] and angle [rad] of the newest
-    reading. Both may raise and hang.
+    Each function in `sends` sends one message. `look` returns the time [s] and angle [rad] of the
+    latest reading. All of them may raise or hang.
     """
     is_over = clock.event()
     at_rest = clock.event()
 
     def repeat(send: Callable[[], None]) -> None:
         while not is_over.is_set():
-            # A send that failed may succeed the next time.
+            # A send that fails may succeed next time.
             with contextlib.suppress(Exception):
                 send()
             is_over.wait(REPEAT_S)
@@ -76,7 +75,7 @@ def brake(
         clock.spawn(watch, "rest")
         return at_rest.wait(STOP_S)
     except RuntimeError:
-        # A computer that cannot start a thread must stop its fin nevertheless.
+        # Stop the fin even if the computer cannot start a thread.
         for send in sends:
             with contextlib.suppress(Exception):
                 send()

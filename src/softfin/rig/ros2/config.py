@@ -1,5 +1,5 @@
-"""Configuration of ROS 2: how to reach other nodes, the topics of softfin's nodes, the topics of a
-fin."""
+"""Configuration for ROS 2: the connection to other nodes, the topics of softfin's nodes, and the
+topics of a fin."""
 
 import os
 import re
@@ -22,7 +22,7 @@ from softfin.core.quantities import Limits
 from softfin.data.importing.importing import FORCE_FRAMES
 
 TopicName = Annotated[str, StringConstraints(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
-"""A full name, as ``/fin/wrench``: no relative ones, no ``~``."""
+"""An absolute topic name, e.g. ``/fin/wrench``; relative names and ``~`` are not allowed."""
 
 MessageType = Annotated[
     str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*/msg/[A-Za-z][A-Za-z0-9_]*$")
@@ -40,67 +40,68 @@ class TransportConfig(Configuration):
 
     transport: TransportName = "auto"
     """auto: rclpy if it is installed, otherwise DDS."""
+    # RTPS uses the UDP ports from 7400 + 250 * domain, so 232 is the largest domain.
     domain: int | None = Field(default=None, ge=0, le=232)
     """ROS domain; None uses the environment variable ROS_DOMAIN_ID, or 0 if it is not set."""
     network: str | None = Field(default=None, pattern=r"^[A-Za-z0-9_.:-]+$")
-    """Network interface for DDS, such as eth0; None for this computer only. rclpy uses ROS's own
-    settings."""
+    """Network interface for DDS, e.g. eth0; None restricts DDS to this computer. rclpy uses ROS's
+    own settings."""
     node: str = Field(default="softfin", pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")
-    """Name of the node, with rclpy."""
+    """Node name, used with rclpy."""
 
     def domain_id(self) -> int:
-        """The domain, from the environment where it is not configured; raises RigError."""
+        """Return the configured domain, or that of the environment; raises RigError if the latter
+        is invalid."""
         if self.domain is not None:
             return self.domain
         text = os.environ.get("ROS_DOMAIN_ID", "").strip() or "0"
         if not text.isdecimal() or int(text) > 232:
             raise RigError(
-                f"ROS_DOMAIN_ID={text}: a domain is a whole number from 0 to 232; correct it or "
-                "unset it"
+                f"ROS_DOMAIN_ID={text}: must be an integer from 0 to 232; correct it or unset it"
             )
         return int(text)
 
 
 class NodeConfig(Configuration):
-    """Topics and frames of the node; the names are those that `softfin import-logs` looks for in a
-    bag."""
+    """Topics and frames of the node; `softfin import-logs` looks for these names in a bag."""
 
     joint_topic: TopicName = "/fin/joint_states"
-    """sensor_msgs/JointState of every sample: angle [rad] and velocity [rad/s]."""
+    """sensor_msgs/JointState for every sample: angle [rad] and velocity [rad/s]."""
     wrench_topic: TopicName = "/fin/wrench"
-    """geometry_msgs/WrenchStamped of every sample: force [N] and torque [N m] of the fin on its
+    """geometry_msgs/WrenchStamped for every sample: force [N] and torque [N m] of the fin on its
     mount."""
     command_topic: TopicName = "/fin/command"
-    """sensor_msgs/JointState of every new command: angle and profile velocity."""
+    """sensor_msgs/JointState for every new command: angle [rad] and profile velocity [rad/s]."""
     reference_topic: TopicName = "/fin/reference"
-    """The reference force, x and y [N]."""
+    """Reference force (x, y) [N]."""
     reference_type: Literal["wrench", "vector3"] = "wrench"
-    """Type of the message: geometry_msgs/WrenchStamped or geometry_msgs/Vector3Stamped."""
+    """Message type of the reference: geometry_msgs/WrenchStamped or
+    geometry_msgs/Vector3Stamped."""
     stop_topic: TopicName = "/fin/stop"
     """std_msgs/Bool: true stops the fin; false does not cancel the stop."""
     joint_name: str = "fin"
     """Name of the joint in the messages."""
     frame: str = "fin_mount"
-    """Frame of the forces: +x is thrust that pushes the robot forward."""
+    """Frame of the forces; +x is forward thrust on the robot."""
     reference_timeout_s: PositiveFloat | None = 1.0
-    """Age after which a reference expires [s]; None keeps the newest one forever."""
+    """Age after which a reference expires [s]; None keeps the latest one forever."""
     reference_lost: Literal["keep", "zero", "stop"] = "keep"
-    """Reaction to an expired reference. keep: go back to --reference; zero: set the target to 0 N,
+    """Reaction to an expired reference. keep: return to --reference; zero: set the target to 0 N,
     for which the fin may still beat; stop: stop the fin."""
     reference_limit_n: PositiveFloat = Field(default=20.0)
-    """Largest reference on either axis; others are refused [N]. The default is twice what a fin
-    like the paper's can produce."""
+    """Maximum reference on either axis [N]; larger ones are rejected. The default is twice what a
+    fin like the paper's can produce."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """How to reach other nodes."""
 
     @classmethod
     def of_fin(cls, name: str) -> "NodeConfig":
-        """Return the defaults for one fin of a robot: topics under its name, and a stop if its
-        robot's node is lost."""
+        """Return the defaults for one fin of a robot: topics under the fin's name, and a stop if
+        the robot's node is lost."""
         if not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", name, re.ASCII):
             raise ConfigurationError(
-                f"fin {name!r}: cannot be part of a topic name; use letters, digits and _, such as "
+                f"fin {name!r}: cannot be part of a topic name; use letters, digits and _, e.g. "
                 "front_left, or ucat/front_left in a namespace"
             )
         connection = TransportConfig(node=name.replace("/", "_"))
@@ -117,29 +118,29 @@ class NodeConfig(Configuration):
 
 
 class RobotNodeConfig(Configuration):
-    """Topics of a robot's node, its frame, and what its fins can make.
+    """Topics and frame of a robot's node, and the forces of its fins.
 
-    `vehicle_frame_id` and `max_thrust` mean what they mean in auv_controllers; its allocation
-    matrix (`tam`) and names (`thrusters`) follow from the robot's file here.
+    `vehicle_frame_id` and `max_thrust` have the same meaning as in auv_controllers; the allocation
+    matrix (`tam`) and names (`thrusters`) of that package are derived from the robot's file here.
     """
 
     reference_topic: TopicName = "/robot/reference"
-    """geometry_msgs/WrenchStamped: the target wrench, force [N] and torque [N m] about the
-    origin."""
+    """geometry_msgs/WrenchStamped: target wrench, with force [N] and torque about the origin [N
+    m]."""
     wrench_topic: TopicName = "/robot/wrench"
-    """geometry_msgs/WrenchStamped: the wrench that the fins' references make together."""
+    """geometry_msgs/WrenchStamped: total wrench of the fins' references."""
     saturated_topic: TopicName = "/robot/saturated"
-    """std_msgs/Bool: true if a part of the target wrench is beyond the fins' reach."""
+    """std_msgs/Bool: true if part of the target wrench is out of the fins' reach."""
     stop_topic: TopicName = "/robot/stop"
     """std_msgs/Bool: true stops every fin and this node; false does not cancel the stop."""
     vehicle_frame_id: str = "base_link"
     """Frame of both wrenches: x forward, y left, z up (REP 103)."""
     fin_prefix: str = Field(default="", pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)*$")
-    """Namespace of the fins, as /ucat: the topics of each are PREFIX/NAME/reference, /joint_states
-    and /stop."""
+    """Namespace of the fins, e.g. /ucat; the topics of each fin are PREFIX/NAME/reference,
+    /joint_states and /stop."""
     max_thrust: PositiveFloat | dict[str, PositiveFloat] | None = None
-    """Maximum mean force that a fin produces in every direction [N]: one number, or one per fin
-    name. Required, because it depends on your fins and their controllers."""
+    """Maximum mean force that each fin can produce in every direction [N]: one number for all, or
+    one per fin name. Required, because it depends on your fins and their controllers."""
     reference_timeout_s: PositiveFloat = 1.0
     """Age after which a wrench expires [s]."""
     reference_lost: Literal["zero", "stop"] = "stop"
@@ -156,7 +157,7 @@ class RobotNodeConfig(Configuration):
 
 
 def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
-    """Return the topics of the node of a robot's fin, by their names in NodeConfig."""
+    """Return the topics of a fin's node, by field name of NodeConfig."""
     return {
         "joint_topic": f"{prefix}/{name}/joint_states",
         "wrench_topic": f"{prefix}/{name}/wrench",
@@ -167,74 +168,76 @@ def fin_topics(name: str, prefix: str = "") -> dict[str, str]:
 
 
 def check_names(topics: Sequence[str]) -> None:
-    """Raise ValueError where two topics have one name."""
+    """Raise ValueError if two topics have the same name."""
     if twice := sorted({name for name in topics if topics.count(name) > 1}):
-        raise ValueError(f"{', '.join(twice)} is used for two topics; give each its own name")
+        raise ValueError(f"{', '.join(twice)} is used for two topics; use different names")
 
 
 class FlipperConfig(Configuration):
-    """Message that moves the flipper. A field is named by its path: ``zero_direction``,
+    """Message that moves the flipper. Fields are specified by path, e.g. ``zero_direction`` or
     ``flippers.2.amplitude``."""
 
     type: MessageType
-    """Type of the message: package/msg/Type."""
+    """Message type, as package/msg/Type."""
     definitions: dict[MessageType, str] = Field(default_factory=dict)
-    """Text of the .msg file of each type that ROS 2 itself does not have, by package/msg/Type."""
+    """Text of the .msg file for each type that is not part of ROS 2, by package/msg/Type."""
     zero_direction: str = "zero_direction"
-    """Field that takes the angle [rad]."""
+    """Field for the angle [rad]."""
     amplitude: str = "amplitude"
-    """Field that takes 0: the flipper does not oscillate by itself."""
+    """Field set to 0, so that the flipper does not oscillate by itself."""
     constants: dict[str, float | bool | str] = Field(default_factory=dict)
-    """Other fields that must not be 0 or empty, such as a frequency or the flipper's number."""
+    """Values of other fields that must not be 0 or empty, e.g. a frequency or the flipper's
+    number."""
     rate_hz: float = Field(default=20.0, gt=0, le=100)
-    """Messages a second [Hz]."""
+    """Message rate [Hz]."""
 
 
 class Ros2PlantConfig(Configuration):
-    """Topics of the fin. What depends on the robot has no default."""
+    """Topics of the fin; fields that depend on the robot have no default."""
 
     joint_topic: TopicName
     """sensor_msgs/JointState with the shaft's angle, at 100 Hz or more."""
     joint_name: str = Field(min_length=1)
-    """The fin's name in it."""
+    """Name of the fin's joint in the messages."""
     wrench_topic: TopicName
-    """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more, filtered for 100 Hz
-    by its driver."""
+    """geometry_msgs/WrenchStamped of the fin on its mount, at 100 Hz or more, with anti-alias
+    filtering for 100 Hz in its driver."""
     frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
-    """softfin's +x (thrust that pushes the robot forward) and +y, in the sensor's own axes:
-    ``y,-x``."""
+    """Sensor axes along softfin's +x (forward thrust on the robot) and +y, e.g. ``y,-x``."""
     command_topic: TopicName
     """sensor_msgs/JointState with position and velocity, or the flipper's message."""
     flipper: FlipperConfig | None = None
-    """Configuration for robots of the U-CAT family: commands as flipper messages."""
+    """Configuration for robots of the U-CAT family, with commands as flipper messages."""
     negate_angle: bool = False
     """Whether the driver's angles, velocities and commands have the opposite sign."""
     limits: LimitsField
-    """The commands that the fin accepts: angle_min_rad, angle_max_rad, velocity_min_rad_s,
+    """Range of accepted commands: angle_min_rad, angle_max_rad, velocity_min_rad_s,
     velocity_max_rad_s."""
     stop_topic: TopicName | None = None
-    """std_msgs/Bool on which the driver brakes and disables its motor. None: a stop is a command to
-    hold."""
+    """std_msgs/Bool topic; on true, the driver must brake and disable its motor. None: a stop only
+    commands the fin to hold its angle."""
     stop_release: bool = False
-    """Send false on the stop topic when the fin is enabled; use it only if that cannot cancel
-    another program's stop."""
+    """Whether to send false on the stop topic when the fin is enabled; use only if that cannot
+    cancel another program's stop."""
     driver_delay_s: float = Field(default=0.15, ge=0, le=1)
     """Time by which the fin may lag behind its commands [s]: the driver's delay plus its ramps
-    (twice the velocity divided by the acceleration). Only a longer lag is a following error."""
+    (twice the velocity divided by the acceleration). Only a longer lag counts as a following
+    error."""
     best_effort: bool = True
-    """Read joint and wrench as sensor data: this matches every publisher, and lost readings are not
-    sent again."""
+    """Whether to subscribe to joint and wrench with best effort: this matches every publisher, and
+    lost readings are not sent again."""
     wait_s: PositiveFloat = Field(default=5.0, le=120)
     """Longest wait for the first messages [s]."""
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """How to reach the driver."""
 
     def check_apart(self, node: NodeConfig) -> None:
-        """Raise RigError where the node would publish on a topic of this fin, or take one for a
+        """Raise RigError if the node would publish on a topic of this fin or read one as its
         reference."""
         ours = {self.joint_topic, self.wrench_topic, self.command_topic, self.stop_topic}
         for name in ("joint_topic", "wrench_topic", "command_topic", "reference_topic"):
             if (topic := getattr(node, name)) in ours:
                 raise RigError(
-                    f"{name} = {topic}: already a topic of the fin; use another: --set {name}=/NAME"
+                    f"{name} = {topic}: already a topic of the fin; use another one: --set "
+                    f"{name}=/NAME"
                 )

@@ -1,10 +1,10 @@
-"""ROS 2's topics without ROS 2: over DDS, with its names, types and quality of service; on this
-computer alone.
+"""ROS 2 topics without ROS 2: plain DDS with ROS 2's names, types and quality of service; by
+default only on this computer.
 
-Names after ROS 2's design article "Topic and Service name mapping to DDS": ``/fin/wrench`` is the
-topic ``rt/fin/wrench``, ``geometry_msgs/msg/Wrench`` the type
-``geometry_msgs::msg::dds_::Wrench_``. Tried between processes of this library on loopback only: it
-has not met a node of ROS 2.
+Names follow ROS 2's design article "Topic and Service name mapping to DDS": ``/fin/wrench`` is the
+topic ``rt/fin/wrench``, and ``geometry_msgs/msg/Wrench`` is the type
+``geometry_msgs::msg::dds_::Wrench_``. Tested only between softfin processes on loopback, not yet
+with a ROS 2 node.
 """
 
 import functools
@@ -35,24 +35,24 @@ except ImportError:
 
 URI = "CYCLONEDDS_URI"
 
-# Its types take their lengths in brackets, in a way of their own that type checkers do not know.
+# Lengths of these types are given in brackets, which type checkers do not understand.
 IDL: Any = types
 
 BASES = {"byte": types.int8, "char": types.uint8, "string": str, "bool": bool}
-"""Types that have other names there."""
+"""ROS 2 types with different names in IDL."""
 
-# A slow reader may hold up a writer for half a tick [ns].
+# A slow reader may block a writer for at most half a tick [ns].
 RELIABLE = Policy.Reliability.Reliable(5_000_000)
 
-# ROS 2 speaks the first version of CDR; cyclonedds would offer the second one too.
+# ROS 2 uses version 1 of CDR; cyclonedds would otherwise offer version 2 as well.
 REPRESENTATION = Policy.DataRepresentation(
     use_cdrv0_representation=True, use_xcdrv2_representation=False
 )
 
 
 class Carrier(IdlStruct):
-    """Bytes as they go over the wire: softfin's messages are CDR already, and what comes is decoded
-    elsewhere."""
+    """Raw bytes as sent over the network: softfin's messages are already CDR, and received ones are
+    decoded elsewhere."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -70,7 +70,8 @@ class Carrier(IdlStruct):
 
 
 def idl_type(kind: str, typestore: Typestore, carries: bool = False) -> Any:
-    """The DDS type of a message; with `carries` its samples hold CDR in place of fields."""
+    """Return the DDS type of a message; if `carries` is set, its samples contain CDR instead of
+    fields."""
     fields = {
         name: _idl_field(descriptor, typestore) for name, descriptor in typestore.fielddefs[kind][1]
     }
@@ -100,8 +101,8 @@ def _idl_field(descriptor: Any, typestore: Typestore) -> Any:
 
 
 def configuration(network: str | None) -> str:
-    """Cyclone DDS's configuration for a network interface; None is this computer alone: loopback,
-    no multicast."""
+    """Return Cyclone DDS's configuration for a network interface; None restricts it to this
+    computer (loopback without multicast)."""
     if network is not None:
         inner = f'<General><Interfaces><NetworkInterface name="{network}"/></Interfaces></General>'
     else:
@@ -116,36 +117,35 @@ def configuration(network: str | None) -> str:
 
 
 class DdsTransport:
-    """Meets the Transport contract."""
+    """Transport over Cyclone DDS."""
 
     def __init__(self, config: TransportConfig, typestore: Typestore) -> None:
-        """`typestore` has the types of all messages."""
+        """`typestore` must contain the types of all messages."""
         self._types = typestore
         number = config.domain_id()
         network = config.network
         self.notes: tuple[str, ...] = ()
         try:
             if os.environ.get(URI):
-                ignored = "" if network is None else f": --network {network} does not count"
-                self.notes = (f"DDS is set up by {URI}{ignored}",)
+                ignored = "" if network is None else f", so --network {network} is ignored"
+                self.notes = (f"DDS is configured by {URI}{ignored}",)
             else:
                 _open_domain(number, network)
                 if network is not None:
                     self.notes = (
-                        f"everybody on the network of {network} can read these topics and write to "
-                        "them",
+                        f"everyone on the network of {network} can read and write these topics",
                     )
             self._participant: Any = DomainParticipant(number)
         except DDSException as error:
             raise DeviceError(
-                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, that the "
-                f"network interface ({network or 'loopback'}) is there and up, and that no other "
-                "one was given for this domain"
+                f"DDS domain {number} cannot be used ({one_line(error)}); check {URI}, and make "
+                f"sure that the network interface ({network or 'loopback'}) exists and is up, and "
+                "that this program does not use another interface for this domain"
             ) from None
         self._own: set[str] = set()
 
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
-        """A writer of its own."""
+        """Create a writer."""
         there = self._topic(topic, kind)
         writer: Any = DataWriter(self._participant, there, qos=_offered(deadline_s))
         self._own.add(str(writer.get_guid()))
@@ -155,13 +155,14 @@ class DdsTransport:
                 writer.write(there.data_type(data))
             except DDSException as error:
                 raise DeviceError(
-                    f"{topic}: not sent ({one_line(error)}); is its reader too slow?"
+                    f"{topic}: message not sent ({one_line(error)}); check whether its reader is "
+                    "too slow"
                 ) from None
 
         return Publisher(send, lambda: int(writer.get_publication_matched_status().current_count))
 
     def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
-        """A reader of its own, which keeps the last messages."""
+        """Create a reader, which keeps the latest messages."""
         reader: Any = DataReader(self._participant, self._topic(topic, kind), qos=_asked(quality))
 
         def take() -> list[tuple[bytes, float]]:
@@ -169,7 +170,7 @@ class DdsTransport:
                 found = reader.take(DEPTH)
             except DDSException as error:
                 raise DeviceError(
-                    f"{topic}: cannot be read ({one_line(error)}); start again"
+                    f"{topic}: cannot be read ({one_line(error)}); start softfin again"
                 ) from None
             now = time.monotonic()
             return [(sample.data, now) for sample in found if not isinstance(sample, InvalidSample)]
@@ -179,22 +180,24 @@ class DdsTransport:
         )
 
     def topics(self) -> dict[str, str]:
-        """Topics that other nodes publish, from DDS's own discovery."""
+        """Return the topics published by other nodes, with their types, from DDS discovery."""
         if self._participant is None:
             return {}
         found = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication).take(1000)
-        there = [
-            one for one in found if str(one.key) not in self._own and one.sample_info.valid_data
-        ]
-        kinds = [
-            one.type_name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
-            for one in there
-        ]
-        pairs = zip((one.topic_name for one in there), kinds, strict=True)
-        return dict(sorted((name[2:], kind) for name, kind in pairs if name.startswith("rt/")))
+        topics = []
+        for publication in found:
+            # Other fields are empty if the sample is not valid.
+            if str(publication.key) in self._own or not publication.sample_info.valid_data:
+                continue
+            # ROS 2 adds the prefix "rt" to topic names.
+            if publication.topic_name.startswith("rt/"):
+                kind = publication.type_name.replace("::dds_::", "::").removesuffix("_")
+                topics.append((publication.topic_name[2:], kind.replace("::", "/")))
+        return dict(sorted(topics))
 
     def close(self) -> None:
-        """Leave; readers and writers that somebody still holds go with the last one who does."""
+        """Release the participant; readers and writers still in use are closed with their last
+        reference."""
         self._participant = None
 
     def _topic(self, topic: str, kind: str) -> Any:
@@ -209,7 +212,7 @@ class DdsTransport:
 
 
 def _asked(quality: Quality) -> Any:
-    """Quality of service of a reader."""
+    """Return the quality of service for a reader."""
     return Qos(
         Policy.Reliability.BestEffort if quality == "best_effort" else RELIABLE,
         Policy.History.KeepLast(DEPTH),
@@ -219,7 +222,7 @@ def _asked(quality: Quality) -> Any:
 
 
 def _offered(deadline_s: float | None) -> Any:
-    """Quality of service of a writer."""
+    """Return the quality of service for a writer."""
     policies = [
         RELIABLE,
         Policy.History.KeepLast(DEPTH),
@@ -228,13 +231,13 @@ def _offered(deadline_s: float | None) -> Any:
     ]
     if deadline_s is not None:
         deadline_ns = round(deadline_s * 1e9)
-        # By topic: only messages keep it alive. A softfin that hangs must not look alive because
-        # its middleware is.
+        # Manual by topic, so that only messages assert liveliness: a hung softfin must not look
+        # alive because its middleware is.
         policies += [Policy.Deadline(deadline_ns), Policy.Liveliness.ManualByTopic(deadline_ns)]
     return Qos(*policies)
 
 
 @functools.cache
 def _open_domain(number: int, network: str | None) -> Any:
-    """The DDS domain with our configuration, shared by the whole process."""
+    """Open a DDS domain with our configuration; cached, because the whole process must share it."""
     return Domain(number, configuration(network))

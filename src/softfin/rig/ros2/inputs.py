@@ -1,5 +1,5 @@
-"""Inputs of softfin's nodes: the newest reference with a timeout, the emergency stop; and remarks,
-each once."""
+"""Inputs of softfin's nodes: the latest reference with a timeout, and the emergency stop; also
+reports each note only once."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar
@@ -10,25 +10,25 @@ from softfin.rig.ros2.connection import BOOL, Quality, Subscription, Transport
 InputValue = TypeVar("InputValue")
 
 MAX_REMARKS = 20
-"""Different remarks that are reported; more are only counted."""
+"""Maximum number of different notes to report; further ones are dropped."""
 
 
 class OnceReporter:
-    """Reports remarks for the user, each once."""
+    """Reporter that passes each note to the user only once."""
 
     def __init__(self, report: Callable[[str], None]) -> None:
         self.report = report
         self._reported: set[str] = set()
 
     def __call__(self, line: str) -> None:
-        """Report a line that was not there before; many different ones are dropped."""
+        """Report a line unless it was reported before or there are already `MAX_REMARKS` lines."""
         if line not in self._reported and len(self._reported) < MAX_REMARKS:
             self._reported.add(line)
             self.report(line)
 
 
 class NewestReference(Generic[InputValue]):
-    """The newest reference of a topic, for as long as it counts."""
+    """The latest reference on a topic, until it expires."""
 
     def __init__(
         self,
@@ -37,19 +37,18 @@ class NewestReference(Generic[InputValue]):
         clock: Callable[[], float],
         once: OnceReporter,
     ) -> None:
-        """`timeout_s` is the age beyond which a reference does not count any more [s]; None:
-        never."""
+        """`timeout_s` is the age after which a reference expires [s]; None means never."""
         self.subscription = subscription
         self._timeout = timeout_s
         self._clock = clock
         self._once = once
         self._newest: tuple[float, InputValue] | None = None
         self.is_lost = False
-        """Whether references came, and the newest is too old."""
+        """Whether references were received and the latest has expired."""
 
     def newest(self) -> InputValue | None:
-        """The newest reference that counts; None where none has come, or the newest is too old,
-        which is reported."""
+        """Return the latest reference; None if there is none or it has expired, which is
+        reported."""
         try:
             self._newest = next(reversed(self.subscription.take()), self._newest)
         except DeviceError as error:
@@ -59,7 +58,8 @@ class NewestReference(Generic[InputValue]):
         if self.subscription.mismatched():
             topic = self.subscription.topic
             self._once(
-                f"{topic}: a publisher cannot be received; it must be reliable, not best effort"
+                f"{topic}: messages of a publisher cannot be received; it must be reliable, not "
+                "best effort"
             )
         newest = self._newest
         timeout = self._timeout
@@ -68,22 +68,23 @@ class NewestReference(Generic[InputValue]):
         if newest is not None and self.is_lost:
             self._newest = newest = None
             topic = self.subscription.topic
-            self._once.report(f"{topic}: no reference for {timeout:g} s: the last one has expired")
+            self._once.report(
+                f"{topic}: no reference for {timeout:g} s, so the last one has expired"
+            )
         return None if newest is None else newest[1]
 
 
 QUALITIES: tuple[Quality, ...] = ("reliable", "best_effort", "latched")
-"""Readers of an emergency stop. A reliable one alone is deaf to a best-effort publisher, such as a
-radio bridge or a joystick's driver, and to a `true` that was latched before the node started; DDS
-reports neither to the publisher."""
+"""Qualities of service of the readers of an emergency stop. A reliable reader alone does not
+receive messages from a best-effort publisher, such as a radio bridge or a joystick driver, or a
+`true` latched before the node started; DDS reports neither to the publisher."""
 
 
 class EmergencyStop:
-    """A topic of std_msgs/Bool on which true is a stop for good; a message that cannot be read is
-    one, too."""
+    """A std_msgs/Bool topic on which `true` or an unreadable message is a permanent stop."""
 
     def __init__(self, transport: Transport, topic: str, once: OnceReporter) -> None:
-        """`once` gets remarks for the user."""
+        """`once` receives notes for the user."""
         self._topic = topic
         self._once = once
         self._subscriptions = {
@@ -96,37 +97,36 @@ class EmergencyStop:
 
     @property
     def refused(self) -> int:
-        """Number of messages that could not be read; each comes to several readers and counts
-        once."""
+        """Number of unreadable messages; each reaches several readers but is counted once."""
         return max(subscription.refused for subscription in self._subscriptions.values())
 
     def reason(self) -> str | None:
-        """Reason to stop for good; None where nobody has asked for it."""
+        """Return the reason for a permanent stop; None if none was requested."""
         if self._reason is None:
             try:
                 self._reason = next(
                     filter(None, map(self._read_stop, self._subscriptions.values())), None
                 )
-                # The other readers do not match every publisher, and need not: this one asks for
-                # the least.
+                # Only this reader must match every publisher, because it requests the least.
                 if self._subscriptions["best_effort"].mismatched():
-                    problem = "a publisher cannot be received, so it cannot stop the fin"
+                    problem = (
+                        "messages of a publisher cannot be received, so it cannot stop the fin"
+                    )
                     self._once(
-                        f"{self._topic}: {problem}; give it ROS 2's default quality of service"
+                        f"{self._topic}: {problem}; use ROS 2's default quality of service for it"
                     )
             except DeviceError as error:
-                self._reason = f"emergency stop cannot be heard: {error}"
+                self._reason = f"emergency stop cannot be received: {error}"
         return self._reason
 
     def _read_stop(self, subscription: Subscription[bool]) -> str | None:
         refused = subscription.refused
         if any(stop for _, stop in subscription.take()):
             return f"emergency stop on {self._topic}"
-        # A readable message after it does not take an unreadable one back.
+        # A readable message does not cancel an earlier unreadable one.
         if subscription.refused > refused:
             reason = (
-                subscription.refusal
-                or f"{self._topic}: a message cannot be read; correct its publisher"
+                subscription.refusal or f"{self._topic}: unreadable message; correct its publisher"
             )
             return f"emergency stop: {reason}"
         return None

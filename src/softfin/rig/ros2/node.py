@@ -1,7 +1,7 @@
-"""softfin as a ROS 2 node: every sample and command goes out as messages; references and the
-emergency stop come in.
+"""softfin as a ROS 2 node: publishes every sample and command, and receives references and the
+emergency stop.
 
-Called by the thread of the loop; nothing here waits, and nothing here moves the fin.
+Called from the loop's thread; nothing here waits or moves the fin.
 """
 
 import functools
@@ -20,7 +20,7 @@ from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
 
 class RosNode:
-    """Between the loop and other nodes. An unusable message is counted, never obeyed."""
+    """Node between the loop and other nodes. Unusable messages are counted and ignored."""
 
     def __init__(
         self,
@@ -30,11 +30,11 @@ class RosNode:
         resolve: ResolveReference = lambda force: (force, None),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`report` gets remarks for the user, each once; `resolve` maps a reference to the one that
-        is tracked."""
+        """`report` receives notes for the user, each only once; `resolve` maps a reference to the
+        tracked one."""
         self.config = topics
         self._report_once = OnceReporter(report)
-        # References are published again and again: the newest one is kept.
+        # References are published repeatedly, so cache the latest result.
         self._resolve = functools.lru_cache(maxsize=1)(resolve)
         self.joint = transport.publish(topics.joint_topic, JOINT_STATE)
         self._wrench = transport.publish(topics.wrench_topic, WRENCH_STAMPED)
@@ -46,18 +46,17 @@ class RosNode:
         self._references = NewestReference(
             subscription, topics.reference_timeout_s, clock, self._report_once
         )
-        # A controller that cannot make it is refused before anything moves.
+        # Reject a controller that cannot track 0 N before anything moves.
         self._no_force = resolve((0.0, 0.0))[0] if topics.reference_lost == "zero" else None
         self._stop = EmergencyStop(transport, topics.stop_topic, self._report_once)
         self._published: Target | None = None
         self._unsent = 0
 
     def publish(self, sample: Sample, target: Target | None) -> None:
-        """Publish one sample, and the command where it is a new one; what cannot go out is
-        counted."""
+        """Publish one sample, and the command if it is new; count samples that cannot be sent."""
         frame = self.config.frame
         name = self.config.joint_name
-        # Both clocks at the same moment: this computer's date may be set at any time.
+        # Read both clocks at the same time, because the wall clock may be set at any time.
         ahead = time.time_ns() - round(time.monotonic() * 1e9)
         stamp, force_stamp = (round(at * 1e9) + ahead for at in (sample.time, sample.force_time))
         try:
@@ -71,37 +70,37 @@ class RosNode:
             self._report_once(str(error))
 
     def reference(self) -> MeasuredForce | None:
-        """The newest reference that counts; where it is too old, no force or None, as
-        configured."""
+        """Return the latest reference; if it has expired, zero force or None, as configured."""
         newest = self._references.newest()
         return self._no_force if newest is None and self._references.is_lost else newest
 
     def stop_reason(self) -> str | None:
-        """Reason to stop for good; None where nobody has asked for it. An unreadable message stops,
-        too."""
+        """Return the reason for a permanent stop, which includes an unreadable message; None if
+        there is none."""
         return self._stop.reason()
 
     def observe(self, request: StopRequest, sample: Sample, target: Target | None) -> None:
-        """Publish a sample, and pass on a stop: as an observer of the session."""
+        """Publish a sample and forward stops, as an observer of the session."""
         reason = self.stop_reason()
         if reason is not None:
             request.ask("emergency_stop", reason)
-        # Taken here too, so that its age counts from when it came, not from the next action.
+        # Also receive references here, so that their age counts from their arrival and not from the
+        # next action.
         self.reference()
         if self._references.is_lost and self.config.reference_lost == "stop":
-            # A fin whose robot, radio or operator is gone must not go on swimming.
+            # A fin without its robot, radio link or operator must not keep swimming.
             topic = self.config.reference_topic
             timeout_s = self.config.reference_timeout_s
             reason = (
-                f"{topic}: no reference for {timeout_s:g} s; start its publisher, then this node "
-                "again"
+                f"{topic}: no reference for {timeout_s:g} s; start its publisher, then restart "
+                "this node"
             )
             request.ask("reference_lost", reason)
         self.publish(sample, target)
 
     def counters(self) -> dict[str, int]:
-        """Counts of references and stops that came and were refused, and of samples that did not go
-        out."""
+        """Return the numbers of references received, of references and stops rejected, and of
+        samples not sent."""
         references = self._references.subscription
         return {
             "references": references.received - references.refused,
@@ -111,12 +110,12 @@ class RosNode:
         }
 
     def _tracked(self, message: object) -> MeasuredForce:
-        """The reference that is tracked for a message; raises ValueError where it is refused."""
+        """Return the tracked reference for a message; raises ValueError if it is rejected."""
         force = read_reference_message(message, self.config.frame)
         limit = self.config.reference_limit_n
         if max(map(abs, force)) > limit:
             raise ValueError(
-                f"it is ({force[0]:g}, {force[1]:g}) N; reference_limit_n is {limit:g} N"
+                f"({force[0]:g}, {force[1]:g}) N exceeds reference_limit_n = {limit:g} N"
             )
         try:
             tracked, warning = self._resolve(force)

@@ -1,8 +1,7 @@
-"""A fin made of topics: any driver that publishes a joint and a wrench, and takes commands, in
-place of our devices.
+"""A fin behind ROS 2 topics: any driver that publishes a joint and a wrench and accepts commands,
+instead of our devices.
 
-Tried with drivers of our own making on loopback; it has met neither a real driver nor a node of ROS
-2.
+Tested with our own drivers on loopback, not yet with a real driver or a ROS 2 node.
 """
 
 import contextlib
@@ -42,24 +41,25 @@ from softfin.storage.bag.messages import (
 )
 
 COMMAND_RATE_HZ = 20.0
-"""Rate at which a JointState command is repeated [Hz]."""
+"""Repetition rate of JointState commands [Hz]."""
 
 COMMAND_DEADLINE_S = 0.2
-"""Silence on the command topic after which a driver should stop its fin [s]: four commands are
-missing by then, and it is longer than the lateness of a tick that safety tolerates by default."""
+"""Time without commands after which a driver should stop its fin [s]: four commands are missing by
+then, and it exceeds the default limit on the lateness of a tick."""
 
 LOCK_S = 0.02
-"""Longest wait of a stop for a command in progress [s]; it takes 5 ms at most, unless it hangs."""
+"""Longest wait of a stop for a command in progress [s], which takes at most 5 ms unless it
+hangs."""
 
 
 def open_transport(config: TransportConfig, types: Typestore | None = None) -> Transport:
-    """rclpy where it is installed, else DDS, or as configured; raises RigError where that is not
-    installed."""
+    """Open the configured transport (auto: rclpy if installed, otherwise DDS); raises RigError if
+    it is not installed."""
     installed = importlib.util.find_spec("rclpy") is not None
     if config.transport == "rclpy" and not installed:
         raise RigError(
-            "rclpy is not installed in this Python; source ROS 2's setup file, or use transport: "
-            "dds"
+            "rclpy is not installed in this Python environment; source ROS 2's setup file, or "
+            "use transport: dds"
         )
     if config.transport == "rclpy" or (config.transport == "auto" and installed):
         from softfin.rig.ros2.rclpy import RclpyTransport
@@ -71,7 +71,8 @@ def open_transport(config: TransportConfig, types: Typestore | None = None) -> T
 
 
 def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> bytes:
-    """The message by which the flipper stands at an angle [rad]; else raises RigError."""
+    """Return the message that moves the flipper to an angle [rad]; raises RigError if it cannot be
+    built."""
     seconds, rest = divmod(time.time_ns(), SECOND_NS)
     stamp = {"header.stamp.sec": seconds, "header.stamp.nanosec": rest}
     try:
@@ -79,41 +80,39 @@ def encode_flipper(config: FlipperConfig, types: Typestore, angle: float) -> byt
         values = config.constants | {config.amplitude: 0.0, config.zero_direction: angle}
         return serialized(config.type, {**(stamp if has_header else {}), **values}, types)
     except Exception as error:
-        # Unknown types, fields that are not there and values that do not fit fail in ways of their
-        # own.
+        # Unknown types, missing fields and wrong values raise many kinds of exceptions.
         reason = f"{type(error).__name__}: {one_line(error)}"
         raise RigError(
             f"flipper: {config.type} cannot be built ({reason}); put the .msg text of each type "
-            "that ROS 2 lacks into flipper.definitions, and write fields as paths of names and "
-            "indices, such as flippers.2.amplitude"
+            "that ROS 2 does not have into flipper.definitions, and write fields as paths of "
+            "names and indices, e.g. flippers.2.amplitude"
         ) from None
 
 
 def define_types(definitions: Mapping[str, str]) -> Typestore:
-    """ROS 2's own types, and others by the text of their .msg files; raises RigError where that is
-    not such a text."""
+    """Return ROS 2's own types and those defined by the text of .msg files; raises RigError if a
+    text is invalid."""
     types = get_typestore(Stores.ROS2_HUMBLE)
     kind = ""
     try:
         for kind, text in definitions.items():
             types.register(get_types_from_msg(text, kind))
     except Exception as error:
-        # The parser and the registration fail in ways of their own.
+        # The parser and the registration raise many kinds of exceptions.
         raise RigError(
-            f"message {kind}: its definition cannot be used ({one_line(error)}); copy it from its "
-            ".msg file"
+            f"message {kind}: invalid definition ({one_line(error)}); copy it from its .msg file"
         ) from None
     return types
 
 
 class SentCommands:
-    """Commands as messages, repeated while they are in force, and the set-point that goes to the
-    target meanwhile."""
+    """Commands as messages, repeated while they are in force, and the setpoint that moves towards
+    the target."""
 
     def __init__(
         self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float
     ) -> None:
-        """`encode` makes a message of the target and the set-point [rad]."""
+        """`encode` builds a message from the target and the setpoint [rad]."""
         self.publisher = publisher
         self._encode = encode
         self._period = period_s
@@ -121,13 +120,14 @@ class SentCommands:
         self.restart()
 
     def restart(self) -> None:
-        """Begin the next set-point at the measured angle."""
+        """Start the next setpoint at the measured angle."""
         self.target: Target | None = None
-        """Target of the set-point; None where that begins at the measured angle."""
+        """Target of the setpoint; None if the next setpoint starts at the measured angle."""
         self._recent: deque[tuple[float, float]] = deque()
 
     def send(self, target: Target, angle: float, now: float) -> None:
-        """Move on from where the set-point is; from the measured angle where there is none yet."""
+        """Move to a target from the current setpoint, or from the measured angle if there is none
+        yet."""
         self._setpoint = angle if self.target is None else self._at(self.target, now)
         self.target = target
         self._since = now
@@ -135,37 +135,40 @@ class SentCommands:
         self.tick(now)
 
     def tick(self, now: float) -> None:
-        """Send the next message, where it is due."""
-        # Ticks come a little early and late.
+        """Send the next message if it is due."""
+        # Ticks may be slightly early or late.
         if self.target is not None and now >= self._next - 1e-3:
-            # In step with the first one; what a late tick has missed is not made up for.
+            # Stay in phase with the first message; messages missed in a late tick are not made up
+            # for.
             self._next += self._period * (max((now - self._next) // self._period, 0) + 1)
             self.publisher.send(self._encode(self.target, self._at(self.target, now)))
 
     def hold(self, angle: float, velocity: float) -> None:
-        """Send one message by which it stays at an angle [rad]; from any thread."""
+        """Send one message that holds the fin at an angle [rad]; may be called from any thread."""
         self.publisher.send(self._encode(Target(angle, velocity), angle))
 
     def following_error(self, angle: float, now: float, delay_s: float) -> float:
-        """Return by how much the set-point leads a measured angle [rad].
+        """Return the lead of the setpoint over a measured angle [rad].
 
-        A fin that is where any set-point of the last `delay_s` was has no error: the driver may be
-        late by so much.
+        The error is 0 if the angle is within the range of the setpoints of the last `delay_s` [s],
+        because the driver may lag by that much.
         """
         assert self.target is not None
         self._recent.append((now, self._at(self.target, now)))
         while self._recent[0][0] < now - delay_s:
             self._recent.popleft()
+        # Signed distance of the angle from the interval of recent setpoints.
         setpoints = [setpoint for _, setpoint in self._recent]
         return max(min(setpoints) - angle, 0.0) + min(max(setpoints) - angle, 0.0)
 
     def _at(self, target: Target, now: float) -> float:
+        # A ramp at constant velocity from the setpoint at the time of the command.
         reach = target.velocity * (now - self._since)
         return self._setpoint + min(max(target.angle - self._setpoint, -reach), reach)
 
 
 class _Topics(NamedTuple):
-    """Everything that is open."""
+    """Open topics and their transport."""
 
     transport: Transport
     joint: Subscription[tuple[float, float | None]]
@@ -175,12 +178,12 @@ class _Topics(NamedTuple):
 
 
 class Ros2Machine:
-    """Meets the Machine contract.
+    """A fin behind ROS 2 topics that implements the `Machine` protocol.
 
     The driver determines how a stop works. `stop` commands the fin to hold its last measured angle,
-    so that the driver brakes it. With a `stop_topic`, it also sends `true` there. It repeats both
-    until the fin is at rest. The motor may stay on. A driver that ignores the messages does not
-    stop, which is reported. Keep a switch for the motor's supply at hand.
+    so that the driver brakes it. With a `stop_topic`, it also sends `true` on that topic. Both are
+    repeated until the fin is at rest. The motor may stay on. A driver that ignores the messages
+    does not stop, which is reported. Keep a switch for the motor's supply within reach.
     """
 
     name = "ros2"
@@ -197,15 +200,16 @@ class Ros2Machine:
         self.limits: Limits = config.limits
         self._types = define_types(config.flipper.definitions if config.flipper else {})
         self._sign = -1.0 if config.negate_angle else 1.0
-        # A signal's handler may stop the machine while this very thread is in the middle of a
-        # command.
+        # Re-entrant, because a signal handler may stop the machine while the same thread is sending
+        # a command.
         self._lock = clock.lock()
-        # The loop reads, and a stop in another thread looks whether the fin still turns.
+        # The loop reads, and a stop in another thread checks whether the fin still turns.
         self._reading = clock.lock()
         self._topics: _Topics | None = None
         self._enabled = False
         self._was_enabled = False
-        """Whether it was since it was opened: then its motion is softfin's."""
+        """Whether the fin has been enabled since `open`, so that softfin is responsible for its
+        motion."""
         self._stop_failure: str | None = None
         self._joint: tuple[float, float, float] | None = None
         """Time [s], angle [rad] and velocity [rad/s]."""
@@ -214,20 +218,21 @@ class Ros2Machine:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the connection."""
+        """Notes on the connection."""
         return () if self._topics is None else self._topics.transport.notes
 
     @property
     def stop_unconfirmed(self) -> str | None:
-        """Doubt that is left after a stop: whether the motor is off, always; and whether the fin
-        still turns."""
+        """Warning after a stop: always that the motor may still be on, or that the fin may still
+        turn."""
         return (
             self._stop_failure
-            or "softfin cannot confirm that the motor is off; keep a switch for its supply at hand"
+            or "softfin cannot confirm that the motor is off; keep a switch for its supply "
+            "within reach"
         )
 
     def open(self) -> None:
-        """Wait until joint and wrench publish; nothing is sent."""
+        """Wait for the first joint and wrench messages; nothing is sent."""
         self.close()
         self._stop_failure = None
         config = self.config
@@ -252,7 +257,7 @@ class Ros2Machine:
             )
 
         try:
-            # What a flipper's configuration lacks is told before anything is sent.
+            # Report errors in a flipper's configuration before anything is sent.
             encode(Target(0.0, 0.0), 0.0)
             joint = subscribe(
                 config.joint_topic,
@@ -278,7 +283,7 @@ class Ros2Machine:
             raise
 
     def read(self) -> Sample:
-        """The newest of both topics."""
+        """Return the latest readings of both topics."""
         topics = self._take()
         assert self._joint is not None
         assert self._force is not None
@@ -298,13 +303,13 @@ class Ros2Machine:
                 if not topics.commands.publisher.readers():
                     topic = self.config.command_topic
                     complaints.append(
-                        f"no subscriber on {topic} any more, so commands are lost; start the "
-                        "driver again"
+                        f"{topic} no longer has a subscriber, so commands are lost; restart the "
+                        "driver"
                     )
         return Sample(*self._joint, None, following_error, *self._force, tuple(complaints))
 
     def enable(self) -> None:
-        """Take commands, and hold where it is."""
+        """Start accepting commands, and hold the current angle."""
         topics = self._take()
         limits = self.limits
         assert self._joint is not None
@@ -322,14 +327,14 @@ class Ros2Machine:
         with self._lock:
             if self.config.stop_release and topics.stop is not None:
                 topics.stop.send(serialized(BOOL, {"data": False}))
-            # Where a stop ended the last motion, the fin is not at that motion's set-point.
+            # After a stop, the fin is not at the setpoint of the previous motion.
             topics.commands.restart()
             self._stop_failure = None
             self._enabled = self._was_enabled = True
             self._send(topics.commands.send, Target(angle, limits.velocity_min), angle)
 
     def command(self, target: Target) -> None:
-        """Go there from now on."""
+        """Move to a target, replacing the previous one."""
         trip = check_target(target, self.limits)
         if trip is not None:
             raise CommandError(trip.reason)
@@ -339,9 +344,8 @@ class Ros2Machine:
             self._send(self._topics.commands.send, target, self._joint[1])
 
     def stop(self) -> None:
-        """Brake until the fin is at rest, 0.5 s at most; see the class for what it can do and
-        cannot."""
-        # A command that hangs in its transport must not keep the watchdog from its stop.
+        """Brake until the fin is at rest, for at most 0.5 s; see the class for its limitations."""
+        # A command that hangs in the transport must not block the watchdog's stop.
         alone = self._lock.acquire(timeout=LOCK_S)
         self._enabled = False
         topics = self._topics
@@ -349,21 +353,21 @@ class Ros2Machine:
             self._lock.release()
         if topics is None:
             return
-        # A loop that hung has not read for a while, and to hold an old angle would be a motion. In
-        # a thread, since the transport may be what hangs; a computer that cannot start one stops
-        # all the same.
+        # If the loop hung, the latest reading is old, and holding an old angle would be a motion.
+        # So read again, in a thread because the transport may be what hangs. If no thread can be
+        # started, stop anyway.
         with contextlib.suppress(RuntimeError):
             self.clock.spawn(self._read_quietly, "ros2 reading before a stop").join(LOCK_S)
         joint = self._joint
         if joint is None:
             return
-        # How fast the fin brakes does not depend on this; how fast it would go back to an angle
-        # that it has left does.
+        # The lowest velocity, because it limits how fast the fin returns if it has already passed
+        # the angle; braking does not depend on it.
         velocity = self.limits.velocity_min or self.limits.velocity_max
         sends = []
         if self._was_enabled:
-            # First, and whoever reads the stop topic: that may be a recorder, while the driver does
-            # not.
+            # Always send this, and first: the only reader of the stop topic may be a recorder and
+            # not the driver.
             sends.append(functools.partial(topics.commands.hold, joint[1], velocity))
         if topics.stop is not None:
             sends.append(functools.partial(topics.stop.send, serialized(BOOL, {"data": True})))
@@ -378,18 +382,18 @@ class Ros2Machine:
             return last[0]
 
         if brake(self.clock, sends, look) or not self._was_enabled:
-            # A fin that softfin has not moved is turned by somebody else.
+            # If softfin did not enable the fin, its motion is caused by something else.
             self._stop_failure = None
         elif last and last[0][0] > joint[0]:
-            self._stop_failure = "the fin still turns; switch off its supply"
+            self._stop_failure = "the fin is still turning; switch off its supply"
         else:
             self._stop_failure = (
-                f"no new {self.config.joint_topic}, so the fin may still turn; "
-                "switch off its supply"
+                f"no new {self.config.joint_topic}, so the fin may still be turning; switch off "
+                "its supply"
             )
 
     def close(self) -> None:
-        """Stop and leave; a machine that was not enabled sends nothing."""
+        """Stop and disconnect; sends nothing if the machine is not enabled."""
         with self._lock:
             if self._enabled:
                 self.stop()
@@ -402,7 +406,7 @@ class Ros2Machine:
             topics.transport.close()
 
     def counters(self) -> dict[str, int]:
-        """Counts of both topics; after `close` the last ones."""
+        """Return the counters of both topics; after `close`, the final ones."""
         if self._topics is None:
             return self._counted
         return {
@@ -424,20 +428,21 @@ class Ros2Machine:
                 there = [f"{topic} ({kind})" for topic, kind in topics.transport.topics().items()]
                 raise DeviceError(
                     awaited.refusal
-                    or f"{awaited.topic}: no {awaited.kind} in {self.config.wait_s:g} s; found "
-                    f"{', '.join(there[:20]) or 'nothing'}; start its driver, or correct the "
-                    "topic, the domain (ROS_DOMAIN_ID) or the network"
+                    or f"{awaited.topic}: no {awaited.kind} within {self.config.wait_s:g} s; "
+                    f"found {', '.join(there[:20]) or 'nothing'}; start its driver, or "
+                    "correct the topic, the domain (ROS_DOMAIN_ID) or the network"
                 )
 
     def _take(self) -> _Topics:
-        """Take what has come; raises DeviceError where the machine is closed."""
+        """Process received messages; raises DeviceError if the machine is closed."""
         topics = self._topics
         if topics is None:
             raise DeviceError("the machine is closed; open it first")
         with self._reading:
             for at, (angle, velocity) in topics.joint.take():
                 if velocity is None:
-                    # A driver that reports no velocity: the difference from the reading before.
+                    # If the driver does not report a velocity, use the difference from the previous
+                    # reading.
                     then, before, _ = self._joint or (at, 0.0, 0.0)
                     velocity = (self._sign * angle - before) / (at - then) if at > then else 0.0
                 else:
@@ -451,7 +456,8 @@ class Ros2Machine:
             self._take()
 
     def _send(self, send: Callable[..., None], *what: Target | float) -> None:
-        """Send a message that moves; a stop in between, by a signal, has the last word."""
+        """Send a motion command; if a signal handler stopped the machine in the meantime, stop
+        again."""
         send(*what, self.clock())
         if not self._enabled:
             self.stop()

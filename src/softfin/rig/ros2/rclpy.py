@@ -1,7 +1,8 @@
-"""ROS 2's topics through rclpy, for a Python that ROS 2 is installed for; messages go in and out as
+"""ROS 2 topics through rclpy, for Python environments with ROS 2; messages are sent and received as
 bytes.
 
-Written after rclpy's documentation and tried with a stand-in for it: it has not met a real ROS 2.
+Written from rclpy's documentation and tested with a substitute for rclpy, not yet with a real ROS 2
+installation.
 """
 
 import contextlib
@@ -17,26 +18,25 @@ from softfin.rig.ros2.connection import DEPTH, Publisher, Quality, Subscriber
 
 
 class RclpyTransport:
-    """Meets the Transport contract: a context and a node of its own, and a thread that takes what
-    comes."""
+    """Transport over rclpy, with its own context, node and receiver thread."""
 
     notes: tuple[str, ...] = (
-        "rclpy listens as ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE say",
+        "rclpy's discovery range is set by ROS_LOCALHOST_ONLY and ROS_AUTOMATIC_DISCOVERY_RANGE",
     )
 
     def __init__(self, config: TransportConfig) -> None:
         if config.network is not None:
             raise RigError(
-                f"--network {config.network} is for DDS; with rclpy ROS 2's own settings choose "
-                "the network"
+                f"--network {config.network} applies only to DDS; rclpy uses ROS 2's own network "
+                "settings, so remove --network"
             )
         try:
             rclpy, executors, signals = map(
                 importlib.import_module, ("rclpy", "rclpy.executors", "rclpy.signals")
             )
             context = rclpy.Context()
-            # Ctrl-C is softfin's: it stops the fin first. No words of the command line are ROS's
-            # either.
+            # softfin handles Ctrl-C, because it must stop the fin first, and its command line
+            # contains no ROS arguments.
             rclpy.init(
                 args=[],
                 context=context,
@@ -51,7 +51,7 @@ class RclpyTransport:
             self._steps.callback(self._executor.shutdown, timeout_sec=1.0)
             self._executor.add_node(self._node)
         except Exception as error:
-            # What it raises where the installation is broken is not documented.
+            # The exceptions raised in a broken installation are not documented.
             raise RigError(
                 f"rclpy cannot be used ({one_line(error)}); use transport: dds"
             ) from None
@@ -60,29 +60,30 @@ class RclpyTransport:
         threading.Thread(target=self._spin, name="softfin-rclpy", daemon=True).start()
 
     def publish(self, topic: str, kind: str, deadline_s: float | None = None) -> Publisher:
-        """A publisher of the node's."""
+        """Create a publisher."""
         self._own.append(topic)
         publisher = self._node.create_publisher(_class(kind), topic, _offered(deadline_s))
 
         def send(data: bytes) -> None:
             try:
-                # It takes bytes as a message that is serialized already.
+                # `publish` accepts bytes as a serialized message.
                 publisher.publish(data)
             except Exception as error:
-                # rclpy's own errors are of several modules of its C extension.
+                # rclpy's exceptions come from several modules of its C extension.
                 raise DeviceError(
-                    f"{topic}: not sent ({one_line(error)}); is ROS 2 still up?"
+                    f"{topic}: message not sent ({one_line(error)}); check whether ROS 2 is still "
+                    "running"
                 ) from None
 
         return Publisher(send, lambda: int(publisher.get_subscription_count()))
 
     def subscribe(self, topic: str, kind: str, quality: Quality = "reliable") -> Subscriber:
-        """A raw subscription: the bytes as they came."""
+        """Create a raw subscription, which returns the bytes received."""
         waiting: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
 
         def take() -> list[tuple[bytes, float]]:
             if self.failure is not None:
-                raise DeviceError(f"rclpy has stopped ({self.failure}); start again")
+                raise DeviceError(f"rclpy has stopped ({self.failure}); start softfin again")
             return [waiting.popleft() for _ in range(len(waiting))]
 
         self._node.create_subscription(
@@ -92,11 +93,11 @@ class RclpyTransport:
             _asked(quality),
             raw=True,
         )
-        # rclpy itself warns of publishers that offer less than is asked for.
+        # rclpy itself warns about publishers with a lower quality of service than requested.
         return Subscriber(take, lambda: 0)
 
     def topics(self) -> dict[str, str]:
-        """Topics and types as `ros2 topic list -t` shows them, without ours."""
+        """Return topics and types as in `ros2 topic list -t`, without our own."""
         found = sorted(self._node.get_topic_names_and_types())
         return {
             name: ", ".join(kinds)
@@ -105,12 +106,12 @@ class RclpyTransport:
         }
 
     def close(self) -> None:
-        """End the thread with its executor; any number of times."""
+        """Shut down the executor, which ends the thread; may be called repeatedly."""
         with contextlib.suppress(Exception):
             self._steps.close()
 
     def _spin(self) -> None:
-        # Whatever ends it ends the messages: those who take must hear of it.
+        # Whenever the executor ends, messages end: `take` must report that.
         try:
             self._executor.spin()
             self.failure = "its executor has ended"
@@ -119,7 +120,7 @@ class RclpyTransport:
 
 
 def _asked(quality: Quality) -> Any:
-    """Quality of service of a subscription."""
+    """Return the quality of service for a subscription."""
     qos = importlib.import_module("rclpy.qos")
     if quality == "best_effort":
         return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.BEST_EFFORT)
@@ -133,7 +134,7 @@ def _asked(quality: Quality) -> Any:
 
 
 def _offered(deadline_s: float | None) -> Any:
-    """Quality of service of a publisher."""
+    """Return the quality of service for a publisher."""
     qos = importlib.import_module("rclpy.qos")
     if deadline_s is None:
         return qos.QoSProfile(depth=DEPTH, reliability=qos.ReliabilityPolicy.RELIABLE)
@@ -153,5 +154,6 @@ def _class(kind: str) -> Any:
         return getattr(importlib.import_module(f"{package}.msg"), name)
     except (ImportError, AttributeError):
         raise RigError(
-            f"ROS 2 has no {kind} here; build and source its package, or use transport: dds"
+            f"this ROS 2 installation does not have {kind}; build and source its package, or use "
+            "transport: dds"
         ) from None

@@ -1,9 +1,9 @@
-"""A robot's ROS 2 node: a wrench comes in, one reference force goes out to the node of each fin.
-NumPy alone.
+"""A robot's ROS 2 node: converts a target wrench to one reference force for each fin's node. Needs
+NumPy only.
 
-Each fin is a `softfin ros2` process of its own, with its own session, safety and recording. This
-node moves nothing by itself: it shares the wrench among the fins, watches whether they are there,
-and passes on the emergency stop.
+Each fin is a separate `softfin ros2` process with its own session, safety limits and recording.
+This node does not move anything itself: it allocates the wrench to the fins, monitors whether they
+are alive, and forwards the emergency stop.
 """
 
 import itertools
@@ -33,18 +33,18 @@ from softfin.robot.description import WRENCH_AXES, RobotConfig
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr, serialized
 
 STOPPING_S = 3.0
-"""Time for which fins are told to stop, until they fall silent [s]; a fin brakes and powers off
-within one or two."""
+"""Longest time for which stop messages are sent until the fins fall silent [s]; a fin brakes and
+powers off within one or two seconds."""
 
 QUIET_S = 0.5
-"""Silence of a fin that was told to stop after which it counts as stopped [s]."""
+"""Time without messages after which a fin that was told to stop counts as stopped [s]."""
 
 WRENCH_LIMIT = 1e6
-"""Numbers beyond this one are refused as no wrench [N, N m]."""
+"""Magnitude above which a wrench is rejected as invalid [N, N m]."""
 
 
 class FinTopics:
-    """Topics of one fin's node, as this node uses them."""
+    """Topics of one fin's node used by this node."""
 
     def __init__(self, transport: Transport, name: str, prefix: str) -> None:
         self.name = name
@@ -54,25 +54,25 @@ class FinTopics:
         self.reference_topic = topics["reference_topic"]
         self.reference: Publisher = transport.publish(self.reference_topic, WRENCH_STAMPED)
         self.stop: Publisher = transport.publish(self.stop_topic, BOOL)
-        # Not stamped: a fin that publishes is there; whether its readings are new, its own safety
-        # watches.
+        # Not stamped, because any message shows that the fin is alive; the fin's own safety limits
+        # check the age of its readings.
         self._joint = Subscription(
             transport, self.joint_topic, JOINT_STATE, lambda message: None, stamped=False
         )
         self.last_s: float | None = None
-        """Time of its last message [s]; None before the first."""
+        """Time of the fin's latest message [s]; None before the first."""
 
     def listen(self) -> None:
-        """Take what has come; raises DeviceError where nothing can come any more."""
+        """Process received messages; raises DeviceError if none can be received any more."""
         if taken := self._joint.take():
             self.last_s = taken[-1][0]
 
     def is_silent(self, now: float | int, timeout_s: float | int) -> bool:
-        """Whether nothing has come for so long."""
+        """Return whether no message has been received for `timeout_s` at time `now` [s]."""
         return self.last_s is None or now - self.last_s > timeout_s
 
     def missing(self) -> list[str]:
-        """Topics without a node at their other end, each in words."""
+        """Return one message per topic that has no node at the other end."""
         found = [] if self.last_s is not None else [f"no publisher on {self.joint_topic}"]
         topics = ((self.reference_topic, self.reference), (self.stop_topic, self.stop))
         return found + [
@@ -81,7 +81,8 @@ class FinTopics:
 
 
 class RobotNode:
-    """Turns wrenches into references of the fins, action by action, until it is stopped."""
+    """Node that converts wrenches to references for the fins, once per action, until it is
+    stopped."""
 
     def __init__(
         self,
@@ -91,8 +92,8 @@ class RobotNode:
         report: Callable[[str], None],
         clock: Clock = REAL,
     ) -> None:
-        """`report` gets remarks for the user; raises InputError where robot and configuration do
-        not fit."""
+        """`report` receives notes for the user; raises InputError if robot and configuration do not
+        match."""
         self._allocation = BracedAllocation(robot, fin_reach(robot, config))
         check_topics(robot, config)
         self.robot = robot
@@ -112,33 +113,37 @@ class RobotNode:
         self._brace = self._rest
 
     def run(self, request: StopRequest) -> None:
-        """Wait for the fins, then act until a stop; however it ends, every fin is told to stop.
+        """Wait for the fins, then send references until a stop; in any case, tell every fin to stop
+        at the end.
 
         Raises:
-            SafetyStop: somebody asked for a stop, wrenches ended and `reference_lost` is stop, or a
+            SafetyStop: a stop was requested, wrenches ended and `reference_lost` is stop, or a
                 fin is silent and `silent_fin` is stop.
-            DeviceError: fins were not there within `wait_s`.
+            DeviceError: not all fins were found within `wait_s`.
         """
         pace = Pace(self._clock)
         try:
             self._await_fins(pace, request)
-            self._once.report(f"{self.robot.name}: takes wrenches on {self.config.reference_topic}")
+            self._once.report(
+                f"{self.robot.name}: accepts wrenches on {self.config.reference_topic}"
+            )
+            # 33, 33 and 34 ticks: three actions per second.
             for ticks in itertools.cycle(ACTION_TICKS):
                 self.send_references()
                 for _ in range(ticks):
                     pace.wait()
                     self.watch(request)
         finally:
-            # Stopping takes up to STOPPING_S, and a second Ctrl-C must not cut it short.
+            # Stopping takes up to STOPPING_S and must not be interrupted by a second Ctrl-C.
             request.is_obeyed = True
             self._stop_fins(pace)
 
     def send_references(self) -> None:
-        """Publish the references of one action, the wrench that they make, and whether that is less
-        than asked for."""
+        """Publish the references for one action, their total wrench, and whether the target wrench
+        is out of reach."""
         wrench = self._wrenches.newest()
         if wrench is None:
-            # Fins that brace themselves would go on beating for nobody.
+            # Without this, fins that brace each other would keep beating without a target.
             action = Allocation(self._rest, np.zeros(6), np.zeros(6, bool))
         else:
             action, self._brace = self._allocation.share(
@@ -147,8 +152,8 @@ class RobotNode:
             if action.given_up.any():
                 axes = ", ".join(WRENCH_AXES[axis] for axis in np.flatnonzero(action.given_up))
                 self._once(
-                    f"{self.config.reference_topic}: beyond the fins' reach in {axes}; for the "
-                    f"wrench that they produce, see {self.config.wrench_topic}"
+                    f"{self.config.reference_topic}: out of the fins' reach in {axes}; for the "
+                    f"resulting wrench, see {self.config.wrench_topic}"
                 )
         self._forces = action.forces
         for number, (fin, (x, y)) in enumerate(zip(self.fins, action.forces.tolist(), strict=True)):
@@ -163,16 +168,16 @@ class RobotNode:
         self._send(self._saturated, serialized(BOOL, {"data": bool(action.given_up.any())}))
 
     def watch(self, request: StopRequest) -> None:
-        """Pass on stops, and look for silent fins: at every tick of 10 ms; raises SafetyStop."""
+        """Forward stops and check for silent fins, at every 10 ms tick; raises SafetyStop."""
         self._listen(request)
         if self._wrenches.is_lost and self.config.reference_lost == "stop":
-            # A robot whose radio or operator is gone must not go on swimming.
+            # A robot without its radio link or operator must not keep swimming.
             reason = (
                 f"{self.config.reference_topic}: no wrench for "
                 f"{self.config.reference_timeout_s:g} s"
             )
             raise SafetyStop(
-                f"{reason}; every fin was told to stop; start its publisher, then the nodes again"
+                f"{reason}; every fin was told to stop; start the publisher, then restart the nodes"
             )
         now = self._clock()
         timeout = self.config.fin_timeout_s
@@ -184,9 +189,10 @@ class RobotNode:
                 self._declare_dead(number, reason)
 
     def _await_fins(self, pace: Pace, request: StopRequest) -> None:
-        """Wait until every fin publishes and listens; those that do not count as silent."""
+        """Wait until every fin publishes and subscribes; those that do not are treated as
+        silent."""
         self._once.report(
-            f"{self.robot.name}: waits for {', '.join(fin.joint_topic for fin in self.fins)}"
+            f"{self.robot.name}: waiting for {', '.join(fin.joint_topic for fin in self.fins)}"
         )
         deadline = self._clock() + self.config.wait_s
         while missing := {n: found for n, fin in enumerate(self.fins) if (found := fin.missing())}:
@@ -201,17 +207,18 @@ class RobotNode:
                 "these topics, in the same domain and network; every fin was told to stop"
             )
         for number, found in missing.items():
-            self._declare_dead(number, f"{self.fins[number].name} is not there: {', '.join(found)}")
+            self._declare_dead(number, f"{self.fins[number].name} is missing: {', '.join(found)}")
 
     def _listen(self, request: StopRequest) -> None:
-        """Take what has come; raises SafetyStop where somebody asked for a stop."""
-        # Wrenches too, so that the age of each counts from when it came, not from the next action.
+        """Process received messages; raises SafetyStop if a stop was requested."""
+        # Also receive wrenches, so that their age counts from their arrival and not from the next
+        # action.
         self._wrenches.newest()
         try:
             for fin in self.fins:
                 fin.listen()
         except DeviceError as error:
-            raise SafetyStop(f"the fins cannot be heard: {error}") from None
+            raise SafetyStop(f"cannot receive messages from the fins: {error}") from None
         reason = self._stop.reason()
         if reason is not None:
             request.ask("emergency_stop", reason)
@@ -221,13 +228,13 @@ class RobotNode:
     def _declare_dead(self, number: int, reason: str) -> None:
         self._allocation.declare_dead(number)
         if len(self._allocation.dead) == len(self.fins):
-            raise SafetyStop(f"{reason}; no fin is left")
+            raise SafetyStop(f"{reason}; no fins are left")
         self._once.report(
-            f"{reason}: declared dead until this node is restarted; the others continue"
+            f"{reason}: declared dead until this node is restarted; the other fins continue"
         )
 
     def _stop_fins(self, pace: Pace) -> None:
-        """Tell every fin to stop until all are silent; name those that are not."""
+        """Tell every fin to stop until all are silent, and report those that are not."""
         deadline = self._clock() + STOPPING_S
         while True:
             for fin in self.fins:
@@ -247,13 +254,13 @@ class RobotNode:
                 return
             if now > deadline:
                 self._once.report(
-                    f"{', '.join(going)}: told to stop {STOPPING_S:g} s ago and still publishing; "
-                    "use their switches"
+                    f"{', '.join(going)}: told to stop {STOPPING_S:g} s ago but still publishing; "
+                    "switch off their motors' supply"
                 )
                 return
 
     def _send_reference(self, fin: FinTopics, x: float, y: float) -> None:
-        # Without a frame: in the fin's own, whatever it is called.
+        # An empty frame means the fin's own frame, whatever its name.
         self._send(
             fin.reference, cdr(WRENCH_STAMPED, self._stamp_ns(), (x, y, 0.0, 0.0, 0.0, 0.0), "")
         )
@@ -271,37 +278,37 @@ class RobotNode:
         check_frame(message, self.config.vehicle_frame_id)
         wrench = read_wrench(message)
         if max(map(abs, wrench)) > WRENCH_LIMIT:
-            raise ValueError(f"it has a number beyond {WRENCH_LIMIT:g} N or N m")
+            raise ValueError(f"a component exceeds {WRENCH_LIMIT:g} N or N m")
         return wrench
 
 
 def fin_reach(robot: RobotConfig, config: RobotNodeConfig) -> list[float]:
-    """Return the greatest mean force of each fin [N]; raises ConfigurationError where one is not
-    configured."""
+    """Return the maximum mean force of each fin [N]; raises ConfigurationError if one is
+    missing."""
     thrust = config.max_thrust
     names = list(robot.fins)
     if thrust is None:
         raise ConfigurationError(
-            "max_thrust: missing; set the maximum mean force that each fin can produce in every "
-            "direction with its controller [N], such as --set max_thrust=3"
+            "max_thrust: missing; set it to the maximum mean force that each fin can produce in "
+            "every direction with its controller [N], e.g. --set max_thrust=3"
         )
     if not isinstance(thrust, dict):
         return [thrust] * len(names)
     if set(thrust) != set(names):
         raise ConfigurationError(
-            f"max_thrust is for {', '.join(thrust)}, but {robot.name} has {', '.join(names)}; "
-            "set one number, or one for each fin"
+            f"max_thrust is for {', '.join(thrust)}, but {robot.name} has {', '.join(names)}; set "
+            "one number for all fins, or one for each fin"
         )
     return [thrust[name] for name in names]
 
 
 def check_topics(robot: RobotConfig, config: RobotNodeConfig) -> None:
-    """Raise RigError where a fin cannot take part, or two topics would have one name."""
+    """Raise RigError if a fin is unsuitable or two topics would have the same name."""
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:
             raise RigError(
-                f"{robot.name}: {name} has a limited range, but this node needs fins that push in "
-                "every direction; if it does, leave out range_rad"
+                f"{robot.name}: {name} has a limited range, but this node needs fins that can "
+                "push in every direction; if the fin can, remove range_rad"
             )
         if not (name.isascii() and name.isidentifier()):
             raise RigError(

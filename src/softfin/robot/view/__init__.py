@@ -1,1 +1,1 @@
-"""A three-dimensional page of a robot's trial."""
+"""Three-dimensional HTML page of a robot's trial."""

@@ -9,7 +9,7 @@ const NEWTON_M = 0.08;
 
 let now = 0, playing = false, last = null;
 
-/* World axes of the robot: x ahead, y left, z up; those of three.js have y up, so the scene hangs in a turned group. */
+/* The robot's world axes are x ahead, y left, z up, but y is up in three.js, so the scene is in a rotated group. */
 const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
 const scene = new THREE.Scene(), world = new THREE.Group();
 world.rotation.x = -Math.PI / 2;
@@ -32,7 +32,7 @@ const quaternion = (frame) => {
   return new THREE.Quaternion(x, y, z, w);
 };
 
-/* The hull: an ellipsoid that is flat like a turtle's, a fin-sized bump at its nose. */
+/* The hull: a flat ellipsoid like a turtle's shell, with a fin-sized bump at its nose. */
 const robot = new THREE.Group();
 world.add(robot);
 const hull = new THREE.Mesh(new THREE.SphereGeometry(0.5, 40, 24), materialOf("body"));
@@ -254,7 +254,7 @@ addEventListener("keydown", (event) => {
   if (act) { act(); event.preventDefault(); }
 });
 
-/* One finger or the mouse turns, two fingers or Shift move, two fingers or the wheel zoom. */
+/* One finger or the mouse rotates; two fingers or Shift pan; two fingers or the wheel zoom. */
 const held = new Map();
 const spread = () => { const [a, b] = [...held.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
 canvas.addEventListener("pointerdown", (event) => { canvas.setPointerCapture(event.pointerId); held.set(event.pointerId, [event.clientX, event.clientY]); });

@@ -1,5 +1,5 @@
-"""Writes a trial as one HTML page that plays it in three dimensions; three.js (MIT licence) is
-included in the page."""
+"""Write a trial as a self-contained HTML page with a three-dimensional animation; the page includes
+three.js (MIT licence)."""
 
 import base64
 import importlib.resources
@@ -19,17 +19,17 @@ from softfin.robot.trial import Record
 from softfin.storage import artifact as artifacts
 
 FRAME_TICKS = 5
-"""Ticks between two frames of the page, which interpolates in between."""
+"""Ticks between frames; the page interpolates between them."""
 
 ROBOT_SHAPE_UNIT_M = 1e-4
-"""Unit of the fins' shapes, which are stored as whole numbers: finer than a pixel, and small."""
+"""Unit of the fins' shapes, which are stored as integers [m]; finer than a pixel, but compact."""
 
 FIN_SPAN_M = 0.081
-"""Width with which a fin is drawn [m]."""
+"""Width of a fin in the drawing [m]."""
 
 
 def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str) -> None:
-    """Write the page; it needs no network."""
+    """Write the page, which works offline."""
     folder = importlib.resources.files("softfin.robot.view")
     template = folder.joinpath("page.html.jinja").read_text("utf-8")
     script = folder.joinpath("page.js").read_text("utf-8")
@@ -46,8 +46,9 @@ def write_robot_page(path: Path, robot: RobotConfig, record: Record, title: str)
 
 
 def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
-    """Return the data that the page draws, as plain numbers; series are flat, row after row."""
+    """Return the page's data as plain numbers; series are flattened row by row."""
     frames = np.arange(0, len(record.time), FRAME_TICKS)
+    # The last tick of an action still belongs to it.
     actions = np.minimum(
         (record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1
     )
@@ -90,9 +91,10 @@ def _rounded(values: AnyArray, digits: int) -> list[float]:
 
 
 def _recent_mean(wrench: np.ndarray) -> np.ndarray:
-    """Return the mean over the period of two strokes that ends at each tick: the effect of the fins
-    on the body."""
+    """Return the mean over the two strokes before each tick, which is the net effect of the fins on
+    the body."""
     ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
+    # Running mean from differences of the cumulative sum.
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
     end = np.arange(len(wrench)) + 1
     start = np.maximum(end - ticks, 0)
