@@ -57,7 +57,7 @@ def test_inspect_says_what_is_wrong_and_how_to_get_out_of_it(authors, capsys):
     assert "degrees, not rad" in text
     assert "-> --angles deg" in text
     assert "-> --force=y,x" in text
-    assert "errors stop fit and import-logs, unless you add --ignore-errors" in text
+    assert "fit and import-logs reject logs with errors unless you add --ignore-errors" in text
 
 
 def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):

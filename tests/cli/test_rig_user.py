@@ -100,7 +100,7 @@ def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     config = RigConfig.build(values)
     robot = RobotSetup(Rig(config), config.safety)
     with pytest.raises(
-        ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"
+        ConfigurationError, match="rig of emulated: not armed; nothing moves without --arm"
     ):
         Armed().confirm(robot, "the motor is powered")
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))

@@ -186,7 +186,8 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
-    assert "stopped; no file is half-written; add --resume to continue" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "stopped; no incomplete files were left; run it again with --resume to continue" in error
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 

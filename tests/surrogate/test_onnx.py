@@ -140,7 +140,7 @@ def test_the_command_line_takes_a_controller_or_a_surrogate(exported, tmp_path, 
             main(["export", *words, *out])
         assert stop.value.code == 2
         assert (
-            "give the folder of a controller, or --surrogate DIR, one of them"
+            "use either CONTROLLER or --surrogate DIR"
             in capsys.readouterr().err
         )
 

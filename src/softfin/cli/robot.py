@@ -1,4 +1,4 @@
-"""Commands about a robot with several fins."""
+"""Commands for a robot with several fins."""
 
 import sys
 from pathlib import Path
@@ -22,7 +22,7 @@ Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
 
 
 class RobotCheckArguments(CommandOptions):
-    """Check what a robot with several fins can do: rank, singular values, reach and stability."""
+    """Check a robot with several fins: rank, singular values, reach and stability."""
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
@@ -52,32 +52,32 @@ class RobotCheckArguments(CommandOptions):
                 f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items()
             )
             lines.append(
-                f"rights itself with {found['righting_nm_rad']:.2f} N m/rad: swings in {swings}"
+                f"self-righting with {found['righting_nm_rad']:.2f} N m/rad: oscillates in {swings}"
             )
         lines.extend(f"warning: {problem}" for problem in found["problems"])
         self.tell(found, "\n".join(lines))
 
 
 class RobotEvaluateArguments(Configured):
-    """Evaluate a robot in simulation: wrenches, holding a place, and following paths; write JSON,
-    figures and pages."""
+    """Evaluate a robot in simulation: wrenches, station keeping and path following. Writes JSON,
+    figures and HTML pages."""
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
     out: Out = Path("runs/robot")
-    """Folder to write."""
+    """Output folder."""
     task: tuple[RobotTask, ...] = ()
-    """wrenches: mean wrenches on a body that is held; hold: hold a place against a push and a
-    current; lemniscate: follow a figure of eight; lissajous: follow a curve in three dimensions
-    (default: all four)."""
+    """wrenches: mean wrenches on a fixed body; hold: hold position against a push and a current;
+    lemniscate: follow a figure eight; lissajous: follow a three-dimensional curve (default: all
+    four)."""
     dead: bool = False
-    """A fin fails at a random moment; each fin in turn."""
+    """Let one fin fail at a random time, each fin in turn."""
     baselines: bool = False
-    """Evaluate simpler controllers, too."""
+    """Also evaluate simpler controllers."""
     repeats: Repeats | None = None
     """Repetitions of each trial (default: 5)."""
     seed: int | None = None
-    """Seed of noise and disturbances (default: 0)."""
+    """Seed for noise and disturbances (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.robot.evaluate import RobotEvaluateConfig
@@ -98,19 +98,19 @@ class RobotEvaluateArguments(Configured):
 
 
 class RobotViewArguments(Configured):
-    """Show one trial of a robot as a page in three dimensions."""
+    """Write an HTML page that shows one trial of a robot in 3D."""
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
     out: File = Path("robot.html")
     """File to write."""
     task: ViewedTask | None = None
-    """hold: hold a place against a push and a current (default); lemniscate: follow a figure of
+    """hold: hold position against a push and a current (default); lemniscate: follow a figure
     eight; lissajous: follow a three-dimensional curve."""
     dead: bool = False
-    """A fin fails at a random moment."""
+    """Let one fin fail at a random time."""
     seed: int | None = None
-    """Seed of noise and disturbances (default: 0)."""
+    """Seed for noise and disturbances (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.stages.robot import VIEWED, view
@@ -121,16 +121,16 @@ class RobotViewArguments(Configured):
             row = view(self.robot, self.out, config, overwrite=self.overwrite, progress=report)
         self.tell(
             row,
-            f"{self.out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open "
-            "it in a browser",
+            f"{self.out}: {config.tasks[0]}, RMS position error "
+            f"{100 * row['position_rms_m']:.1f} cm; open it in a browser",
         )
 
 
 class RobotRos2Arguments(NodeOptions):
-    """Share the wrenches of a topic among the fins of a robot, as a ROS 2 node.
+    """Run a ROS 2 node that distributes the wrenches from a topic among the fins of a robot.
 
     The node publishes a reference force for each fin's own node (softfin ros2 --fin NAME) and moves
-    nothing itself. Enter or a topic stops it and the fins. See docs/robot.md.
+    nothing itself. Enter or a topic stops the node and the fins. See docs/robot.md.
     """
 
     robot: Robot = "ucat"
@@ -153,7 +153,7 @@ class RobotRos2Arguments(NodeOptions):
             for note in transport.notes:
                 say(note)
             if on_terminal():
-                line = "wrenches come by their topic; Enter alone stops the fins"
+                line = "wrenches come from the topic; press Enter alone to stop the fins"
                 listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
             with stopped_by_signals(request):
                 node.run(request)
@@ -167,14 +167,14 @@ def _table(found: JsonObject) -> list[str]:
     lines = []
     if (row := found.get("wrenches")) is not None:
         lines.append(
-            f"{row['count']} wrenches, mean over 2 s: off by {row['force_error_n']:.3f} N and "
+            f"{row['count']} wrenches, mean over 2 s: error {row['force_error_n']:.3f} N and "
             f"{row['moment_error_nm']:.3f} N m (worst {row['force_error_worst_n']:.3f} N, "
-            f"{row['moment_error_worst_nm']:.3f} N m); ripple of roll "
-            f"{row['roll_ripple_ratio']:.2f} of that with independent phases"
+            f"{row['moment_error_worst_nm']:.3f} N m); roll ripple "
+            f"{row['roll_ripple_ratio']:.2f} times that with independent phases"
         )
     trials = {task: found[task] for task in ("hold", "lemniscate", "lissajous") if task in found}
     if trials:
-        cells = [["", "seed", "off [cm rms]", "worst", "tilt [deg rms]", "worst", ""]]
+        cells = [["", "seed", "position [cm RMS]", "worst", "tilt [deg RMS]", "worst", ""]]
         for task, rows in trials.items():
             for row in rows:
                 note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""

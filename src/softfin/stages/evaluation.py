@@ -57,7 +57,7 @@ def evaluate(
     if widths is not None:
         if not isinstance(moving, Tank):
             raise ConfigurationError(
-                f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}"
+                f"--randomize {randomize}: requires the virtual tank as plant, got {plant!r}"
             )
         # At 0 the sensor's noise is also the tank's own.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)

@@ -163,7 +163,7 @@ def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
         ),
         (
             ["--out", "fin.gif", "--next-reference=1"],
-            "--next-reference 1: not a force; write X,Y in newton",
+            "--next-reference 1: not a force; use X,Y in newtons",
         ),
         (["--out", "fin.gif", "--reference=1;1"], "--reference 1;1: not a force"),
         (
