@@ -1,4 +1,4 @@
-"""The stage that makes a page to try controllers: plants and controllers go in, one HTML file comes
+"""The stage that writes a page for trying controllers: plants and controllers in, one HTML file
 out."""
 
 from collections import Counter
@@ -27,11 +27,11 @@ def explore(
     *,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write a page to drag the target force and watch these controllers follow it in these plants;
-    returns its size and parts.
+    """Write a page on which users drag the target force and the controllers follow it; returns its
+    size and parts.
 
-    Raises PlantError for a plant that the page cannot move, or that cannot follow a controller's
-    commands.
+    Raises PlantError for a plant that the page cannot simulate, or that cannot follow a
+    controller's commands.
     """
     artifacts.check_file(out, overwrite)
     moving = {name: find_plant(name) for name in plants}
@@ -39,13 +39,13 @@ def explore(
     for given, kept in ((plants, moving), (controllers, holding)):
         if len(kept) < len(given) or not given:
             raise ConfigurationError(
-                f"{', '.join(map(str, given)) or 'nothing'}: name one or more, each once"
+                f"{', '.join(map(str, given)) or 'nothing'}: must be one or more, no duplicates"
             )
     data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
     for path, controller in holding.items():
         for name, plant in moving.items():
             check_limits(controller.limits, plant.limits, Path(path), name)
-    # A surrogate does not know its fin's size.
+    # A surrogate does not contain its fin's size; draw it like the tank's fin.
     tank = next((plant for plant in moving.values() if isinstance(plant, Tank)), None) or Tank()
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
@@ -74,12 +74,13 @@ def explore(
 
 
 def is_shown(plant: Plant) -> bool:
-    """Whether the page can simulate such a plant."""
+    """Whether the page can simulate this plant."""
     return isinstance(plant, Tank | StreamingSurrogate)
 
 
 def _labels(short: dict[str, str]) -> dict[str, str]:
-    """Return a short name for each; if two would be equal, with the name that the user gave."""
+    """Return a unique label for each item: its short name, with the user's name appended to
+    duplicates."""
     counts = Counter(short.values())
     return {
         given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()
