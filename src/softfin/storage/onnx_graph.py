@@ -1,8 +1,9 @@
-"""A JAX function as an ONNX graph: each primitive of its jaxpr becomes operators of opset 17.
+"""Converts a JAX function to an ONNX graph: each primitive of its jaxpr becomes operators of opset
+17.
 
-Controllers and surrogates are exported from the formulas that softfin runs, so that no formula
-exists twice. Values that do not depend on the inputs, such as transposed weights, become constants.
-Primitives that softfin does not use are refused by name. Needs the extra ``softfin[onnx]``.
+Controllers and surrogates are exported from the formulas that softfin itself runs, so that no
+formula exists twice. Values that do not depend on the inputs, such as transposed weights, become
+constants. Unsupported primitives are rejected by name. Requires ``softfin[onnx]``.
 """
 
 import importlib.metadata
@@ -21,7 +22,7 @@ from softfin.core.errors import RunError
 from softfin.storage.onnx_file import NEXT, OPSET
 
 Value: TypeAlias = np.ndarray | np.generic | jax.Array | spox.Var
-"""An array if the value is known while the graph is built, otherwise a variable of the graph."""
+"""Array, if the value is known while the graph is built; otherwise a variable of the graph."""
 
 Results: TypeAlias = Value | list[Value]
 
@@ -32,12 +33,12 @@ def build_graph(
     """Build the ONNX model of a function of named arrays that returns named arrays.
 
     Args:
-        function: Called with keyword arguments of the names in `inputs`.
+        function: Called with the `inputs` as keyword arguments.
         inputs: An example of each input, for its shape and dtype. The output ``next_NAME`` gets
             the dtype of the input NAME.
 
     Raises:
-        RunError: the function uses a primitive that is not translated.
+        RunError: the function uses a primitive that cannot be translated.
     """
     names: list[str] = []
 
@@ -51,8 +52,8 @@ def build_graph(
     arguments = {
         name: spox.argument(spox.Tensor(value.dtype, value.shape)) for name, value in inputs.items()
     }
-    # JAX flattens dictionaries in the order of their keys, and its integers have 32 bits by
-    # default.
+    # JAX flattens dictionaries in the order of their keys. Inputs are cast to JAX's own dtypes,
+    # because its integers have 32 bits by default.
     given = [_cast(arguments[name], examples[name].dtype) for name in sorted(arguments)]
     found = dict(zip(sorted(names), _translate(closed.jaxpr, closed.consts, given), strict=True))
     outputs = {}
@@ -62,7 +63,7 @@ def build_graph(
         if name.startswith(NEXT) and like is not None:
             outputs[name] = _cast(outputs[name], like.dtype)
     model = spox.build(arguments, outputs)
-    # spox sets the oldest opset that has these operators.
+    # spox sets the oldest opset that has these operators; softfin always states the same one.
     model.opset_import[0].version = OPSET
     return model
 
@@ -106,16 +107,16 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
     if name not in TRANSLATORS:
         raise RunError(
             f"ONNX: JAX {importlib.metadata.version('jax')} uses the primitive {name!r}, which "
-            "softfin cannot export; use another version of JAX, or report it to softfin's authors"
+            "softfin cannot export; use another version of JAX, or report this to softfin's authors"
         )
     return TRANSLATORS[name](equation, *map(_variable, values))
 
 
 def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
-    """Write out every iteration: a step has few of them.
+    """Unroll all iterations: one step of a controller or surrogate has few.
 
-    Versions of JAX state the number of carried values in different ways. They are the values
-    without a leading axis of iterations.
+    Versions of JAX store the number of carried values differently, so they are recognised by their
+    shape: they lack the leading axis of iterations.
     """
     params = equation.params
     body = params["jaxpr"]
@@ -195,7 +196,8 @@ def _slice(equation: JaxprEqn, value: spox.Var) -> spox.Var:
 
 
 def _dynamic_slice(equation: JaxprEqn, value: spox.Var, *starts: spox.Var) -> spox.Var:
-    """Cut out a part; as in JAX, the position is moved so that the part lies inside."""
+    """Take a slice at computed starts; as in JAX, the starts are clamped so that the slice lies
+    inside."""
     sizes = np.asarray(equation.params["slice_sizes"], np.int64)
     last_starts = _shape(equation.invars[0]) - sizes
     rows = [op.reshape(_cast(start, np.int64), _integers([1])) for start in starts]
@@ -221,12 +223,12 @@ def _integer_pow(equation: JaxprEqn, value: spox.Var) -> spox.Var:
 
 
 def _gather(equation: JaxprEqn, value: Value, indices: Value) -> spox.Var:
-    """Take whole rows along one axis, at indices that are known while the graph is built."""
+    """Take entire rows along one axis, at indices that are known while the graph is built."""
     shape = _shape(equation.invars[0])
     numbers = equation.params["dimension_numbers"]
     (axis,) = numbers.start_index_map
-    # One row of the operand is cut out for each index, and its other axes lie around those of the
-    # indices in the result.
+    # Each index selects one row of the operand; in the result, the row's other axes surround the
+    # axes of the indices.
     sizes = (*shape[:axis], 1, *shape[axis + 1 :])
     rank = len(_shape(equation.outvars[0]))
     row_axes = (*range(axis), *range(rank - len(shape) + 1 + axis, rank))
@@ -236,7 +238,7 @@ def _gather(equation: JaxprEqn, value: Value, indices: Value) -> spox.Var:
         and equation.params["slice_sizes"] == sizes
     )
     if isinstance(indices, spox.Var) or not takes_rows:
-        raise RunError("ONNX: softfin can export a gather only of whole rows at fixed places")
+        raise RunError("ONNX: softfin can only export a gather of entire rows at fixed indices")
     places = np.clip(np.asarray(indices)[..., 0], 0, shape[axis] - 1)
     return op.gather(_variable(value), _integers(places), axis=axis)
 
@@ -256,7 +258,7 @@ def _dot_general(equation: JaxprEqn, left: Value, right: Value) -> spox.Var:
 
 def _arrange(value: Value, axes: tuple[int, ...], shape: tuple[int, ...]) -> spox.Var:
     if not isinstance(value, spox.Var):
-        # Weights are transposed once, here.
+        # Known values, such as weights, are transposed now instead of on every run.
         return op.const(np.transpose(np.asarray(value), axes).reshape(shape))
     if list(axes) != sorted(axes):
         value = op.transpose(value, perm=axes)
@@ -300,7 +302,7 @@ SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
     "sub": op.sub,
     "tanh": op.tanh,
 }
-"""Operators for primitives without parameters."""
+"""Operators for primitives that need no parameters."""
 
 TRANSLATORS: Mapping[str, Callable[..., Results]] = {
     "argmin": _argmin,
@@ -321,10 +323,10 @@ TRANSLATORS: Mapping[str, Callable[..., Results]] = {
     "tile": lambda equation, value: op.tile(value, _integers(equation.params["reps"])),
     "transpose": lambda equation, value: op.transpose(value, perm=equation.params["permutation"]),
 }
-"""Translators of an equation and its operands, as variables."""
+"""Translators that get the equation and its operands as variables of the graph."""
 
 TRANSLATORS_OF_VALUES: Mapping[str, Callable[..., spox.Var]] = {
     "dot_general": _dot_general,
     "gather": _gather,
 }
-"""Translators that make use of operands that are known while the graph is built."""
+"""Translators that get operands as arrays if they are known while the graph is built."""

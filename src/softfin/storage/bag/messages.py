@@ -1,8 +1,8 @@
-"""Content of softfin's bags: topics, their messages as CDR, and definitions with which any reader
-can decode them.
+"""Contents of softfin's bags: topics, messages as CDR, and the definitions that any reader needs to
+decode them.
 
-Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``:
-readers refuse others.
+Times are nanoseconds since 1970. Type names are complete, such as ``sensor_msgs/msg/JointState``;
+readers reject shorter ones.
 """
 
 import importlib.metadata
@@ -28,7 +28,7 @@ CURRENT = "/fin/current"
 EVENTS = "/fin/events"
 
 DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
-"""Topics that become a log, by the role that `softfin.data.importing` gives them."""
+"""Topics that become a log, by their role in `softfin.data.importing`."""
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
@@ -56,8 +56,8 @@ FIELDS = {
     ),
     FLOAT: ("data",),
 }
-"""Paths of the values in the messages: angle and velocity [rad, rad/s], force and torque [N, N m],
-a current [A]."""
+"""Paths of the values in each message: angle and velocity [rad, rad/s], force and torque [N, N m],
+current [A]."""
 
 FRAME = "fin"
 """Frame of the force and name of the joint."""
@@ -71,17 +71,18 @@ _NUMBER = struct.Struct("<d")
 
 @cache
 def type_store() -> Typestore:
-    """ROS 2's own definitions of messages, which serialise and deserialise CDR."""
+    """Return ROS 2's own message definitions, which serialise and deserialise CDR."""
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def cdr(
     kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FRAME, joint: str = FRAME
 ) -> bytes:
-    """The bytes of a message, in OMG's CDR as ROS 2 uses it; the stamp is the time since 1970 [ns].
+    """Return the bytes of a message, in OMG's CDR as used by ROS 2; the stamp is the time since
+    1970 [ns].
 
     rosbags serialises each kind once; the numbers are then written into a copy, which is seven
-    times as fast. Speed matters because the recorder holds Python's lock while the control loop
+    times faster. Speed matters because the recorder blocks Python's lock while the control loop
     waits.
     """
     if isinstance(values, str):
@@ -97,8 +98,8 @@ def cdr(
 
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
-    """A message as rosbags serialises it, and the offsets of its values."""
-    # Each value has its own mark, 1, 2 and so on, whose bytes are then found in the message.
+    """Return a message as serialised by rosbags, and the byte offsets of its values."""
+    # Each value gets its own marker, 1, 2 and so on; searching for its bytes finds the offset.
     marks = range(1, 1 + len(FIELDS[kind]))
     values: dict[str, object] = dict(zip(FIELDS[kind], marks, strict=True))
     if kind != FLOAT:
@@ -110,25 +111,25 @@ def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]
 
 
 def serialized(kind: str, values: Mapping[str, object], types: Typestore | None = None) -> bytes:
-    """The bytes of a message of any type, by the general serialiser; `values` as for
+    """Return the bytes of a message of any type, from the general serialiser; `values` as for
     `build_message`."""
     types = types or type_store()
     return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, kind), values), kind))
 
 
 def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """A field, as rosbags describes it, with values by their paths within it; all other numbers are
-    0, all other fields empty.
+    """Build a field, as described by rosbags, from values by their paths within it; all other
+    numbers are 0, and all other fields are empty.
 
-    Sequences are as long as the paths require. Raises ValueError if there is no such field or it
-    has another type.
+    Sequences are as long as the paths require. Raises ValueError for unknown fields and values of
+    the wrong type.
     """
     node, detail = descriptor
     if node is Nodetype.BASE:
         blank = "" if detail[0] == "string" else 0
         value = values.get("", blank)
         if values.keys() - {""} or isinstance(value, str) != isinstance(blank, str):
-            raise ValueError(f"no field that takes {values}")
+            raise ValueError(f"no field that accepts {values}")
         return value
     inner: dict[str, dict[str, Any]] = defaultdict(dict)
     for path, value in values.items():
@@ -158,8 +159,8 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
 class BagWriter:
     """Writes an MCAP file to a stream, message by message.
 
-    Chunks are not compressed: if a power cut leaves one half-written, every complete message in it
-    can be read.
+    Chunks are not compressed: if a power cut truncates a chunk, every complete message in it can
+    still be read.
     """
 
     def __init__(self, stream: object) -> None:
@@ -171,8 +172,8 @@ class BagWriter:
             )
             for kind in dict.fromkeys(TYPES.values())
         }
-        # MCAP's profile for ROS 2 requires the entry; empty means ROS 2's default quality of
-        # service.
+        # MCAP's profile for ROS 2 requires this entry; if empty, ROS 2's default quality of service
+        # applies.
         quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
@@ -180,10 +181,10 @@ class BagWriter:
         }
         self.flush = self._writer.flush
         self.finish = self._writer.finish
-        """End the chunk; write the index and the end."""
+        """Close the chunk and write the index and the footer."""
 
     def write(self, topic: str, stamp_ns: int, values: Sequence[float] | str) -> None:
-        """Add a message to the chunk: its values, or its text."""
+        """Add a message with the given values or text to the chunk."""
         data = cdr(TYPES[topic], stamp_ns, values)
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
 
