@@ -34,7 +34,7 @@ def folders(tmp_path_factory):
         (["s0", "s1", "s0"], "s0: given twice, or a copy of another; give each surrogate once"),
         (
             ["s0", "--dataset", "untested"],
-            "untested: holds no test logs to compare on; put Parquet logs into",
+            "untested: contains no test logs; put Parquet logs into",
         ),
         (
             ["s0"],

@@ -96,8 +96,8 @@ def test_random_references_are_one_line_and_the_configuration_is_kept(controller
         ),
         (
             "time_s,force_x_kn,force_y_n\n0,1,1\n",
-            "no column force_x_n, or several, among time_s, force_x_kn, force_y_n; it needs one "
-            "in newton",
+            "must have exactly one column force_x_n, got time_s, force_x_kn, force_y_n; convert "
+            "a column to newtons",
         ),
         ("time_s,force_x_n,force_y_n\n0,9,1\n", "reference (9.0, 1.0): not covered"),
     ],

@@ -152,6 +152,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)
-    assert "holds an unfinished run; go on with --resume, or drop it with --overwrite" in fails(
-        capsys, *words
+    assert (
+        "contains an unfinished run; continue with --resume, or discard it with --overwrite"
+        in fails(capsys, *words)
     )

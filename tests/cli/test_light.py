@@ -26,30 +26,33 @@ print(json.dumps([answers, sorted({"jax", "jaxlib", "equinox"} & set(sys.modules
 
 OUT = ("--out", "new")
 SLIPS: list[tuple[list[str], str]] = [
-    (["collect", *OUT, "--plant", "pool"], "plant pool: unknown (does not exist); give tank, "),
+    (["collect", *OUT, "--plant", "pool"], "plant pool: unknown (does not exist); use tank, "),
     (["collect", *OUT, "--plant", "no_such_module:plant"], "No module named 'no_such_module'"),
     (
         ["collect", *OUT, "--config", "no.yaml"],
         "no.yaml: cannot be read (No such file or directory)",
     ),
-    (["collect", "--out", "full"], "full: exists already; give another --out, or --overwrite"),
+    (
+        ["collect", "--out", "full"],
+        "full: already exists; choose another --out, or use --overwrite",
+    ),
     (["collect", *OUT, "--seed", "-1"], "--seed -1: must be a whole number from 0 to"),
     (["collect", *OUT, "--arm"], "--arm: tank is simulated"),
     (
         ["example", "full"],
-        "full: exists already; give another folder, or --overwrite to replace it",
+        "full: already exists; choose another folder, or use --overwrite to replace it",
     ),
     (["example"], "missing required DIR;"),
     (
         ["inspect", "nowhere"],
-        "nowhere: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags",
+        "nowhere: no such file or folder; use a CSV file, a Parquet file, a ROS 2 bag",
     ),
     (["inspect", "log.csv", "--rate", "-1"], "rate_hz = -1.0: Input should be greater than 0"),
     (
         ["inspect", "log.csv"],
         "log.csv: empty: it has no header; the first line must name the columns",
     ),
-    (["import-logs", "full", *OUT], "full: holds no recordings; they are .csv, "),
+    (["import-logs", "full", *OUT], "full: contains no recordings; supported are .csv, "),
     (["fit", "log.csv", *OUT, "--epochs", "3"], "--epochs: applies only to --model paper"),
     (["calibrate", "full", *OUT], "full: not a dataset"),
     (["calibrate", "tank", *OUT, "--velocity", "3"], "--velocity 3: not a range; use LOW,HIGH"),
@@ -59,9 +62,9 @@ SLIPS: list[tuple[list[str], str]] = [
     ),
     (
         ["train", "tank", *OUT, "--cells", "3"],
-        "--cells 3: neither paper, nor a lattice such as 3x3",
+        "--cells 3: must be paper, a grid such as 3x3",
     ),
-    (["train", "tank", *OUT, "--range", "3"], "--range 3: not four numbers"),
+    (["train", "tank", *OUT, "--range", "3"], "--range 3: must be four numbers"),
     (["train", "tank", *OUT, "--seeds", "few"], "--seeds few: not a count or a list"),
     (
         ["train", "tank", *OUT, "--controller", "gaits", "--steps", "3"],
@@ -73,18 +76,18 @@ SLIPS: list[tuple[list[str], str]] = [
     ),
     (["evaluate", "made", *OUT, "--reference", "one"], "--reference one: not a force"),
     (["explore", "--out", "new.html"], "missing required CONTROLLER ...;"),
-    (["explore", "no", "--out", "new.html"], "no: no such folder; it should be a controller"),
+    (["explore", "no", "--out", "new.html"], "no: no such folder; it must be a controller"),
     (
         ["explore", "made", "--out", "new.pdf"],
         "--out new.pdf: must end in .html",
     ),
     (
         ["explore", "made", "--out", "new.html", "--plant", "pool"],
-        "plant pool: unknown (does not exist); give tank, ",
+        "plant pool: unknown (does not exist); use tank, ",
     ),
     (["explore", "made", "--out", "full"], "--out full: must end in .html"),
     (["rig", "check"], "rig.yaml: cannot be read (No such file or directory); copy the example"),
-    (["run", "no", "--reference=1,1"], "no: no such folder; it should be a controller"),
+    (["run", "no", "--reference=1,1"], "no: no such folder; it must be a controller"),
     (
         ["run", "made", "--reference=1,1", "--bag", "a.txt"],
         "--bag a.txt: must end in .mcap",
@@ -92,7 +95,7 @@ SLIPS: list[tuple[list[str], str]] = [
     (["bag", "recover", "no.mcap"], "no.mcap: cannot be read"),
     (["bag", "convert", "no.mcap"], "missing required --out FILE;"),
     (["doctor", "--rig", "no.yaml"], "no.yaml: cannot be read"),
-    (["monitor", "no.mcap"], "no.mcap: no such file or folder; give a bag"),
+    (["monitor", "no.mcap"], "no.mcap: no such file or folder; use a bag"),
 ]
 
 

@@ -120,7 +120,7 @@ def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, caps
     assert softfin("inspect", tmp_path / "d") == 0
     assert "0 errors, 0 warnings, 0 notes" in capsys.readouterr().out
     assert softfin("import-logs", authors, *right) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["test_1.csv", "."])

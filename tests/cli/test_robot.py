@@ -139,7 +139,7 @@ def test_fins_that_the_simulation_does_not_know_are_refused(capsys, tmp_path, uc
     )
     file = tmp_path / "limited.yaml"
     file.write_text(text)
-    assert "front_left turns within a range" in refused(capsys, "evaluate", str(file))
+    assert "front_left has a limited range" in refused(capsys, "evaluate", str(file))
 
 
 @pytest.fixture

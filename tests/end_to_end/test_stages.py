@@ -65,7 +65,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
         main([*words, "--seed", "7", "--resume"])
     assert stop.value.code == 2
     assert (
-        "surrogate: belongs to another run (seed was 0 and is 7); give the"
+        "surrogate: belongs to another run (seed was 0 and is 7); use the"
         in capsys.readouterr().err
     )
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description

@@ -205,7 +205,7 @@ def test_weights_that_are_no_real_numbers_of_numpys_are_refused_in_one_line(tmp_
 
 
 def test_a_missing_folder_and_missing_weights_are_told_apart(tmp_path):
-    with pytest.raises(ArtifactError, match="no such folder; it should be a controller"):
+    with pytest.raises(ArtifactError, match="no such folder; it must be a controller"):
         artifacts.load(tmp_path / "none", "controller")
     artifacts.write_description(tmp_path, "controller", {})
     with pytest.raises(ArtifactError, match=r"weights\.safetensors: missing"):
