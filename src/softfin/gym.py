@@ -95,6 +95,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
                     "environment with a wider range"
                 )
             references = Cell(low=(x, y), high=(x, y))
+        # Gymnasium's generator seeds JAX, so that `seed` determines the episode.
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, References.of(references))
         self._actions = 0

@@ -119,6 +119,7 @@ def _batches(plant: Plant) -> Iterator[Problem]:
         asked = "write init and advance in jax.numpy, with no Python branches on values"
         yield f"jit, vmap or scan fails ({str(error).splitlines()[0]})", asked
         return
+    # The same commands for the first fin alone, one tick at a time.
     commands = Command(*(jnp.repeat(x[0], STROKE_TICKS) for x in (angles, velocities)))
     alone = jax.jit(lambda: roll(plant, plant.init(keys[0]), commands))()[1].force.reshape(
         together[0].shape
@@ -132,6 +133,7 @@ def _batches(plant: Plant) -> Iterator[Problem]:
 
 
 def _strokes(plant: Plant) -> Iterator[Problem]:
+    # The identity of a user's plant is its traced program, so both traces must be equal.
     if identity(plant) != identity(plant):
         asked = "init and advance must not draw random numbers or count calls outside the state"
         yield "each trace produces a different program", asked
@@ -152,6 +154,7 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
+    # Training by gradients needs this derivative; it is NaN if a plant takes, say, a root of 0.
     slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):
         yield (

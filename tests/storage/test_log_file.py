@@ -129,12 +129,12 @@ def test_time_that_repeats_or_runs_back_is_refused(tmp_path, table, shift, shown
 @pytest.mark.parametrize("rate", [1.0, 50.0, 70.0, 98.5, 103.0, 1000.0])
 def test_another_rate_is_refused_as_a_rate_and_not_as_gaps(tmp_path, table, rate):
     message = refusal(tmp_path, with_column(table, "time_s", np.arange(300) / rate))
-    assert f"column time_s: {rate:.2f} Hz, but must be 100 Hz; resample it" in message
+    assert f"column time_s: {rate:.2f} Hz, but must be 100 Hz; resample the log" in message
 
 
 def test_time_in_milliseconds_is_refused(tmp_path, table):
     message = refusal(tmp_path, with_column(table, "time_s", np.arange(300) * 10.0))
-    assert "time_s is in seconds" in message
+    assert "with time_s in seconds" in message
 
 
 def test_a_clock_that_starts_anywhere_and_jitters_is_taken(tmp_path, table):

@@ -141,6 +141,7 @@ class TrainArguments(Configured):
                     progress=report,
                 )
             return self._tell((0,))
+        # Each algorithm has its own defaults, so it is chosen before other options apply.
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, cells=cells)
         if config.algorithm != begin.algorithm:

@@ -107,6 +107,7 @@ class Driving(Armed, Common):
                     "the fin leaves it"
                 )
             listen_on_terminal(stop, line)
+            # Only now, after the confirmation, is an existing recording replaced.
             bag.unlink(missing_ok=True)
             session.stop_on_signals()
             with session.recording(bag):
@@ -289,6 +290,7 @@ class Ros2Arguments(NodeOptions, Driving):
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
+        # Opened before the machine, so that problems with ROS 2 appear before anything moves.
         transport = open_transport(topics.connection)
         try:
             node = RosNode(

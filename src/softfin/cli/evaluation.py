@@ -145,6 +145,7 @@ def moving_table(rows: "Sequence[MovingRow]") -> str:
 
     cells = [["moving references", "x error", "y error", "settles in"]]
     for row in rows:
+        # None: the signal has no steps.
         settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[
             row["settles"]
         ]

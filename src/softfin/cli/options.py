@@ -254,7 +254,6 @@ def check_values(command: Configuration) -> None:
 
 def format_help(command: type[Configuration], program: str) -> str:
     """Return the help of a command, wrapped to the width of the terminal."""
-    # Narrower columns are unreadable, longer lines tiring.
     width = max(60, min(shutil.get_terminal_size().columns, 120))
     fields = list_fields(command)
     places = [field for field in fields if field.option.positional]

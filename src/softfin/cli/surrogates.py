@@ -255,6 +255,7 @@ def _table(
 def _cell(cell: Mapping[str, Any] | None, factor: int) -> str:
     if cell is None:
         return "\N{EN DASH}"
+    # Four significant digits at most, but no exponent unless the value would be shown as 0.
     value = cell["mean"] * factor
     digits = max(0, 4 - len(str(int(abs(value)))))
     text = f"{value:.{digits}f}" if abs(value) >= 0.0005 or value == 0 else f"{value:.0e}"

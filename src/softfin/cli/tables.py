@@ -67,6 +67,7 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
                 ]
             )
             notes.append(("  stands still" if row["still"] else "") + format_reference_errors(row))
+        # The paper's mean only compares to a mean over the same references.
         complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
         rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])

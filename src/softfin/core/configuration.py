@@ -62,6 +62,7 @@ class Configuration(pydantic.BaseModel):
                     f"--set {change[:200]}: not valid YAML ({error}); quote the value, or "
                     "close its bracket"
                 ) from None
+            # Missing groups are created; validation then rejects keys that do not exist.
             *groups, name = path.strip().split(".")
             group = values
             for each in groups:

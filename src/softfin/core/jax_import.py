@@ -37,6 +37,7 @@ class _JaxFinder(MetaPathFinder):
         """Return the spec of JAX; None for any other module."""
         if fullname != JAX:
             return None
+        # Skip this finder, which would call itself without end.
         for finder in sys.meta_path:
             spec = None if finder is self else finder.find_spec(fullname, path, target)
             if spec is not None:

@@ -105,6 +105,7 @@ def check_commands(limits: Limits, commands: Command) -> None:
         # Limits have double precision, commands single precision, whose rounding error grows with
         # the magnitude of the limit.
         tolerance = 1e-6 * max(1.0, abs(low), abs(high))
+        # Negated, so that NaN is outside as well.
         outside = ~((values >= low - tolerance) & (values <= high + tolerance))
         if outside.any():
             raise CommandError(
@@ -183,6 +184,7 @@ def repeat(
 
     def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
         after, output = again(state)
+        # After the last tick the state stays the same; the additional output is padding.
         return jax.tree.map(partial(jnp.where, index < ticks), after, state), output
 
     return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))

@@ -185,4 +185,5 @@ def _digest(arrays: PyTree, text: str) -> str:
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
     digest.update(text.encode())
+    # 64 bits: collisions between the few plants of a user are out of the question.
     return digest.hexdigest()[:16]

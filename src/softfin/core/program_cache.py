@@ -75,6 +75,7 @@ def delete_old_programs(folder: Path, max_bytes: int) -> None:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             status = entry.stat()
+            # File systems mounted with noatime do not update the time of the last access.
             last_use = max(status.st_atime, status.st_mtime)
             programs.append((last_use, status.st_size, entry.path))
     size = sum(program_bytes for _, program_bytes, _ in programs)

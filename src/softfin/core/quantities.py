@@ -190,6 +190,7 @@ class Limits(NamedTuple):
 
 def action_to_command(limits: Limits, action: Any) -> Command:
     """Map an action in [-1, 1]^2, as two numbers or an array of any library, to the limits."""
+    # [-1, 1] -> [0, 1] -> [min, max]
     angle = (action[0] + 1) / 2
     velocity = (action[1] + 1) / 2
     return Command(

@@ -15,6 +15,7 @@ from jaxtyping import Float, PRNGKeyArray
 
 def named_key(seed: int, name: str) -> PRNGKeyArray:
     """Return the JAX key for a purpose, such as ``named_key(0, "collect/train/7")``."""
+    # CRC-32 is the same in every process, unlike Python's hash of a string.
     return jax.random.fold_in(jax.random.key(seed), zlib.crc32(name.encode()))
 
 

@@ -26,6 +26,7 @@ as their distance."""
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
     """Return the mean force over the last `count` of `n` samples [N]; ``count >= 1``."""
+    # A mask instead of a slice, because `count` may be traced.
     xp: Any = forces.__array_namespace__()
     counts = xp.arange(len(forces)) >= len(forces) - count
     return xp.where(counts[:, None], forces, 0).sum(axis=0) / count
@@ -64,6 +65,7 @@ def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int
     xp: Any = series.__array_namespace__()
     # In float64 if available: the difference of two long cumulative sums loses digits in float32.
     total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
+    # sum over window i = total[i + window] - total[i]
     total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
     return (total[..., window:, :] - total[..., :-window, :]) / window
 
@@ -99,6 +101,7 @@ def interval(
     n = len(values)
     if n < FEWEST or np.ptp(values) == 0:
         return None
+    # mean +- t * s / sqrt(n), with n - 1 degrees of freedom
     half = (
         float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     )

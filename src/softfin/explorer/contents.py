@@ -33,6 +33,7 @@ def encode_arrays(array: AnyArray) -> JsonObject:
     values = np.asarray(array, np.float32)
     return {
         "shape": list(values.shape),
+        # Little-endian on every machine, as the page's script expects.
         "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
     }
 

@@ -152,6 +152,7 @@ def train(
         "plant": identity(moving, computed=True),
         "map": None if can is None else can.to_dict(),
     }
+    # Before the run directory is claimed: a configuration that cannot be trained leaves no trace.
     check(moving, config, seeds, can)
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:

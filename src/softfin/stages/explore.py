@@ -36,6 +36,7 @@ def explore(
     artifacts.check_file(out, overwrite)
     moving = {name: find_plant(name) for name in plants}
     holding = {str(path): load_controller(path) for path in controllers}
+    # A repeated name is lost in the dictionary, so the lengths differ.
     for given, kept in ((plants, moving), (controllers, holding)):
         if len(kept) < len(given) or not given:
             raise ConfigurationError(

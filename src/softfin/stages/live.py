@@ -94,6 +94,7 @@ def collect_live(
         "fin": robot.fin,
         "rig": robot.configuration,
     }
+    # A collection may continue with the sensor at another address, but not with other settings.
     claim = metadata | {"rig": _drop_addresses(robot.configuration)}
     counts = {"train": config.logs, "test": config.test_logs}
     names = [
@@ -102,6 +103,7 @@ def collect_live(
         for i in range(count)
     ]
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
+    # Checked before anything moves, because collecting takes hours.
     _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
         # The recordings belong to this collection, and the dataset is only written once they are
@@ -116,8 +118,9 @@ def collect_live(
             session.stop_on_signals()
             artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
             for index, name in enumerate(missing):
-
+                # Default arguments bind the index and name of this iteration.
                 def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
+                    # Remaining rows, plus the rest before each remaining log.
                     left = ((len(missing) - index) * config.rows - row) / RATE_HZ
                     left_s = timedelta(
                         seconds=round(left + (len(missing) - index - 1) * robot.settle_s)
@@ -278,6 +281,7 @@ def log_from_samples(
     so `samples` must extend a little beyond the last row. Raises DeviceError if the samples end
     early or have a gap longer than `gap_s`.
     """
+    # The force has its own times: the sensor's filter reports it later than the angle.
     grid = samples[0].time + TICK_S * np.arange(rows)
     joint = _resample(
         np.array([(s.time, s.angle, s.velocity) for s in samples]), grid, "angle", gap_s
@@ -297,11 +301,14 @@ def log_from_samples(
 
 
 def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> list[np.ndarray]:
+    # A device may repeat a reading, and interpolation needs increasing times.
     points = points[np.diff(points[:, 0], prepend=-np.inf) > 0]
     time = points[:, 0]
+    # Gaps between readings within the grid, including the gaps at both of its ends.
     within = time[(time > grid[0]) & (time < grid[-1])]
     gaps = np.diff(np.concatenate([[min(time[0], grid[0])], within, [grid[-1]]]))
     if time[0] > grid[0] + gap_s or time[-1] < grid[-1] or gaps.max() > gap_s:
+        # Where the longest gap starts, in seconds from the start of the log.
         place = 0.0 if time[0] > grid[0] + gap_s else gaps[: gaps.argmax()].sum()
         raise DeviceError(
             f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log (limit "
@@ -374,6 +381,7 @@ def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> None:
                 f"{bags}: contains finished logs; continue with --resume, choose another --out, or "
                 "move the folder away"
             )
+        # Through JSON and back, so that tuples and numbers compare equal to those in the file.
         before = artifacts.read_json(state)
         now = json.loads(artifacts.dump_json(claim))
         check_same(bags, before, now, "use the same options and rig, or choose another --out")
@@ -403,10 +411,12 @@ def _record(
     for tick in range(len(commands) + EXTRA_TICKS):
         sample = session.tick()
         samples.append(sample)
+        # The drive holds a command until the next one, so only changes are sent.
         if tick < len(commands):
             if not issued or commands[tick] != issued[-1][1]:
                 session.command(commands[tick])
                 issued.append((sample.time - HALF_TICK_S, commands[tick]))
+            # Progress twice per second, and at the end of the log.
             if tick % (RATE_HZ // 2) == 0 or tick >= config.rows:
                 report(tick, sample)
     session.deactivate()

@@ -173,6 +173,7 @@ class _Reproduction:
             else:
                 return
         artifacts.check_vacant(self.out, overwrite)
+        # Only a complete run is kept until the new one is complete.
         if (self.out / RESULTS).is_file():
             shutil.rmtree(self.replaced, ignore_errors=True)
             self.out.rename(self.replaced)
@@ -236,6 +237,7 @@ class _Reproduction:
 
     def learn_surrogate(self) -> JsonObject | None:
         """Collect logs and fit the surrogate; returns the scores of Table I."""
+        # The run's seed replaces the seed in the configuration of the stage.
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
         minutes = settings.logs * settings.rows / (60 * RATE_HZ)
         what = (
@@ -246,6 +248,8 @@ class _Reproduction:
         what = (
             "a surrogate: neural networks that predict the fin's motion and force from its commands"
         )
+        # `resume` continues an interrupted fit and otherwise starts one. Errors are ignored because
+        # the logs were recorded by this run and not by a user's program.
         options = {"seed": self.seed, "resume": True, "ignore_errors": True}
         self.stage(
             "fit",
@@ -386,12 +390,14 @@ class _Reproduction:
             return {}
         log = next(data.load(data.test[:1]))
         rows = len(log.reading.time)
+        # Late enough to fill the surrogate's memory.
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
         free, _ = free_run(surrogate, [log], [(0, first)], ticks)
         predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
+            # Row i of this prediction is for row i + window of the log.
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             predicted = {
                 "given the angle": surrogate.predict_force(log, free_running=False)[behind],
@@ -406,5 +412,6 @@ class _Reproduction:
 
 def _peak_memory_gib() -> float:
     """Return the peak resident memory of this process so far [GiB]."""
+    # macOS reports bytes, Linux kibibytes.
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return largest / (2**30 if sys.platform == "darwin" else 2**20)

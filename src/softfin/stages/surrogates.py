@@ -78,6 +78,7 @@ def fit(
         if problem := limits.problem(one_velocity=True):
             hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""
             raise LogError(f"{dataset}: the training commands: {problem}{hint}")
+        # Check the test logs before the long fit, so that scoring cannot fail afterwards.
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:

@@ -59,6 +59,7 @@ def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
 def check_writable(path: Path, option: str = "--out") -> None:
     """Raise ArtifactError unless a file or folder can be created at `path`. This is tried, because
     permissions are not the only obstacle."""
+    # The nearest existing parent decides whether the missing folders can be created.
     parent = path.absolute().parent
     while not parent.exists():
         parent = parent.parent
@@ -110,6 +111,8 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         raise RunError(
             f"{path}: cannot be written ({error.strerror or error}); nothing else was changed"
         ) from None
+    # Another process may have written `path` while this one was computing, so check again. A rename
+    # is atomic: at any moment either the old or the new folder is complete.
     try:
         check_vacant(path, overwrite)
         if path.exists():
@@ -119,6 +122,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     except (OSError, ArtifactError) as error:
         if before.exists():
             before.rename(path)
+        # The result may have taken hours: keep it under a name that is free.
         number = 1
         while (kept := path.with_name(f"{path.name}.finished-{number}")).exists():
             number += 1
@@ -235,6 +239,7 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
     try:
         weights = safetensors.numpy.load_file(file)
         for name, array in weights.items():
+            # Only floating-point numbers and integers, signed or not.
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
     except Exception as error:

@@ -100,6 +100,7 @@ def _hash_files(path: Path) -> dict[str, str]:
     """Return the SHA-256 of each log by its path within the folder, in a fixed order."""
     hashes = {}
     train, test = list_logs(path)
+    # The order determines the data hash, so it must not change.
     for file in (*test, *train):
         try:
             with file.open("rb") as content:

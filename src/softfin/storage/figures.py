@@ -4,6 +4,7 @@ state.
 Colours: Okabe and Ito's palette (2008), in an order that also differs in lightness.
 """
 
+import contextlib
 import hashlib
 import io
 import re
@@ -48,7 +49,7 @@ def new_figure(width_in: int | float, height_in: int | float) -> Figure:
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def styled() -> Any:
+def styled() -> contextlib.AbstractContextManager[None]:
     """Return the context manager within which figures are drawn and saved."""
     return matplotlib.rc_context(STYLE)
 
@@ -74,6 +75,7 @@ def inline_svg(figure: Figure, name: str) -> str:
     ids."""
     text = _render(figure, "svg", transparent=True).decode()
     text = text[text.index("<svg") :]
+    # Matplotlib's ids repeat between figures, and ids must be unique within a page.
     prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{prefix}-", text)
     # A hundredth of a point is finer than any screen; rounding to it halves the size.

@@ -99,6 +99,7 @@ def check_columns(columns: Columns, source: str) -> None:
                 "this column); remove these rows, or split the log around them"
             )
     time = columns["time_s"]
+    # Order of the checks: a repeated or wrong time would also look like a wrong rate or a gap.
     steps = np.diff(time)
     backward = np.flatnonzero(steps <= 0)
     if backward.size:

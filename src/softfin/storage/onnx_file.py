@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softfin.core.errors import ConfigurationError, RunError
+from softfin.core.json_object import JsonObject
 from softfin.installation import how_to_add
 from softfin.storage.artifact import write_file
 
@@ -53,7 +54,7 @@ def import_extra(*names: str) -> tuple[Any, ...]:
 
 
 def encode_model(
-    model: Any, title: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
+    model: Any, title: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, object]
 ) -> bytes:
     """Return the bytes of a model, checked by onnx, with its metadata and the initial values of its
     state."""
@@ -63,7 +64,7 @@ def encode_model(
     model.producer_name = "softfin"
     model.producer_version = version
     model.graph.name = title
-    properties: dict[str, Any] = {"softfin": version, **metadata, "state": {}}
+    properties: JsonObject = {"softfin": version, **metadata, "state": {}}
     for name, value in initial.items():
         properties["state"][name] = f"{NEXT}{name}"
         properties[f"initial_{name}"] = value.tolist()

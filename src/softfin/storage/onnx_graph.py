@@ -9,14 +9,14 @@ constants. Unsupported primitives are rejected by name. Requires ``softfin[onnx]
 import importlib.metadata
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, SupportsIndex, TypeAlias
+from typing import Any, SupportsIndex, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import spox
 import spox.opset.ai.onnx.v17 as op
-from jax.extend.core import Jaxpr, JaxprEqn, Literal
+from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
 
 from softfin.core.errors import RunError
 from softfin.storage.onnx_file import NEXT, OPSET
@@ -25,6 +25,9 @@ Value: TypeAlias = np.ndarray | np.generic | jax.Array | spox.Var
 """Array, if the value is known while the graph is built; otherwise a variable of the graph."""
 
 Results: TypeAlias = Value | list[Value]
+
+Atom: TypeAlias = Var | Literal
+"""Operand of an equation: a variable of the jaxpr, or a constant."""
 
 
 def build_graph(
@@ -70,10 +73,10 @@ def build_graph(
 
 def _translate(jaxpr: Jaxpr, consts: Sequence[Value], arguments: Sequence[Value]) -> list[Value]:
     """Translate the equations one by one; return the outputs of the jaxpr."""
-    values: dict[Any, Value] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values: dict[Var, Value] = dict(zip(jaxpr.constvars, consts, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
-    def read(atom: object) -> Value:
+    def read(atom: Atom) -> Value:
         if isinstance(atom, Literal):
             return np.asarray(atom.val, dtype=_dtype(atom))
         return values[atom]
@@ -90,15 +93,17 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
     params = equation.params
     if name == "scan":
         return _unroll_scan(equation, values)
+    # Calls of other functions, such as jit and custom derivatives, are translated in place.
     inner = params.get("jaxpr", params.get("call_jaxpr"))
     if inner is not None:
         if hasattr(inner, "consts"):
             return _translate(inner.jaxpr, inner.consts, values)
         return _translate(inner, (), values)
     if all(map(_is_known, values)):
-        bind: Callable[..., Any] = equation.primitive.bind
+        # Independent of the inputs, such as a transposed weight: compute it now, as a constant.
+        bind: Callable[..., jax.Array | Sequence[jax.Array]] = equation.primitive.bind
         computed = bind(*values, **params)
-        results = computed if equation.primitive.multiple_results else [computed]
+        results = [computed] if isinstance(computed, jax.Array) else computed
         return list(map(np.asarray, results))
     if name in SAME_OPERANDS:
         return SAME_OPERANDS[name](*map(_variable, values))
@@ -136,7 +141,7 @@ def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
     return [*carried, *(_stack(each, 0) for each in zip(*in_order, strict=True))]
 
 
-def _count_unscanned(atoms: Sequence[object], in_body: Sequence[Any]) -> int:
+def _count_unscanned(atoms: Sequence[Atom], in_body: Sequence[jax.core.ShapedArray]) -> int:
     return sum(_shape(atom) == inner.shape for atom, inner in zip(atoms, in_body, strict=True))
 
 
@@ -152,17 +157,18 @@ def _integers(numbers: Sequence[SupportsIndex] | np.ndarray) -> spox.Var:
     return op.const(np.asarray(numbers, np.int64))
 
 
-def _cast(value: Value, dtype: Any) -> spox.Var:
+def _cast(value: Value, dtype: np.dtype | type[np.generic]) -> spox.Var:
     return op.cast(_variable(value), to=np.dtype(dtype).type)
 
 
-def _shape(atom: Any) -> tuple[int, ...]:
-    shape: tuple[int, ...] = atom.aval.shape
+def _shape(atom: Atom) -> tuple[int, ...]:
+    shape: tuple[int, ...] = cast(jax.core.ShapedArray, atom.aval).shape
     return shape
 
 
-def _dtype(atom: Any) -> Any:
-    return atom.aval.dtype
+def _dtype(atom: Atom) -> np.dtype:
+    dtype: np.dtype = cast(jax.core.ShapedArray, atom.aval).dtype
+    return dtype
 
 
 def _row(value: Value, index: int) -> Value:
@@ -180,6 +186,7 @@ def _stack(values: Sequence[Value], axis: int) -> Value:
 
 
 def _broadcast_in_dim(equation: JaxprEqn, value: spox.Var) -> spox.Var:
+    # First reshape, with ones for the new axes, then expand them.
     shape = equation.params["shape"]
     sizes = np.ones(len(shape), np.int64)
     sizes[list(equation.params["broadcast_dimensions"])] = _shape(equation.invars[0])
@@ -239,12 +246,15 @@ def _gather(equation: JaxprEqn, value: Value, indices: Value) -> spox.Var:
     )
     if isinstance(indices, spox.Var) or not takes_rows:
         raise RunError("ONNX: softfin can only export a gather of entire rows at fixed indices")
+    # Clamp indices that are out of bounds, as JAX does; ONNX's Gather rejects them.
     places = np.clip(np.asarray(indices)[..., 0], 0, shape[axis] - 1)
     return op.gather(_variable(value), _integers(places), axis=axis)
 
 
 def _dot_general(equation: JaxprEqn, left: Value, right: Value) -> spox.Var:
     """Multiply matrices ``(batch, rows, sum)`` and ``(batch, sum, columns)``."""
+    # Any contraction becomes a batch of matrix products: move the axes to (batch, rows, sum) and
+    # (batch, sum, columns), merge each group into one axis, multiply, and split them again.
     (left_sum, right_sum), (left_batch, right_batch) = equation.params["dimension_numbers"]
     left_shape, right_shape = map(_shape, equation.invars)
     rows = [axis for axis in range(len(left_shape)) if axis not in (*left_sum, *left_batch)]

@@ -10,15 +10,15 @@ import copy
 import importlib.metadata
 import json
 import shutil
+from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import safetensors
 from jaxtyping import PyTree
-from numpy.typing import NDArray
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.core.json_object import JsonObject
@@ -51,6 +51,7 @@ class RunDirectory:
         self.overwrite = overwrite
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
+        # With `resume`, a run whose artifact is already finished needs no further work.
         finished = out / TRAINING_LOG / RUN
         self.complete = resume and not overwrite and finished.is_file()
         """Whether `out` already contains the finished artifact of this run."""
@@ -100,6 +101,7 @@ class RunDirectory:
             return None
         arrays, metadata = self._read(path)
         expected, structure = _named(like)
+        # Compare both ways, so that missing and additional leaves are found as well.
         for name in sorted(arrays | expected):
             there = _describe_leaf(arrays, name)
             here = _describe_leaf(expected, name)
@@ -113,7 +115,7 @@ class RunDirectory:
         leaves = [jnp.asarray(arrays[name]) for name in expected]
         return jax.tree.unflatten(structure, leaves), metadata
 
-    def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], JsonObject]:
+    def _read(self, path: Path) -> tuple[dict[str, np.ndarray], JsonObject]:
         """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
         try:
             with safetensors.safe_open(path, "numpy") as file:
@@ -170,6 +172,7 @@ class RunLog:
         from tensorboardX import SummaryWriter
 
         self.path = folder / LOG
+        # Without a step to rewind to, the run starts from the beginning: keep no old entry.
         last = -1 if rewind_to is None else rewind_to
         kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
@@ -212,18 +215,19 @@ def _software() -> str:
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
+def _named(tree: PyTree) -> tuple[dict[str, object], jax.tree_util.PyTreeDef]:
     """Return the leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order
     of the structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
 
 
-def _describe_leaf(leaves: dict[str, Any], name: str) -> str:
+def _describe_leaf(leaves: Mapping[str, object], name: str) -> str:
     """Return dtype and shape."""
     if name not in leaves:
         return "missing"
-    return f"{np.asarray(leaves[name]).dtype} {np.shape(leaves[name])}"
+    array = np.asarray(leaves[name])
+    return f"{array.dtype} {array.shape}"
 
 
 def check_same(
@@ -244,11 +248,11 @@ def check_same(
         raise ArtifactError(f"{path}: belongs to another run ({differing}); {remedy}")
 
 
-def name_path(path: Any) -> str:
+def name_path(path: tuple[Hashable, ...]) -> str:
     """Return the name of a leaf of a pytree, such as ``posnet.3.kernel``."""
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
-def name_leaves(tree: PyTree) -> dict[str, Any]:
+def name_leaves(tree: PyTree) -> dict[str, object]:
     """Return the leaves of a pytree by their names."""
     return {name_path(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}

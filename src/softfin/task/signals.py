@@ -100,6 +100,7 @@ class Ramp(Signal):
         return self
 
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
+        # (1 - s) start + s to, with s from 0 to 1 over the ramp
         part = np.clip((time_s[:, None] - self.begin_s) / (self.end_s - self.begin_s), 0, 1)
         return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n))
 
@@ -161,6 +162,7 @@ class Recorded(Signal):
         """Duration in whole seconds, if the last force lasts as long as the one before it."""
         last = self.time_s[-1]
         before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
+        # last + (last - before), rounded up
         return int(np.ceil(2 * last - before - CLOCK_S))
 
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
@@ -213,6 +215,7 @@ def read_reference_file(path: Path) -> Recorded:
         raise ConfigurationError(
             f"{source}: {met}; correct it, or remove the row, and the previous force is held"
         )
+    # softfin's own logs start one tick late; see the top of this module.
     if -CLOCK_S <= values[0, 0] <= TICK_S + CLOCK_S:
         values[0, 0] = 0.0
     recorded = Recorded.build(

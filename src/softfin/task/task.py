@@ -181,6 +181,8 @@ class ForceTracking:
         """Return the observation with privileged information: the window's forces, the fraction of
         it that is valid, and the clock."""
         scale = self.config.force_scale_n
+        # Means per block, scaled so that their mean is the mean over the valid samples: in a window
+        # that is not yet full, the zeros must not count.
         window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
         mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
         full = state.samples / self.config.window_samples
@@ -197,6 +199,7 @@ class ForceTracking:
         past_references = _last(
             state.past_references, jnp.tile(state.reference, (MAX_ACTION_TICKS, 1)), ticks
         )
+        # The window moves by the valid ticks of this action only.
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         target = (
@@ -219,6 +222,7 @@ class ForceTracking:
         drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
         return TaskState(
             plant=plant,
+            # The last valid tick is row ticks - 1; a delay looks further back within the action.
             angle=jnp.asarray(reading.angle)[ticks - 1 - sensing.delay_ticks] + noise,
             reference=jnp.where(is_due & ~ramp, sampled, state.reference + drift),
             drift=drift,
@@ -236,6 +240,7 @@ class ForceTracking:
     ) -> Float[Array, "*batch n"]:
         """Return observations, privileged or not, as if the reference were shifted by `shift`
         [N]."""
+        # Both kinds of observations start with angle, reference x, reference y.
         return observation.at[..., 1:3].add(shift / self.config.force_scale_n)
 
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
@@ -246,6 +251,7 @@ class ForceTracking:
 
 def _last(before: ForceWindow, rows: Float[Array, "34 2"], ticks: Ticks) -> ForceWindow:
     """Append the first `ticks` rows to a window and drop as many old ones."""
+    # A traced start with a static length keeps one program for 33 and 34 ticks.
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
 

@@ -64,6 +64,8 @@ FRAME = "fin"
 
 SECOND_NS = 1_000_000_000
 
+# After CDR's encapsulation header of 4 bytes, a message with a header starts with its stamp:
+# seconds as int32 and nanoseconds as uint32, little-endian.
 _STAMP = struct.Struct("<iI")
 _STAMP_BYTE = 4
 _NUMBER = struct.Struct("<d")

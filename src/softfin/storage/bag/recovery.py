@@ -187,11 +187,13 @@ def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
     file.seek(record.end)
     if file.read() != MAGIC or len(record.content) < 20:
         return False
+    # Footer: start of the summary, start of the summary's offsets, CRC-32 of the summary.
     start, _, checksum = struct.unpack_from("<QQI", record.content)
     if start > record.start:
         return False
     # The checksum covers the index and the footer, except for the checksum itself.
     file.seek(start)
+    # In MCAP, 0 means that there is no summary, or no checksum.
     return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum
 
 
@@ -267,6 +269,7 @@ class _Contents:
     def copy(self, file: BinaryIO) -> None:
         """Write everything readable as a new bag."""
         writer = start_writer(file)
+        # In MCAP, schema id 0 means "no schema".
         registered = {0: 0}
         written = {}
         for number, schema in self.schemas.items():

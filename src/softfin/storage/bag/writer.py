@@ -139,6 +139,7 @@ class BagRecorder:
         if self._closing.is_set():
             return
         waiting = self._queue.qsize()
+        # The loop must not wait: rows beyond the backlog are dropped, and the recording has failed.
         if waiting >= BACKLOG or self._clock() - self._flushed > STALL_S:
             self._fail(f"{waiting:,} rows wait for the disk", "record on a faster disk")
         if waiting < BACKLOG:
