@@ -127,7 +127,7 @@ def list_actions(name: str) -> tuple[str, ...]:
 def _run_action(name: str, actions: tuple[str, ...], words: list[str]) -> None:
     action = words[0] if words else "--help"
     if action in ("-h", "--help"):
-        group = {each: COMMANDS[each] for each in (f"{name} {action}" for action in actions)}
+        group = {f"{name} {each}": COMMANDS[f"{name} {each}"] for each in actions}
         sys.stdout.write(f"usage: softfin {name} ACTION [OPTION ...]\n\n{_list(group)}\n")
     elif action in actions:
         _run(f"{name} {action}", words[1:])

@@ -226,16 +226,10 @@ def asked_cells(
     The range `map` is the bounding box of the reachable forces; training replaces unreachable
     references by the nearest reachable ones.
     """
-    from softfin.gaits.force_map import load_map
-    from softfin.gaits.reachable import Cell, bounding_box
-    from softfin.task.references import PAPER_RANGE, parse_cells, parse_range
+    from softfin.gaits.reachable import bounding_box
+    from softfin.task.references import parse_cells
 
-    within = PAPER_RANGE
-    if span == MAP and force_map is not None:
-        low, high = load_map(force_map).force_map.reachable.bounds()
-        within = Cell(low=low, high=high)
-    elif span is not None:
-        within = parse_range(span)
+    within = _range_cell(span, force_map)
     if controller != "grid":
         if cells is not None:
             raise ConfigurationError(
@@ -252,6 +246,19 @@ def asked_cells(
             "--cells 3x3"
         )
     return found
+
+
+def _range_cell(span: str | None, force_map: Path | None) -> "Cell":
+    from softfin.gaits.force_map import load_map
+    from softfin.gaits.reachable import Cell
+    from softfin.task.references import PAPER_RANGE, parse_range
+
+    if span is None:
+        return PAPER_RANGE
+    if span == MAP and force_map is not None:
+        low, high = load_map(force_map).force_map.reachable.bounds()
+        return Cell(low=low, high=high)
+    return parse_range(span)
 
 
 class ExportArguments(Common):

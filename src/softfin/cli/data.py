@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from softfin.cli.common import (
     AnyPlant,
@@ -18,6 +18,7 @@ from softfin.cli.common import (
 )
 from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.data.issues import counted
 from softfin.storage.registry import is_live
 
@@ -105,7 +106,7 @@ class InspectArguments(LogOptions, Common):
         self.tell(result, inspection_table(result))
 
 
-def inspection_table(result: Mapping[str, Any]) -> str:
+def inspection_table(result: JsonObject) -> str:
     """Return a summary of the logs, followed by each issue."""
     summary = result["summary"]
     counts = summary["counts"]
@@ -121,26 +122,30 @@ def inspection_table(result: Mapping[str, Any]) -> str:
         lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
     lines.append("")
     for issue in result["issues"]:
-        row = issue["row"]
-        others = len(issue["logs"]) - 1
-        place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
-        more = f" (and {counted(others, 'more log')})" if others else ""
-        lines.append(
-            f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"
-        )
-        for text in (issue["message"], issue["fix"] and f"-> {issue['fix']}"):
-            lines += textwrap.wrap(
-                text or "",
-                110,
-                initial_indent=" " * 9,
-                subsequent_indent=" " * 9,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
+        lines += _issue_lines(issue)
     lines.append(issue_counts(counts))
     if counts["error"]:
         lines.append("fit and import-logs reject logs with errors unless you add --ignore-errors")
     return "\n".join(lines)
+
+
+def _issue_lines(issue: JsonObject) -> list[str]:
+    """Return the place of an issue, then its message and its fix, indented."""
+    row = issue["row"]
+    others = len(issue["logs"]) - 1
+    place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
+    more = f" (and {counted(others, 'more log')})" if others else ""
+    lines = [f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"]
+    for text in (issue["message"], issue["fix"] and f"-> {issue['fix']}"):
+        lines += textwrap.wrap(
+            text or "",
+            110,
+            initial_indent=" " * 9,
+            subsequent_indent=" " * 9,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    return lines
 
 
 def _lag(lag: Mapping[str, float] | None) -> str:

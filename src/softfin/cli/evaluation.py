@@ -79,7 +79,6 @@ class EvaluateArguments(Armed, Configured):
 
     def __call__(self) -> None:
         from softfin.cli.driving import KeyboardStop
-        from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.rig.robot_setup import find_robot
@@ -126,16 +125,23 @@ class EvaluateArguments(Armed, Configured):
                 randomize=self.randomize,
                 overwrite=self.overwrite,
             )
-        lines = [table_two({summary["conditions"]["kind"]: summary})]
-        if "moving" in summary:
-            lines.append(moving_table(summary["moving"]))
-        if "error_map" in summary:
-            lines.append(map_line(summary["error_map"]))
-        if "random" in summary:
-            lines.append(random_line(summary["random"]))
-        if summary["warning"] is not None:
-            lines.append(f"warning: {summary['warning']}")
-        self.tell(summary, "\n".join(lines))
+        self.tell(summary, evaluation_tables(summary))
+
+
+def evaluation_tables(summary: "EvaluationSummary") -> str:
+    """Return Table II, followed by the parts of the evaluation that were requested."""
+    from softfin.cli.tables import table_two
+
+    lines = [table_two({summary["conditions"]["kind"]: summary})]
+    if "moving" in summary:
+        lines.append(moving_table(summary["moving"]))
+    if "error_map" in summary:
+        lines.append(map_line(summary["error_map"]))
+    if "random" in summary:
+        lines.append(random_line(summary["random"]))
+    if summary["warning"] is not None:
+        lines.append(f"warning: {summary['warning']}")
+    return "\n".join(lines)
 
 
 def moving_table(rows: "Sequence[MovingRow]") -> str:
@@ -164,11 +170,11 @@ def map_line(errors: "ErrorMapRows") -> str:
     """Return the error map in one line."""
     (x0, y0) = errors["low_n"]
     (x1, y1) = errors["high_n"]
-    counts = {
-        "not covered": errors["not_covered"],
-        "beyond the fin's reach": errors["not_reachable"],
-    }
-    gaps = "".join(f", {count} {what}" for what, count in counts.items() if count)
+    gaps = ""
+    if errors["not_covered"]:
+        gaps += f", {errors['not_covered']} not covered"
+    if errors["not_reachable"]:
+        gaps += f", {errors['not_reachable']} unreachable"
     return (
         f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
         f"{y0:g} .. {y1:g} N{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst "

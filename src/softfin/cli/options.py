@@ -177,8 +177,8 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
     """Build the command from its arguments; raises ConfigurationError with a one-line message, or
     HelpRequested."""
     fields = list_fields(command)
-    named = {field.name: field for field in fields if not field.option.positional}
-    places = [field for field in fields if field.option.positional]
+    places, options = _split_positional(fields)
+    named = {field.name: field for field in options}
     values: dict[str, object] = {}
     repeated: dict[str, list[object]] = {}
 
@@ -205,10 +205,23 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
             take(field, text)
     for name, each in repeated.items():
         values[name] = tuple(each)
+    _check_required(fields, values)
+    return command.build(values, "options")
+
+
+def _split_positional(fields: Iterable[Field]) -> tuple[list[Field], list[Field]]:
+    """Return the positional arguments, then the options."""
+    places: list[Field] = []
+    options: list[Field] = []
+    for field in fields:
+        (places if field.option.positional else options).append(field)
+    return places, options
+
+
+def _check_required(fields: Iterable[Field], values: Mapping[str, object]) -> None:
     missing = [field.usage for field in fields if field.required and field.field not in values]
     if missing:
         raise ConfigurationError(f"missing required {', '.join(missing)}; see --help")
-    return command.build(values, "options")
 
 
 def _next_place(places: Sequence[Field], values: Mapping[str, object], word: str) -> Field:
@@ -255,17 +268,18 @@ def check_values(command: Configuration) -> None:
 def format_help(command: type[Configuration], program: str) -> str:
     """Return the help of a command, wrapped to the width of the terminal."""
     width = max(60, min(shutil.get_terminal_size().columns, 120))
-    fields = list_fields(command)
-    places = [field for field in fields if field.option.positional]
-    options = [field for field in fields if not field.option.positional]
-    required = [field for field in options if field.required]
-    optional = [field for field in options if not field.required]
-    shown = [field.usage for field in (*places, *required)]
-    lines = _wrap(" ".join(["usage:", program, *shown, "[OPTION ...]"]), width, " " * 7)
+    places, options = _split_positional(list_fields(command))
+    # The sort is stable: required options first, otherwise in the order of the fields.
+    options.sort(key=lambda field: not field.required)
+    usage = f"usage: {program}"
+    for field in (*places, *options):
+        if field.required or field.option.positional:
+            usage += f" {field.usage}"
+    lines = _wrap(f"{usage} [OPTION ...]", width, " " * 7)
     for paragraph in (command.__doc__ or "").split("\n\n"):
         lines += ["", *_wrap(" ".join(paragraph.split()), width)]
     groups = {"arguments": places} if places else {}
-    for field in (*required, *optional):
+    for field in options:
         groups.setdefault(field.section, []).append(field)
     for title, group in groups.items():
         lines += ["", f"{title}:"]

@@ -1,9 +1,14 @@
 """Commands that run every stage: ``demo``, and ``reproduce`` for the paper."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from softfin.cli.common import Configured, Out, PlantName, progress
 from softfin.core.choices import ReproducePreset
+
+if TYPE_CHECKING:
+    from softfin.evaluation.results import EvaluationSummary
 
 
 class DemoArguments(Configured):
@@ -47,8 +52,7 @@ class ReproduceArguments(Configured):
 def _run_stages(
     command: DemoArguments | ReproduceArguments, plant: str, preset: ReproducePreset
 ) -> None:
-    from softfin.cli.evaluation import moving_table
-    from softfin.cli.tables import format_table_one, table_two
+    from softfin.cli.tables import format_table_one
     from softfin.evaluation.headline import headline
     from softfin.stages.reproduce import reproduce
     from softfin.stages.reproduce_config import PRESETS
@@ -74,14 +78,7 @@ def _run_stages(
     }
     for title, summaries in evaluated.items():
         if summaries:
-            moving = {
-                name: moving_table(rows)
-                for name, each in summaries.items()
-                if (rows := each.get("moving"))
-            }
-            parts.append(
-                "\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())])
-            )
+            parts.append(f"{title}\n{_evaluation_tables(summaries)}")
     took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
     processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
     parts.append(
@@ -95,3 +92,15 @@ def _run_stages(
         f"{command.out / page}: drag the target force and watch the fin follow it" for page in pages
     ]
     command.tell(results, "\n\n".join(parts))
+
+
+def _evaluation_tables(summaries: "Mapping[str, EvaluationSummary]") -> str:
+    """Return Table II, then the moving references of each controller."""
+    from softfin.cli.evaluation import moving_table
+    from softfin.cli.tables import table_two
+
+    lines = [table_two(summaries)]
+    for name, summary in summaries.items():
+        if rows := summary.get("moving"):
+            lines.append(f"{name}, {moving_table(rows)}")
+    return "\n".join(lines)

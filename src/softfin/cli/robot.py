@@ -1,6 +1,7 @@
 """Commands for a robot with several fins."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -31,18 +32,7 @@ class RobotCheckArguments(CommandOptions):
         from softfin.stages.robot import check_robot_file
 
         found = check_robot_file(self.robot)
-        lines = [
-            f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
-            "singular values  " + "  ".join(f"{value:.3f}" for value in found["singular_values"]),
-            *(f"without {name}: rank {rank}" for name, rank in found["rank_without"].items()),
-            "mean force of each fin  "
-            + ", ".join(f"{name} {n:.2f} N" for name, n in found["fin_reach_n"].items()),
-            *(
-                f"{name:6} up to {most:5.2f} {'N' if i < 3 else 'N m'} "
-                f"({found['acceleration'][name]:.2f} {'m/s2' if i < 3 else 'rad/s2'} from rest)"
-                for i, (name, most) in enumerate(found["reach"].items())
-            ),
-        ]
+        lines = _reach_lines(found)
         if abs(found["sinks_n"]) > 1e-3:
             lines.append(
                 f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N"
@@ -161,9 +151,28 @@ class RobotRos2Arguments(NodeOptions):
             transport.close()
 
 
-def _table(found: JsonObject) -> list[str]:
-    from softfin.cli.tables import aligned
+def _reach_lines(found: JsonObject) -> list[str]:
+    """Return rank, singular values and the largest forces and moments of a robot."""
+    singular_values = "  ".join(map("{:.3f}".format, found["singular_values"]))
+    lines = [
+        f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
+        f"singular values  {singular_values}",
+    ]
+    for name, rank in found["rank_without"].items():
+        lines.append(f"without {name}: rank {rank}")
+    reach = ", ".join(f"{name} {force:.2f} N" for name, force in found["fin_reach_n"].items())
+    lines.append(f"mean force of each fin  {reach}")
+    # Three forces, then three moments.
+    for index, (name, most) in enumerate(found["reach"].items()):
+        unit, acceleration_unit = ("N", "m/s2") if index < 3 else ("N m", "rad/s2")
+        acceleration = found["acceleration"][name]
+        lines.append(
+            f"{name:6} up to {most:5.2f} {unit} ({acceleration:.2f} {acceleration_unit} from rest)"
+        )
+    return lines
 
+
+def _table(found: JsonObject) -> list[str]:
     lines = []
     if (row := found.get("wrenches")) is not None:
         lines.append(
@@ -172,44 +181,56 @@ def _table(found: JsonObject) -> list[str]:
             f"{row['moment_error_worst_nm']:.3f} N m); roll ripple "
             f"{row['roll_ripple_ratio']:.2f} times that with independent phases"
         )
-    trials = {task: found[task] for task in ("hold", "lemniscate", "lissajous") if task in found}
-    if trials:
-        cells = [["", "seed", "position [cm RMS]", "worst", "tilt [deg RMS]", "worst", ""]]
-        for task, rows in trials.items():
-            for row in rows:
-                note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
-                cells.append(
-                    [
-                        task,
-                        str(row["seed"]),
-                        f"{100 * row['position_rms_m']:.2f}",
-                        f"{100 * row['position_worst_m']:.1f}",
-                        f"{row['attitude_rms_deg']:.2f}",
-                        f"{row['attitude_worst_deg']:.1f}",
-                        note,
-                    ]
-                )
-        lines.append("\n".join(aligned(cells, (0, 6))))
+    tasks = [task for task in ("hold", "lemniscate", "lissajous") if task in found]
+    if tasks:
+        lines.append(_trial_table(found, tasks))
     if "baselines" in found:
-        titles = ("mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]")
-        cells = [[*titles, *(f"{task} [cm; deg]" for task in trials)]]
-        for name, row in found["baselines"].items():
-            scores = row["wrenches"]
-            errors = (
-                [
-                    sum(each[score] for each in row[task]) / len(row[task])
-                    for score in ("position_rms_m", "attitude_rms_deg")
-                ]
-                for task in trials
-            )
+        lines.append(_baseline_table(found["baselines"], tasks))
+    return lines
+
+
+def _trial_table(found: JsonObject, tasks: Sequence[str]) -> str:
+    from softfin.cli.tables import aligned
+
+    cells = [["", "seed", "position [cm RMS]", "worst", "tilt [deg RMS]", "worst", ""]]
+    for task in tasks:
+        for row in found[task]:
+            note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
             cells.append(
                 [
-                    name,
-                    f"{scores['force_error_n']:.3f}",
-                    f"{scores['moment_error_nm']:.3f}",
-                    f"{scores['ripple']['roll']:.2f}",
-                    *(f"{100 * off:.1f}; {tilt:.1f}" for off, tilt in errors),
+                    task,
+                    str(row["seed"]),
+                    f"{100 * row['position_rms_m']:.2f}",
+                    f"{100 * row['position_worst_m']:.1f}",
+                    f"{row['attitude_rms_deg']:.2f}",
+                    f"{row['attitude_worst_deg']:.1f}",
+                    note,
                 ]
             )
-        lines.append("\n".join(aligned(cells)))
-    return lines
+    return "\n".join(aligned(cells, (0, 6)))
+
+
+def _baseline_table(baselines: JsonObject, tasks: Sequence[str]) -> str:
+    from softfin.cli.tables import aligned
+
+    titles = ["mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]"]
+    cells = [titles + [f"{task} [cm; deg]" for task in tasks]]
+    for name, row in baselines.items():
+        scores = row["wrenches"]
+        line = [
+            name,
+            f"{scores['force_error_n']:.3f}",
+            f"{scores['moment_error_nm']:.3f}",
+            f"{scores['ripple']['roll']:.2f}",
+        ]
+        for task in tasks:
+            off_m = _mean(row[task], "position_rms_m")
+            tilt_deg = _mean(row[task], "attitude_rms_deg")
+            line.append(f"{100 * off_m:.1f}; {tilt_deg:.1f}")
+        cells.append(line)
+    return "\n".join(aligned(cells))
+
+
+def _mean(rows: Sequence[JsonObject], score: str) -> float:
+    total: float = sum(row[score] for row in rows)
+    return total / len(rows)

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from softfin.cli.common import (
     Common,
@@ -22,6 +22,7 @@ from softfin.cli.common import (
 from softfin.cli.options import Option
 from softfin.core.choices import CalibratePreset, ModelName
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.data.issues import counted
 
@@ -201,16 +202,10 @@ WARPED = (
 )
 
 
-def comparison_tables(summary: Mapping[str, Any]) -> str:
+def comparison_tables(summary: JsonObject) -> str:
     """Return the errors, mean force and DTW for a terminal of 120 columns, followed by notes."""
-    groups = []
-    for row in summary["groups"]:
-        yardstick = summary["flops_ratio_to"]
-        ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
-        size = f"{row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs per tick"
-        groups.append(
-            (f"{row['name']}: {counted(row['seeds'], 'seed')}, {size}{ratio}", row["horizons"])
-        )
+    yardstick = summary["flops_ratio_to"]
+    groups = [(_heading(row, yardstick), row["horizons"]) for row in summary["groups"]]
     if (floor := summary["noise_floor"]) is not None:
         groups.append((floor["name"], floor["horizons"]))
     several = any(row["seeds"] > 1 for row in summary["groups"])
@@ -220,8 +215,11 @@ def comparison_tables(summary: Mapping[str, Any]) -> str:
         "longest horizon"
     )
     lines = [f"Free-running over {scored}{seeds}", *_table(ERRORS, groups)]
-    if any("mean_force_mae_n" in row for _, rows in groups for row in rows):
-        stated = any("coverage" in row for _, rows in groups for row in rows)
+    scores = set[str]()
+    for _, rows in groups:
+        scores.update(*rows)
+    if "mean_force_mae_n" in scores:
+        stated = "coverage" in scores
         title = "Mean force over 200 samples" + (
             ", with the surrogate's 90% intervals" if stated else ""
         )
@@ -231,28 +229,38 @@ def comparison_tables(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def _heading(group: JsonObject, yardstick: str) -> str:
+    """Return the size of a group of surrogates, relative to the group `yardstick`."""
+    heading = (
+        f"{group['name']}: {counted(group['seeds'], 'seed')}, {group['parameters']:,} parameters, "
+        f"{group['flops_per_tick']:,} FLOPs per tick"
+    )
+    if group["name"] == yardstick:
+        return heading
+    return f"{heading} ({group['flops_ratio']:.3g} of {yardstick}'s)"
+
+
 def _table(
-    columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, Any]]
+    columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, list[JsonObject]]]
 ) -> list[str]:
     from softfin.cli.tables import aligned
 
     head = [["", *(column[i] for column in columns)] for i in (0, 1)]
-    body = [
-        [
-            f"  {row['horizon_s']:g} s",
-            *(_cell(row.get(score), factor) for _, _, score, factor in columns),
-        ]
-        for _, rows in groups
-        for row in rows
-    ]
+    body = []
+    for _, rows in groups:
+        for row in rows:
+            cells = [_cell(row.get(score), factor) for _, _, score, factor in columns]
+            body.append([f"  {row['horizon_s']:g} s", *cells])
     lines = aligned([*head, *body])
+    # All groups are aligned together; their headings are inserted afterwards.
+    result = lines[:2]
     rest = iter(lines[2:])
-    return lines[:2] + [
-        line for heading, rows in groups for line in (heading, *islice(rest, len(rows)))
-    ]
+    for heading, rows in groups:
+        result += [heading, *islice(rest, len(rows))]
+    return result
 
 
-def _cell(cell: Mapping[str, Any] | None, factor: int) -> str:
+def _cell(cell: JsonObject | None, factor: int) -> str:
     if cell is None:
         return "\N{EN DASH}"
     # Four significant digits at most, but no exponent unless the value would be shown as 0.
@@ -304,7 +312,7 @@ class CalibrateArguments(Configured):
         self.tell({"calibration": str(self.out), **result}, calibration_tables(result))
 
 
-def calibration_tables(result: Mapping[str, Any]) -> str:
+def calibration_tables(result: JsonObject) -> str:
     """Return the scores, then the parameters."""
     from softfin.cli.tables import aligned
 

@@ -15,7 +15,8 @@ from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
     """Return one line per row, with columns as wide as necessary; columns in `left` are
     left-aligned."""
-    widths = [max(len(str(cell)) for cell in column) for column in zip_longest(*rows, fillvalue="")]
+    columns = zip_longest(*rows, fillvalue="")
+    widths = [max(map(len, map(str, column))) for column in columns]
     lines = []
     for row in rows:
         line = ""
@@ -68,7 +69,8 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
             )
             notes.append(("  stands still" if row["still"] else "") + format_reference_errors(row))
         # The paper's mean only compares to a mean over the same references.
-        complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
+        references = {tuple(row["reference_n"]) for row in summary["references"]}
+        complete = references == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
         rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
