@@ -1,9 +1,11 @@
 """Stages that evaluate or show a moving fin: with a controller (paper Sec. IV-B), with baselines,
 as a video or a page."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from softfin.control.controller import LoadedController
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError, PlantError
@@ -119,6 +121,20 @@ def baselines(
     return result
 
 
+def _resolve(
+    controller: LoadedController, references: Sequence[tuple[float, float]]
+) -> tuple[list[tuple[float, float]], list[str]]:
+    """Return the references that the controller tracks, and warnings about replaced ones."""
+    forces = []
+    warnings = []
+    for asked in references:
+        force, warning = resolve_reference(controller, asked, strict=False)
+        forces.append(force)
+        if warning is not None:
+            warnings.append(warning)
+    return forces, warnings
+
+
 def view(
     plant: str | Plant,
     out: Path,
@@ -145,13 +161,7 @@ def view(
                 "random commands and a controller cannot be combined; use one of them"
             )
         loaded = load_controller(controller)
-        forces = []
-        for asked in (reference, *config.next_references):
-            force, warning = resolve_reference(loaded, asked, strict=False)
-            forces.append(force)
-            if warning is not None:
-                warnings.append(warning)
-        reference, *following = forces
+        (reference, *following), warnings = _resolve(loaded, (reference, *config.next_references))
         config = config.merged({"next_references": following}, "view")
         check_limits(loaded.limits, moving.limits, controller, plant_name(plant))
     title = view_title(plant_name(plant), config, reference)

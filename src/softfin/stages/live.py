@@ -96,12 +96,7 @@ def collect_live(
     }
     # A collection may continue with the sensor at another address, but not with other settings.
     claim = metadata | {"rig": _drop_addresses(robot.configuration)}
-    counts = {"train": config.logs, "test": config.test_logs}
-    names = [
-        f"{part}-{i:0{DATASET_PARTS[part]}d}"
-        for part, count in counts.items()
-        for i in range(count)
-    ]
+    names = _log_names(config)
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
     # Checked before anything moves, because collecting takes hours.
     _check_claim(bags, claim, resume)
@@ -151,17 +146,16 @@ def collect_live(
         "commands": {"excitation": "random"},
         "bags": bags.name,
         "sensor_by_log": sensor_states,
-        "sensor_warnings": [
-            line for name in names if (line := _drift_warning(sensor_states, name))
-        ],
+        "sensor_warnings": list(
+            filter(None, (_drift_warning(sensor_states, log) for log in names))
+        ),
         "provenance": artifacts.provenance(seed=config.seed),
         **metadata,
     }
-    train, test = (
-        [bags / f"{name}.parquet" for name in names if name.startswith(part)]
-        for part in DATASET_PARTS
-    )
-    return write_dataset(out, map(read_log, train), map(read_log, test), description, overwrite)
+    logs = [bags / f"{name}.parquet" for name in names]
+    train = map(read_log, logs[: config.logs])
+    test = map(read_log, logs[config.logs :])
+    return write_dataset(out, train, test, description, overwrite)
 
 
 def evaluate_live(
@@ -316,6 +310,15 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
             "--resume"
         )
     return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
+
+
+def _log_names(config: CollectConfig) -> list[str]:
+    """Return the names of all logs of a collection, training logs first."""
+    names = []
+    for part, count in (("train", config.logs), ("test", config.test_logs)):
+        digits = DATASET_PARTS[part]
+        names += [f"{part}-{index:0{digits}d}" for index in range(count)]
+    return names
 
 
 def _drop_addresses(configuration: JsonObject) -> JsonObject:

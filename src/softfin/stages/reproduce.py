@@ -108,24 +108,7 @@ def reproduce(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
-    shown = observed or evaluated
-    best = headline(results)
-    figures = {
-        "headline": {}
-        if best is None
-        else {best.caption: held_figure(shown[best.controller][1].recording)},
-        "surrogate": run.surrogate_figures() if scores is not None else {},
-        "learning": run.learning_figures(),
-        "experiment": {
-            f"{kind} controller, seed {seed}": experiments_figure(e.recording)
-            for kind, (_, e) in evaluated.items()
-        },
-        "moving": {
-            f"{kind} controller, seed {seed}": moving_figure(e.moving)
-            for kind, (_, e) in shown.items()
-            if e.moving
-        },
-    }
+    figures = run.figures(results, evaluated, observed or evaluated)
     write_report(out / "report.html", results, figures)
     # Written last, because it marks the run as complete.
     artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
@@ -134,7 +117,7 @@ def reproduce(
 
 
 def summaries(evaluated: Evaluated) -> dict[str, EvaluationSummary]:
-    """Return the ``evaluation.json`` of each kind of controller."""
+    """Return the contents of ``evaluation.json`` of each kind of controller."""
     return {kind: summary for kind, (summary, _) in evaluated.items()}
 
 
@@ -354,6 +337,30 @@ class _Reproduction:
                     whole,
                 )
         return evaluated
+
+    def figures(
+        self, results: RunResults, evaluated: Evaluated, shown: Evaluated
+    ) -> dict[str, dict[str, Figure]]:
+        """Draw the figures of the report by section; moving references are those of `shown`."""
+        figures: dict[str, dict[str, Figure]] = {
+            "headline": {},
+            "surrogate": {} if results["surrogate"] is None else self.surrogate_figures(),
+            "learning": self.learning_figures(),
+            "experiment": {},
+            "moving": {},
+        }
+        best = headline(results)
+        if best is not None:
+            recording = shown[best.controller][1].recording
+            figures["headline"][best.caption] = held_figure(recording)
+        for kind, (_, evaluation) in evaluated.items():
+            caption = f"{kind} controller, seed {self.seed}"
+            figures["experiment"][caption] = experiments_figure(evaluation.recording)
+        for kind, (_, evaluation) in shown.items():
+            if evaluation.moving:
+                caption = f"{kind} controller, seed {self.seed}"
+                figures["moving"][caption] = moving_figure(evaluation.moving)
+        return figures
 
     def learning_figures(self) -> dict[str, Figure]:
         """Draw the reward, and the error without exploration noise, over the training steps."""

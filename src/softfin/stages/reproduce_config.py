@@ -49,11 +49,12 @@ class ReproduceConfig(Configuration):
     @property
     def policies(self) -> dict[ControllerKind, TrainConfig]:
         """Training runs by kind of controller."""
-        trained: dict[ControllerKind, TrainConfig | None] = {
-            "single": self.single,
-            "grid": self.grid,
-        }
-        return {kind: config for kind, config in trained.items() if config is not None}
+        trained: dict[ControllerKind, TrainConfig] = {}
+        if self.single is not None:
+            trained["single"] = self.single
+        if self.grid is not None:
+            trained["grid"] = self.grid
+        return trained
 
     @property
     def kinds(self) -> list[ControllerKind]:
@@ -86,10 +87,10 @@ class ReproduceConfig(Configuration):
         for reference in self.evaluate.references:
             for kind, own in cells.items():
                 if all(cell.distance(reference) > 0 for cell in own):
-                    missing = (
-                        f"evaluate.references has {reference} N, which no cell of {kind} covers"
+                    raise ValueError(
+                        f"evaluate.references has {reference} N, which no cell of {kind} covers; "
+                        "add a cell"
                     )
-                    raise ValueError(f"{missing}; add a cell")
         return self
 
 

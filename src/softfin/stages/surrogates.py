@@ -8,7 +8,7 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import command_limits
+from softfin.core.quantities import Log, command_limits
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
@@ -74,10 +74,7 @@ def fit(
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
-        limits = command_limits(opened.train)
-        if problem := limits.problem(one_velocity=True):
-            hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""
-            raise LogError(f"{dataset}: the training commands: {problem}{hint}")
+        _check_commands(dataset, opened.train)
         # Check the test logs before the long fit, so that scoring cannot fail afterwards.
         test = opened.test
         check_lengths(test, SKIPPED, "test")
@@ -115,6 +112,14 @@ def fit(
         "columns": summary["columns"],
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
     }
+
+
+def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
+    """Raise LogError if no fin can have the range of the training commands."""
+    limits = command_limits(train)
+    if problem := limits.problem(one_velocity=True):
+        hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""
+        raise LogError(f"{dataset}: the training commands: {problem}{hint}")
 
 
 def import_keras(

@@ -8,7 +8,7 @@ readers reject shorter ones.
 import importlib.metadata
 import struct
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -137,14 +137,7 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
     for path, value in values.items():
         first, _, rest = path.partition(".")
         inner[first][rest] = value
-    if node is Nodetype.NAME:
-        fields = dict(types.fielddefs[detail][1])
-    else:
-        element, count = detail
-        count = (
-            count if node is Nodetype.ARRAY else max((int(index) + 1 for index in inner), default=0)
-        )
-        fields = {str(index): element for index in range(count)}
+    fields = _inner_fields(types, descriptor, inner)
     if not inner.keys() <= fields.keys():
         raise ValueError(
             f"no field {', '.join(inner.keys() - fields.keys())!r}; it has "
@@ -153,9 +146,25 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
     items = [build_message(types, field, inner[name]) for name, field in fields.items()]
     if node is Nodetype.NAME:
         return types.types[detail](*items)
-    if element[0] is Nodetype.BASE and element[1][0] != "string":
-        return np.array(items, {"byte": "int8", "char": "uint8"}.get(element[1][0], element[1][0]))
-    return items
+    (kind, base), _ = detail
+    if kind is not Nodetype.BASE or base[0] == "string":
+        return items
+    # rosbags serialises sequences of numbers from NumPy arrays; ROS's byte and char have no NumPy
+    # type of that name.
+    return np.array(items, {"byte": "int8", "char": "uint8"}.get(base[0], base[0]))
+
+
+def _inner_fields(types: Typestore, descriptor: Any, inner: Collection[str]) -> dict[str, Any]:
+    """Return the descriptors of the fields of a message, or of the elements of a sequence by
+    index."""
+    node, detail = descriptor
+    if node is Nodetype.NAME:
+        return dict(types.fielddefs[detail][1])
+    element, count = detail
+    if node is not Nodetype.ARRAY:
+        # A sequence without a fixed length is as long as the paths require.
+        count = max((int(index) + 1 for index in inner), default=0)
+    return {str(index): element for index in range(count)}
 
 
 class BagWriter:
