@@ -98,11 +98,11 @@ def test_rendering_where_nothing_can_be_drawn_is_refused(
     make: Callable[..., gymnasium.Env],
 ) -> None:
     env = make().unwrapped
-    with pytest.raises(InputError, match='make it with render_mode="rgb_array"'):
+    with pytest.raises(InputError, match='create it with render_mode="rgb_array"'):
         env.render()
-    with pytest.raises(InputError, match="reset it before it is rendered"):
+    with pytest.raises(InputError, match=r"cannot render; .* call reset first"):
         make(render_mode="rgb_array").unwrapped.render()
-    with pytest.raises(InputError, match="render_mode 'ansi'; give 'rgb_array' or None"):
+    with pytest.raises(InputError, match="render_mode 'ansi'; must be 'rgb_array' or None"):
         ForceTrackingEnv(AnalyticFin(), render_mode="ansi")
 
 
@@ -141,7 +141,7 @@ def test_a_reference_can_be_asked_for(make: Callable[..., gymnasium.Env]) -> Non
 def test_an_action_outside_the_box_is_refused(make: Callable[..., gymnasium.Env]) -> None:
     env = make().unwrapped
     env.reset(seed=0)
-    with pytest.raises(InputError, match=r"is not two numbers in \[-1, 1\]"):
+    with pytest.raises(InputError, match=r"must be two numbers in \[-1, 1\]"):
         env.step(np.array([2.0, 0.0], np.float32))
 
 

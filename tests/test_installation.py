@@ -67,20 +67,23 @@ def test_an_extra_that_brings_another_needs_what_that_needs():
 @pytest.mark.parametrize(
     ("module", "there", "told"),
     [
-        ("jax.numpy", None, "needs jax.numpy, of the extra 'learn', which is not installed: "),
-        ("PIL", None, "needs PIL, of the extra 'learn', which is not installed: "),
+        ("jax.numpy", None, "missing jax.numpy from the extra 'learn'; to install it, run "),
+        ("PIL", None, "missing PIL from the extra 'learn'; to install it, run "),
         (
             "cyclonedds.core",
             None,
-            "needs cyclonedds.core, of the extra 'ros2', which is not installed: ",
+            "missing cyclonedds.core from the extra 'ros2'; to install it, run ",
         ),
         (
             "yaml",
             None,
-            "needs yaml, without which no command works, and which is not installed; install "
-            "softfin again",
+            "missing yaml, which every command requires; reinstall softfin",
         ),
-        ("jax.extend.no", "0.1", "needs jax.extend.no, which jax 0.1 lacks; install jax again"),
+        (
+            "jax.extend.no",
+            "0.1",
+            "missing jax.extend.no, although jax 0.1 is installed; reinstall jax",
+        ),
     ],
 )
 def test_a_module_that_is_not_there_is_told_with_the_way_out(module, there, told, monkeypatch):
@@ -96,8 +99,8 @@ def test_a_module_that_softfin_does_not_need_is_a_bug(module):
 @pytest.mark.parametrize(
     ("module", "told"),
     [
-        ("jax", "needs jax, of the extra 'learn', which is not installed: "),
-        ("pydantic", "needs pydantic"),
+        ("jax", "missing jax from the extra 'learn'; to install it, run "),
+        ("pydantic", "missing pydantic"),
     ],
 )
 def test_a_command_without_what_it_needs_says_so_in_one_line(module, told, tmp_path):

@@ -135,6 +135,6 @@ def test_the_conformance_kit_checks_a_plants_own_way_to_hold_an_action() -> None
     assert Careful().limits == PAPER_LIMITS
     check_plant(Careful())
     with pytest.raises(
-        PlantError, match="Careless: hold_action for 33 ticks differs from advance by as many"
+        PlantError, match="Careless: hold_action for 33 ticks differs from advance by 33 ticks"
     ):
         check_plant(Careless())

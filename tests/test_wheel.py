@@ -123,8 +123,8 @@ def learner(robot, tmp_path_factory):
     environment.pip_install(wheel())
     told = environment.softfin("collect", "--plant", "tank", "--out", "dataset", code=2).stderr
     assert told.count("\n") == 1
-    assert "needs jax, of the extra 'learn', which is not installed: uv pip install " in told
-    program, *words = shlex.split(told.partition("not installed: ")[2])
+    assert "missing jax from the extra 'learn'; to install it, run uv pip install " in told
+    program, *words = shlex.split(told.partition("to install it, run ")[2])
     assert program == "uv"
     run([uv(), *words], environment.work)
     return environment
@@ -183,7 +183,7 @@ def test_the_robots_part_holds_a_force_on_an_emulated_rig(robot, emulated):
 
 def test_the_robots_part_says_what_emulating_needs(robot):
     told = robot.softfin("rig", "emulate", "--rig", "other.yaml", code=2).stderr
-    assert "needs jax, of the extra 'learn'" in told
+    assert "missing jax from the extra 'learn'" in told
 
 
 def test_the_doctor_of_the_robots_part_finds_nothing_wrong(robot):

@@ -1,6 +1,6 @@
-"""softfin: learn to make the force that you ask a soft fin for.
+"""softfin: make a soft fin produce the force you ask for.
 
-The stages of the main job, the records that pass between them, and what plants and controllers are:
+The stages of the pipeline, the records that they exchange, and the plants and controllers:
 
     import softfin
 
@@ -9,9 +9,9 @@ The stages of the main job, the records that pass between them, and what plants 
     softfin.train("surrogate", Path("controller"))
     softfin.evaluate(Path("controller"), "tank", Path("evaluation"))
 
-``__init__.pyi`` lists the public names; each is imported when it is first used, so that ``import
-softfin`` costs nothing. Gymnasium makes the environment ``softfin.gym:softfin/ForceTracking-v0``;
-where it was imported before softfin, ``softfin/ForceTracking-v0`` will do.
+``__init__.pyi`` lists the public names. Each is imported on first use, so that importing softfin is
+fast. In Gymnasium, the environment is ``softfin.gym:softfin/ForceTracking-v0``, or just
+``softfin/ForceTracking-v0`` if Gymnasium was imported before softfin.
 """
 
 import sys

@@ -30,16 +30,17 @@ register()
 
 
 class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
-    """Hold a reference force. Never terminates; truncated after `config.episode_actions`.
+    """Track a reference force. Episodes never terminate; they are truncated after
+    `config.episode_actions`.
 
-    Observations and actions are those of `ForceTracking`; `info` contains the window's ``error_n``,
-    its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` of every
-    tick that the action was held.
+    Observations and actions are those of `ForceTracking`. `info` contains the window's ``error_n``,
+    its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` at every
+    tick of the action.
 
-    `plant` is a Plant or the name of one: tank, a tank's YAML file, a surrogate's folder,
-    package.module:plant. The plant is loaded when the environment is made; make a new environment
-    if the plant changes. In the render mode ``rgb_array``, `render` draws the fin, its force, the
-    reference and the traces of the episode so far.
+    `plant` is a Plant or its name: tank, a tank's YAML file, a surrogate's folder or
+    package.module:plant. The plant is loaded when the environment is created; create a new
+    environment if the plant changes. In the render mode ``rgb_array``, `render` draws the fin, its
+    force, the reference and the traces of the episode so far.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
@@ -52,7 +53,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise InputError(f"{ID}: render_mode {render_mode!r}; give 'rgb_array' or None")
+            raise InputError(f"{ID}: render_mode {render_mode!r}; must be 'rgb_array' or None")
         self.task = ForceTracking(find_plant(plant), config or TaskConfig())
         self.references = references
         self.render_mode = render_mode
@@ -65,13 +66,13 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         )
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        # New functions, because JAX would reuse the trace of an equal task.
+        # Wrapped in new functions, because JAX would reuse the trace of an equal task.
         self._reset = jax.jit(partial(self.task.reset))
         self._observe = jax.jit(partial(self.task.observe))
         self._step = jax.jit(partial(self.task.step))
         self._film: Any = None
         if render_mode is not None:
-            # Without rendering, nobody has to wait for Matplotlib.
+            # Imported here, so that nobody has to wait for Matplotlib unless they render.
             from softfin.evaluation.view.picture import EpisodeFilm
 
             seconds = self.task.config.episode_actions / ACTION_RATE_HZ
@@ -82,7 +83,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Put the fin at rest; ``options={"reference": (x, y)}`` sets the reference, otherwise it
+        """Reset the fin to rest; ``options={"reference": (x, y)}`` sets the reference, otherwise it
         is drawn at random."""
         super().reset(seed=seed)
         references = self.references
@@ -90,10 +91,11 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
             x, y = (float(value) for value in options["reference"])
             if references.distance((x, y)) > 0:
                 raise InputError(
-                    f"{ID}: reference ({x:g}, {y:g}) N is outside {references}; make a wider "
-                    "environment"
+                    f"{ID}: reference ({x:g}, {y:g}) N is outside {references}; create the "
+                    "environment with a wider range"
                 )
             references = Cell(low=(x, y), high=(x, y))
+        # Gymnasium's generator seeds JAX, so that `seed` determines the episode.
         key = jax.random.key(self.np_random.integers(2**31))
         self._state = self._reset(key, References.of(references))
         self._actions = 0
@@ -111,7 +113,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
             raise InputError(f"{ID}: step before reset; call reset first")
         if not self.action_space.contains(np.asarray(action, np.float32)):
             raise InputError(
-                f"{ID}: action {action} is not two numbers in [-1, 1]; clip it or squash it"
+                f"{ID}: action {action} must be two numbers in [-1, 1]; clip it or squash it"
             )
         reference = np.array(self._state.reference)
         ticks = ACTION_TICKS[self._actions % len(ACTION_TICKS)]
@@ -132,9 +134,9 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         return np.array(self._observe(self._state)), float(outcome.reward), False, truncated, info
 
     def render(self) -> Any:
-        """Return the fin and the episode so far as an image, ``(height, width, 3)`` bytes."""
+        """Return an image of the fin and the episode so far, ``(height, width, 3)`` bytes."""
         if self._film is None or self._state is None:
             raise InputError(
-                f'{ID}: make it with render_mode="rgb_array", and reset it before it is rendered'
+                f'{ID}: cannot render; create it with render_mode="rgb_array" and call reset first'
             )
         return self._film.frame()

@@ -1,4 +1,4 @@
-"""How softfin was installed, which extras are present, and the command that adds one; standard
+"""How softfin was installed, which extras are present, and the command that adds an extra. Standard
 library only."""
 
 import importlib.metadata
@@ -19,7 +19,7 @@ DISTRIBUTIONS = {
     "stable_baselines3": "sb3-contrib",
     "yaml": "pyyaml",
 }
-"""Distributions whose name differs from that of their module."""
+"""Distributions by module name, if the names differ."""
 
 
 def installed_version(distribution: str) -> str | None:
@@ -31,8 +31,8 @@ def installed_version(distribution: str) -> str | None:
 
 
 def extra_requirements(extra: str | None) -> list[str]:
-    """Return the distributions that softfin itself needs, or that one of its extras adds, including
-    nested extras."""
+    """Return the distributions that softfin itself requires, or that one of its extras adds,
+    including nested extras."""
     names: list[str] = []
     for line in importlib.metadata.requires("softfin") or ():
         requirement, _, marker = line.partition(";")
@@ -50,7 +50,7 @@ def missing_from(extra: str | None) -> list[str]:
 
 
 def what_is_missing(error: ModuleNotFoundError) -> str | None:
-    """Return the message for a missing module, with its fix; None if softfin does not need the
+    """Return the message for a missing module, with the fix; None if softfin does not require the
     module."""
     module = (error.name or "").partition(".")[0]
     distribution = DISTRIBUTIONS.get(module, module).lower().replace("_", "-")
@@ -59,16 +59,13 @@ def what_is_missing(error: ModuleNotFoundError) -> str | None:
         return None
     if (version := installed_version(distribution)) is not None:
         return (
-            f"needs {error.name}, which {distribution} {version} lacks; install {distribution} "
-            "again"
+            f"missing {error.name}, although {distribution} {version} is installed; reinstall "
+            f"{distribution}"
         )
     if parts[0] is None:
-        return (
-            f"needs {error.name}, without which no command works, and which is not installed; "
-            "install softfin again"
-        )
+        return f"missing {error.name}, which every command requires; reinstall softfin"
     return (
-        f"needs {error.name}, of the extra {parts[0]!r}, which is not installed: "
+        f"missing {error.name} from the extra {parts[0]!r}; to install it, run "
         f"{how_to_add(parts[0])}"
     )
 
@@ -79,10 +76,10 @@ def how_to_add(extra: str) -> str:
     source = origin()
     install = "pip install"
     if installer() == "uv":
-        # uv's environments have no pip.
+        # Environments created by uv contain no pip.
         install = f"uv pip install --python {sys.executable}"
     if source is None:
-        # Nothing is published yet: by name alone pip would find nothing, or somebody else's
+        # softfin is not published yet: by name alone, pip would find nothing, or somebody else's
         # package.
         wheel = f"dist/softfin-{installed_version('softfin')}-py3-none-any.whl"
         return f'make wheel, in a checkout of softfin, then {install} "{wheel}[{extra}]"'
@@ -101,7 +98,7 @@ def installer() -> str:
 
 
 def origin() -> JsonObject | None:
-    """The wheel, folder or repository that softfin was installed from (PEP 610); None if
+    """Return the wheel, folder or repository from which softfin was installed (PEP 610); None if
     unknown."""
     text = importlib.metadata.distribution("softfin").read_text("direct_url.json")
     return json.loads(text) if text else None

@@ -19,19 +19,19 @@ from softfin.core.quantities import TICK_S, Command, Limits, Reading, action_to_
 STROKE_TICKS = ACTION_TICKS[0]
 
 Problem = tuple[str, ...]
-"""Message: what is wrong, and what is required."""
+"""Message: the problem, and the requirement."""
 
 
 def check_plant(plant: Any) -> None:
-    """Raise a PlantError that says what is wrong and what is required, unless `plant` meets the
-    contract.
+    """Raise a PlantError with the problem and the requirement, unless `plant` meets the contract.
 
-    Checked: the members, the limits, shapes and types, time, finite readings at the corners of the
-    limits, that the same state and command give the same readings (purity), that it can be
-    distinguished from plants with other parameters (`softfin.core.plant_identity.identity`), that
-    holding a command equals single ticks, that `jit`, `vmap`, `scan` and `grad` work, that an
-    optional `hold_action` does the same as `advance`, and that an optional `true_force` is finite,
-    works with `jit` and `vmap`, and does not change the state.
+    Checks the members, the limits, shapes and types, time, and finite readings at the corners of
+    the limits. Also checks that the same state and command produce the same readings (purity), that
+    the plant can be distinguished from plants with other parameters
+    (`softfin.core.plant_identity.identity`), that holding a command equals single ticks, and that
+    `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do the same as `advance`,
+    and an optional `true_force` must be finite, work with `jit` and `vmap`, and not change the
+    state.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
     problem = next((found for check in checks for found in check(plant)), None)
@@ -40,7 +40,7 @@ def check_plant(plant: Any) -> None:
 
 
 def _stroke(plant: Plant) -> Command:
-    """Return a command within any plant's limits that moves it: halfway from rest to the farther
+    """Return a command within the limits that moves the plant: halfway from rest to the farther
     limit."""
     limits = Limits(*plant.limits)
     furthest = max(limits.angle_max, limits.angle_min, key=abs)
@@ -58,19 +58,20 @@ def _members(plant: Any) -> Iterator[Problem]:
     if missing := [name for name in ("limits", "init", "advance") if not hasattr(plant, name)]:
         yield (
             f"has no {', '.join(missing)}",
-            "a plant has limits, init(key) and advance(state, command, ticks)",
+            "a plant must have limits, init(key) and advance(state, command, ticks)",
         )
     try:
         limits = Limits(*(float(value) for value in plant.limits))
     except (TypeError, ValueError):
-        yield f"limits = {plant.limits!r}", "limits is a softfin.Limits of four numbers"
+        yield f"limits = {plant.limits!r}", "it must be a softfin.Limits of four numbers"
     else:
         if problem := limits.problem():
             yield (problem,)
 
 
 def _purity(plant: Plant) -> Iterator[Problem]:
-    """Advance without compiling, which would hide whatever a plant keeps outside its state."""
+    """Check that equal inputs produce equal outputs; not compiled, which would hide data that a
+    plant keeps outside its state."""
     command = _stroke(plant)
     state = plant.init(jax.random.key(0))
     results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]
@@ -79,7 +80,7 @@ def _purity(plant: Plant) -> Iterator[Problem]:
     if str(jax.tree.structure(results[0][0])) != str(jax.tree.structure(state)):
         yield (
             "advance changes the structure of the state",
-            "init and advance return the same structure",
+            "init and advance must return the same structure",
         )
     first, second = (reading for _, reading in results)
     for name, values in first._asdict().items():
@@ -90,14 +91,14 @@ def _purity(plant: Plant) -> Iterator[Problem]:
                 f"it must be {shape}",
             )
         if jnp.asarray(values).dtype != jnp.float32:
-            yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings are float32"
+            yield f"reading.{name} is {jnp.asarray(values).dtype}", "readings must be float32"
     if not all(np.array_equal(a, b) for a, b in zip(first, second, strict=True)):
-        asked = "a plant keeps everything, including random keys, in its state"
-        yield "the same state and command give other readings the second time", asked
+        asked = "a plant must keep everything, including random keys, in its state"
+        yield "the same state and command produce different readings when repeated", asked
     if not np.allclose(first.time, TICK_S * np.arange(1, STROKE_TICKS + 1), atol=TICK_S / 4):
         yield (
-            f"time goes {np.asarray(first.time)[:3]} ...",
-            "each tick is 0.01 s and time starts at 0",
+            f"time is {np.asarray(first.time)[:3]} ...",
+            "each tick must be 0.01 s, and time must start at 0",
         )
 
 
@@ -116,25 +117,26 @@ def _batches(plant: Plant) -> Iterator[Problem]:
         together = jax.jit(jax.vmap(strokes))(keys, Command(angles, velocities))
     except Exception as error:
         asked = "write init and advance in jax.numpy, with no Python branches on values"
-        yield f"jit, vmap or scan does not go through it ({str(error).splitlines()[0]})", asked
+        yield f"jit, vmap or scan fails ({str(error).splitlines()[0]})", asked
         return
+    # The same commands for the first fin alone, one tick at a time.
     commands = Command(*(jnp.repeat(x[0], STROKE_TICKS) for x in (angles, velocities)))
     alone = jax.jit(lambda: roll(plant, plant.init(keys[0]), commands))()[1].force.reshape(
         together[0].shape
     )
     if not np.allclose(together[0], alone, rtol=1e-2, atol=1e-2):
-        asked = "advance by n ticks is n times advance by one, and nothing is shared between fins"
+        asked = "advance by n ticks must equal n single ticks, with nothing shared between fins"
         yield (
-            "a fin in a batch whose commands are held differs from the same fin alone, "
-            "tick by tick",
+            "a fin in a batch with held commands differs from the same fin alone, tick by tick",
             asked,
         )
 
 
 def _strokes(plant: Plant) -> Iterator[Problem]:
+    # The identity of a user's plant is its traced program, so both traces must be equal.
     if identity(plant) != identity(plant):
-        asked = "init and advance neither draw numbers nor count calls outside the state"
-        yield "is another program each time it is traced", asked
+        asked = "init and advance must not draw random numbers or count calls outside the state"
+        yield "each trace produces a different program", asked
     stroke = jax.jit(lambda state, command: plant.advance(state, command, STROKE_TICKS))
     state = plant.init(jax.random.key(0))
     for command in _corners(plant):
@@ -143,7 +145,7 @@ def _strokes(plant: Plant) -> Iterator[Problem]:
             if not jnp.isfinite(values).all():
                 yield (
                     f"reading.{name} is not finite under {command}",
-                    "readings are finite within the limits",
+                    "readings must be finite within the limits",
                 )
 
 
@@ -152,11 +154,12 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
+    # Training by gradients needs this derivative; it is NaN if a plant takes, say, a root of 0.
     slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):
         yield (
-            f"the gradient of the force by the command is {slope}",
-            "it must be finite; look for sqrt at 0",
+            f"the gradient of the force with respect to the command is {slope}",
+            "it must be finite; check for sqrt at 0",
         )
 
 
@@ -170,7 +173,7 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         expected_after, expected = plant.advance(state, command, ticks)
         if jnp.shape(reading.force) != (MAX_ACTION_TICKS, 2):
             yield (
-                f"hold_action gives forces of shape {jnp.shape(reading.force)}",
+                f"hold_action returns forces of shape {jnp.shape(reading.force)}",
                 f"it must be ({MAX_ACTION_TICKS}, 2)",
             )
         pairs = zip(
@@ -178,11 +181,11 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
             jax.tree.leaves((expected_after, expected.force, expected.angle)),
             strict=True,
         )
-        # Keys are not compared.
+        # Random keys have no values to compare.
         numbers = [pair for pair in pairs if not _is_key(pair[0])]
         if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
-            asked = "it gives 34 rows, and the state after the first `ticks` of them"
-            yield f"hold_action for {ticks} ticks differs from advance by as many", asked
+            asked = "it must return 34 rows, and the state after the first `ticks` of them"
+            yield f"hold_action for {ticks} ticks differs from advance by {ticks} ticks", asked
 
 
 def _true_force(plant: Plant) -> Iterator[Problem]:
@@ -199,7 +202,7 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
         forces = jax.jit(jax.vmap(after))(commands)
     except Exception as error:
         asked = "write true_force(state) in jax.numpy, with no Python branches on values"
-        yield f"jit or vmap does not go through true_force ({str(error).splitlines()[0]})", asked
+        yield f"jit or vmap fails for true_force ({str(error).splitlines()[0]})", asked
         return
     if not isinstance(forces, jax.Array):
         yield (
@@ -210,17 +213,17 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
     if forces.shape[1:] != (2,):
         yield f"true_force has shape {forces.shape[1:]}", "it must be (2,)"
     if forces.dtype != jnp.float32:
-        yield f"true_force is {forces.dtype}", "forces are float32"
+        yield f"true_force is {forces.dtype}", "it must be float32"
     for command, force in zip(corners, forces, strict=True):
         if not jnp.isfinite(force).all():
-            yield f"true_force is not finite under {command}", "forces are finite within the limits"
-    # Without compiling, which would hide changes of the state.
+            yield f"true_force is not finite under {command}", "it must be finite within the limits"
+    # Not compiled: compilation would hide changes of the state.
     state = plant.init(jax.random.key(0))
     before = [np.array(leaf) for leaf in _numbers(state)]
     plant.true_force(state)
     after_call = _numbers(state)
     if len(before) != len(after_call) or not all(map(np.array_equal, before, after_call)):
-        yield "true_force changes the state", "it only reads the state"
+        yield "true_force changes the state", "it must only read the state"
 
 
 def _numbers(state: State) -> list[Any]:

@@ -45,7 +45,7 @@ def test_what_came_of_it_is_told_as_json(cut, tmp_path, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["recovered"] == str(tmp_path / "saved.mcap")
     assert result["messages"]["/fin/joint_states"] > 200
-    assert result["damages"][0]["reason"] == "a record that is not whole"
+    assert result["damages"][0]["reason"] == "incomplete record"
     assert softfin("bag", "recover", tmp_path / "saved.mcap", "--json") == 0
     assert json.loads(capsys.readouterr().out)["recovered"] is None
     assert softfin("bag", "recover", tmp_path / "saved.mcap") == 0

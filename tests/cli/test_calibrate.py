@@ -89,4 +89,7 @@ def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
     assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text
     assert "fin.length_m    0.2  0.013  m        roughly" in text
     assert "drive.lag_s   0.003         s        low end" in text
-    assert "fin.length_m and water.drag_coefficient are a trade-off: correlation -0.95" in text
+    assert (
+        "fin.length_m and water.drag_coefficient trade off against each other: correlation -0.95"
+        in text
+    )

@@ -54,7 +54,9 @@ def test_ctrl_c_leaves_nothing_half_written_and_says_how_to_go_on(capsys, tmp_pa
     monkeypatch.setattr("softfin.stages.surrogates.fit", interrupted)
     (tmp_path / "log.csv").touch()
     line, code = fails(capsys, "fit", str(tmp_path / "log.csv"), "--out", str(tmp_path / "s"))
-    assert line == "softfin fit: stopped; no file is half-written; add --resume to continue"
+    assert line == (
+        "softfin fit: stopped; no incomplete files were left; run it again with --resume to continue"
+    )
     assert code == 1
 
 

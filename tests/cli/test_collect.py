@@ -32,6 +32,6 @@ def test_a_dataset_names_its_plant_and_its_excitation(tmp_path):
 @pytest.mark.parametrize("option", ["--arm", "--resume"])
 def test_options_of_a_real_fin_are_refused_for_a_simulated_one(tmp_path, capsys, option):
     line, code = fails(capsys, "collect", "--plant", FIN, "--out", str(tmp_path / "new"), option)
-    assert f"{option}: {FIN} is simulated; leave it out, or give --plant rig" in line
+    assert f"{option}: {FIN} is simulated; omit {option}, or use --plant rig" in line
     assert code == 2
     assert not (tmp_path / "new").exists()

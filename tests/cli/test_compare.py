@@ -34,7 +34,7 @@ def folders(tmp_path_factory):
         (["s0", "s1", "s0"], "s0: given twice, or a copy of another; give each surrogate once"),
         (
             ["s0", "--dataset", "untested"],
-            "untested: holds no test logs to compare on; put Parquet logs into",
+            "untested: contains no test logs; put Parquet logs into",
         ),
         (
             ["s0"],
@@ -165,7 +165,7 @@ def test_the_tables_say_seeds_cost_coverage_floor_and_notes():
     )
     assert "streaming: 3 seeds, 12,345 parameters, 1,000 FLOPs per tick (0.123 of paper's)" in text
     assert "paper: 1 seed, 12,345 parameters, 1,000 FLOPs per tick\n" in text
-    assert "Mean force over 200 samples, and the intervals stated for it at 90%" in text
+    assert "Mean force over 200 samples, with the surrogate's 90% intervals" in text
     assert "91.20 ±1.10" in text
     assert "second recording (tank)\n" in text
     assert text.endswith("note: paper: 1 seed; fit at least 3 before you trust a difference")

@@ -53,7 +53,7 @@ def test_a_reference_file_and_a_map_go_into_table_and_folder(controller, capsys,
     )
     main(["evaluate", controller, *QUICK, "--out", str(out), *options])
     text = capsys.readouterr().out
-    assert "references that move" in text
+    assert "moving references" in text
     assert [
         line.split()[-1]
         for line in text.splitlines()
@@ -96,8 +96,8 @@ def test_random_references_are_one_line_and_the_configuration_is_kept(controller
         ),
         (
             "time_s,force_x_kn,force_y_n\n0,1,1\n",
-            "no column force_x_n, or several, among time_s, force_x_kn, force_y_n; it needs one "
-            "in newton",
+            "must have exactly one column force_x_n, got time_s, force_x_kn, force_y_n; convert "
+            "a column to newtons",
         ),
         ("time_s,force_x_n,force_y_n\n0,9,1\n", "reference (9.0, 1.0): not covered"),
     ],
@@ -127,7 +127,7 @@ def test_a_wrong_reference_file_is_one_line_and_leaves_nothing(
 
 def test_a_randomization_that_is_a_whole_number_is_one(controller):
     with pytest.raises(
-        ConfigurationError, match=r"--randomize 0 needs the virtual tank as plant, got"
+        ConfigurationError, match=r"--randomize 0: requires the virtual tank as plant, got"
     ):
         softfin.evaluate(Path("controller"), "tests.plants:AnalyticFin", randomize=0)
 

@@ -83,11 +83,11 @@ def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--seed", "2147483648"], "--seed 2147483648: a seed is a whole number from 0"),
+        (["--seed", "2147483648"], "--seed 2147483648: must be a whole number from 0"),
         (["--set", "epochs=3"], "--set: unknown key 'epochs'"),
         (["--set", "force.wakes=3"], "unknown key 'force.wakes'; did you mean 'wake'?"),
         (["--set", "burn_in=900"], "burn_in must be less than ticks = 250"),
-        (["--epochs", "3"], "--epochs with --model streaming: only --model paper counts in epochs"),
+        (["--epochs", "3"], "--epochs: applies only to --model paper, got --model streaming; use"),
         (
             ["--set", "ticks=300", "--set", "burn_in=10"],
             "has 300 rows; 321 are needed in one piece; record longer",
@@ -125,7 +125,7 @@ def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, ask
     [
         (
             {"error": 0, "warning": 2, "note": 1},
-            "d: 2 warnings, 1 note; softfin inspect d lists them\n",
+            "d: 2 warnings, 1 note; run softfin inspect d to list them\n",
         ),
         ({"error": 0, "warning": 0, "note": 3}, ""),
     ],
@@ -152,6 +152,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)
-    assert "holds an unfinished run; go on with --resume, or drop it with --overwrite" in fails(
-        capsys, *words
+    assert (
+        "contains an unfinished run; continue with --resume, or discard it with --overwrite"
+        in fails(capsys, *words)
     )

@@ -29,7 +29,7 @@ def test_nothing_moves_without_arm_whatever_else_is_said(monkeypatch):
     for options in ({}, {"yes": True}):
         with pytest.raises(
             ConfigurationError,
-            match="free fin: answers, and stays still: nothing moves without --arm",
+            match="free fin: connected, but not armed; nothing moves without --arm",
         ):
             confirm(monkeypatch, "move\n", **options)
 
@@ -38,7 +38,7 @@ def test_the_word_on_a_terminal_lets_it_move_and_the_question_says_how_far(monke
     confirm(monkeypatch, "move\n", arm=True)
     asked = capsys.readouterr().err
     assert "will move between -1.57 and 1.57 rad, at up to 3.14 rad/s" in asked
-    assert "Type 'move' and Enter" in asked
+    assert "Type 'move' and press Enter" in asked
 
 
 @pytest.mark.parametrize("answer", ["", "\n", "Move\n", "yes\n", "y\n", "moved\n", "no move\n"])
@@ -48,6 +48,6 @@ def test_anything_else_does_not(answer, monkeypatch):
 
 
 def test_without_a_terminal_only_yes_lets_it_move(monkeypatch):
-    with pytest.raises(ConfigurationError, match="in a script add --yes"):
+    with pytest.raises(ConfigurationError, match="in a script, add --yes"):
         confirm(monkeypatch, "move\n", terminal=False, arm=True)
     confirm(monkeypatch, terminal=False, arm=True, yes=True)

@@ -57,7 +57,7 @@ def test_inspect_says_what_is_wrong_and_how_to_get_out_of_it(authors, capsys):
     assert "degrees, not rad" in text
     assert "-> --angles deg" in text
     assert "-> --force=y,x" in text
-    assert "errors stop fit and import-logs, unless you add --ignore-errors" in text
+    assert "fit and import-logs reject logs with errors unless you add --ignore-errors" in text
 
 
 def test_inspect_writes_json_and_a_figure(authors, tmp_path, capsys):
@@ -120,7 +120,7 @@ def test_import_writes_a_dataset_that_says_what_was_done(authors, tmp_path, caps
     assert softfin("inspect", tmp_path / "d") == 0
     assert "0 errors, 0 warnings, 0 notes" in capsys.readouterr().out
     assert softfin("import-logs", authors, *right) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["test_1.csv", "."])

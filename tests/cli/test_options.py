@@ -83,15 +83,18 @@ def test_underscores_are_hyphens() -> None:
         (["--test-row", "3"], "--test-row: unknown option; did you mean --test-rows?"),
         (["--zzz"], "--zzz: unknown option; --help lists the options"),
         (["-o", "x"], "-o: unknown option; --help lists the options"),
-        (["--test-rows", "many"], "--test-rows many: not a whole number; write --test-rows INT"),
-        (["--rate", "fast"], "--rate fast: not a number; write --rate FLOAT"),
-        (["--kind", "secnd"], "--kind secnd: choose one of first, second; did you mean second?"),
-        (["--rate"], "--rate: the value is missing; write --rate FLOAT"),
-        (["--rate", "--loud"], "--rate: the value is missing; write --rate FLOAT"),
-        (["--loud=1"], "--loud=1: this option takes no value; write --loud, or leave it out"),
-        (["--out="], "--out: the path is empty; write --out PATH"),
-        (["--reference=1;2"], "--reference 1;2: not a force; write X,Y in newton, as 1,-1"),
-        (["--loud"], "SOURCE, --out PATH: required, and missing; --help tells more"),
+        (["--test-rows", "many"], "--test-rows many: not a whole number; use --test-rows INT"),
+        (["--rate", "fast"], "--rate fast: not a number; use --rate FLOAT"),
+        (["--kind", "secnd"], "--kind secnd: must be one of first, second; did you mean second?"),
+        (["--rate"], "--rate: missing value; use --rate FLOAT"),
+        (["--rate", "--loud"], "--rate: missing value; use --rate FLOAT"),
+        (
+            ["--loud=1"],
+            "--loud=1: this option does not accept a value; use --loud alone, or omit it",
+        ),
+        (["--out="], "--out: the path is empty; use --out PATH"),
+        (["--reference=1;2"], "--reference 1;2: not a force; use X,Y in newtons, e.g. 1,-1"),
+        (["--loud"], "missing required SOURCE, --out PATH; see --help"),
     ],
 )
 def test_a_mistake_is_one_line_with_the_way_out(words: list[str], line: str) -> None:
@@ -129,7 +132,7 @@ class Checked(Configuration):
 
 def test_one_argument_too_many_is_refused() -> None:
     with pytest.raises(
-        ConfigurationError, match="'a': one argument too many; the command takes only options"
+        ConfigurationError, match="'a': unexpected argument; the command accepts only options"
     ):
         parse(Checked, ["a"])
 

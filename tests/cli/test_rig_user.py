@@ -46,7 +46,7 @@ def refused(capsys, told, words):
     ("name", "words"),
     [
         ("gear_ration", "unknown key 'drive.gear_ration'; did you mean 'gear_ratio'?"),
-        (None, "drive.gear_ratio: is required, and missing"),
+        (None, "drive.gear_ratio: missing required key"),
     ],
 )
 def test_a_key_of_the_rigs_file_is_named_where_it_is_misspelt_or_missing(
@@ -85,12 +85,12 @@ def test_a_recording_or_folder_that_is_there_is_neither_moved_nor_replaced(
     refused(
         capsys,
         [*run, "--bag", str(tmp_path / "a.mcap")],
-        "a.mcap: exists already; give another --bag",
+        "a.mcap: already exists; choose another --bag",
     )
     refused(
         capsys,
         [*run, "--bag", str(tmp_path / "folder.mcap"), "--overwrite"],
-        "folder.mcap: exists and is not",
+        "folder.mcap: already exists and is not",
     )
     assert (tmp_path / "a.mcap").read_text() == "of yesterday"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "folder.mcap"]
@@ -100,7 +100,7 @@ def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     config = RigConfig.build(values)
     robot = RobotSetup(Rig(config), config.safety)
     with pytest.raises(
-        ConfigurationError, match="rig of emulated: stays still: nothing moves without --arm"
+        ConfigurationError, match="rig of emulated: not armed; nothing moves without --arm"
     ):
         Armed().confirm(robot, "the motor is powered")
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))

@@ -25,7 +25,10 @@ def test_check_prints_rank_and_reach(capsys):
     told = capsys.readouterr().out
     assert "U-CAT: 4 fins, rank 6 of 6" in told
     assert "without back_left: rank 6" in told
-    assert "rights itself with 9.07 N m/rad: swings in roll at 0.89 Hz and pitch at 0.37 Hz" in told
+    assert (
+        "self-righting with 9.07 N m/rad: oscillates in roll at 0.89 Hz and pitch at 0.37 Hz"
+        in told
+    )
     assert "warning" not in told
 
 
@@ -108,7 +111,7 @@ def test_view_writes_a_page(capsys, tmp_path):
     ("words", "told"),
     [
         (("check", "ucat", "--task", "hold"), "--task: unknown option"),
-        (("view", "--task", "wrenches"), "--task wrenches: choose one of hold, lemniscate"),
+        (("view", "--task", "wrenches"), "--task wrenches: must be one of hold, lemniscate"),
         (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
         (("evaluate", "nemo.yaml"), "nemo.yaml: file not found"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
@@ -136,7 +139,7 @@ def test_fins_that_the_simulation_does_not_know_are_refused(capsys, tmp_path, uc
     )
     file = tmp_path / "limited.yaml"
     file.write_text(text)
-    assert "front_left turns within a range" in refused(capsys, "evaluate", str(file))
+    assert "front_left has a limited range" in refused(capsys, "evaluate", str(file))
 
 
 @pytest.fixture

@@ -173,7 +173,7 @@ def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, cap
     ("words", "said"),
     [
         ([], "nothing moves without --arm"),
-        (["--arm"], "in a script add --yes"),
+        (["--arm"], "in a script, add --yes"),
         (["--reference=4,0"], "not trained for"),
         (["--set", "joint_topic=joint"], "joint_topic = 'joint'"),
         (["--domain", "300"], "connection.domain = 300"),

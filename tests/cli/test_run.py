@@ -91,10 +91,10 @@ def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys
     ("words", "expected"),
     [
         (["--plant", "tank", *RUN], "plant tank: not a real fin; use rig"),
-        (["--reference=1,1", "--reference-file", "x.csv"], "one of them"),
+        (["--reference=1,1", "--reference-file", "x.csv"], "use either --reference=X,Y or"),
         ([], "give --reference=X,Y or --reference-file"),
         (["--reference=1,1", "--seconds", "0"], "--seconds 0: at least 1"),
-        (["--reference=one,1"], "not a force; write X,Y"),
+        (["--reference=one,1"], "not a force; use X,Y"),
         (["--reference=nan,1"], "nan"),
     ],
 )
@@ -139,7 +139,7 @@ def test_a_stop_is_exit_code_three_with_the_reason_and_a_whole_bag(
 
 
 def started(terminal):
-    terminal.wait_for("Type 'move' and Enter: ")
+    terminal.wait_for("Type 'move' and press Enter: ")
     terminal.type("move\n")
     terminal.wait_for("1.0 s  reference")
 
@@ -196,7 +196,7 @@ def test_signals_stop_the_fin(name, controller, elsewhere, tmp_path):
 def test_a_word_that_was_typed_before_the_question_is_no_answer(controller, elsewhere, tmp_path):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
         terminal.type("move\n")
-        terminal.wait_for("Type 'move' and Enter: ")
+        terminal.wait_for("Type 'move' and press Enter: ")
         terminal.type("no\n")
         assert terminal.ended() == 2
         assert "not confirmed with 'move'; nothing moved" in terminal.said
@@ -206,7 +206,7 @@ def test_a_word_that_was_typed_before_the_question_is_no_answer(controller, else
 @pytest.mark.parametrize("answer", ["no\n", None])
 def test_without_the_word_nothing_moves(answer, controller, elsewhere, tmp_path):
     with Terminal(["run", controller, "--plant", "rig:other.yaml", *LIVE], tmp_path) as terminal:
-        terminal.wait_for("Type 'move' and Enter: ")
+        terminal.wait_for("Type 'move' and press Enter: ")
         if answer is None:
             terminal.signal(signal.SIGINT)
             assert terminal.ended() == 1
@@ -224,7 +224,7 @@ def test_topics_are_refused_where_time_is_simulated(controller, plant, capsys):
         capsys, "ros2", str(controller), "--plant", plant, "--reference=1,0", "--arm", "--yes"
     )
     assert (
-        "rig of emulated: emulated in simulated time, in which no topic can be heard; start "
+        "rig of emulated: emulated in simulated time, which does not work with topics; start "
         "softfin rig" in line
     )
     assert code == 2
@@ -266,11 +266,11 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewh
         [*words, "--plant", "rig:other.yaml", "--out", "out", "--arm"], tmp_path
     ) as terminal:
         # The word between is coloured, as everything in quotes above a progress bar.
-        terminal.wait_for(" and Enter: ")
+        terminal.wait_for(" and press Enter: ")
         terminal.type("move\n")
         wait_until(lambda: elsewhere.drive.state is State.OPERATION_ENABLED)
         terminal.type("faster\n")
-        terminal.wait_for("the commands are fixed; Enter alone stops the fin")
+        terminal.wait_for("the commands are fixed; press Enter alone to stop the fin")
         terminal.type(key)
         assert terminal.ended() == 3, terminal.said
     reason = "stopped by a key" if key == "\n" else "the terminal's input ended"

@@ -39,7 +39,7 @@ def test_without_options_the_configuration_stands_and_paper_is_its_default() -> 
             "single",
             "3x3",
             None,
-            "--cells 3x3: single has no cells; give --range, or --controller grid",
+            "--cells 3x3: single has no cells; use --range, or --controller grid",
         ),
         (
             "grid",
@@ -66,7 +66,7 @@ def test_a_range_of_map_is_the_box_round_all_that_the_fin_can_make(tmp_path: Pat
 
 
 def test_a_range_of_map_needs_the_map() -> None:
-    with pytest.raises(ConfigurationError, match="--range map: also give the map: --map DIR"):
+    with pytest.raises(ConfigurationError, match="--range map: requires a map; add --map DIR"):
         TrainArguments(surrogate="tank", out=Path("out"), range="map").check()
 
 
@@ -79,10 +79,10 @@ def test_seeds_are_a_number_or_a_list() -> None:
 @pytest.mark.parametrize(
     ("first", "text", "message"),
     [
-        (0, "few", "--seeds few: neither a number nor a list; write --seeds 3"),
-        (0, "0", "--seeds 0: give one seed or more"),
-        (1, "0,1", "--seed 1: --seeds=0,1 names them all"),
-        (0, "1,-1", "--seeds 1,-1: give one seed or more, whole numbers from 0"),
+        (0, "few", "--seeds few: not a count or a list; use e.g. --seeds 3"),
+        (0, "0", "--seeds 0: must be one or more"),
+        (1, "0,1", "--seed 1: cannot be combined with the list --seeds=0,1"),
+        (0, "1,-1", "--seeds 1,-1: must be one or more whole numbers from 0"),
     ],
 )
 def test_seeds_that_are_none_are_refused(first: int, text: str, message: str) -> None:

@@ -175,7 +175,7 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
     [
         (lambda f: (f / "weights.safetensors").unlink(), "weights.safetensors: missing"),
         (lambda f: (f / "weights.safetensors").write_bytes(b"12"), "truncated or damaged"),
-        (lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
+        (lambda f: (f / "controller.json").write_text("{"), "cannot be read as JSON"),
         (
             lambda f: _edit(f, limits={"angle_min": 0}),
             "controller.json: limits: angle_min_rad is missing",
@@ -235,5 +235,5 @@ def _drop(folder: Path, name: str) -> None:
 
 
 def test_another_folder_is_no_controller(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match=r"not a controller: it holds no controller\.json"):
+    with pytest.raises(ArtifactError, match=r"not a controller: it contains no controller\.json"):
         load_controller(tmp_path)

@@ -59,15 +59,19 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "single",
             lambda f: (f / "controller.json").unlink(),
-            "not a controller: it holds no controller.json",
+            "not a controller: it contains no controller.json",
         ),
-        ("single", lambda f: (f / "controller.json").write_text("{"), "not readable as JSON"),
+        ("single", lambda f: (f / "controller.json").write_text("{"), "cannot be read as JSON"),
         (
             "single",
             lambda f: (f / "controller.json").write_text("[" * 100_000),
-            "not readable as JSON",
+            "cannot be read as JSON",
         ),
-        ("single", lambda f: (f / "controller.json").write_text("[]"), "holds no object"),
+        (
+            "single",
+            lambda f: (f / "controller.json").write_text("[]"),
+            "must contain a JSON object",
+        ),
         ("single", lambda f: edit(f, limits={}), "angle_min_rad is missing; it must be"),
         (
             "single",
@@ -140,7 +144,7 @@ def test_a_damaged_folder_is_refused_in_one_line(
 
 
 def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match="no such folder; it should be a controller"):
+    with pytest.raises(ArtifactError, match="no such folder; it must be a controller"):
         load_controller(tmp_path / "none")
 
 
@@ -149,9 +153,12 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
     [
         (
             {"angle_min_rad": -100.0, "angle_max_rad": 100.0},
-            "limits: angle_min_rad is -100; a fin's are finite",
+            "limits: angle_min_rad is -100; a fin's limits must be finite",
         ),
-        ({"velocity_max_rad_s": 9000.0}, "limits: velocity_max_rad_s is 9000; a fin's are finite"),
+        (
+            {"velocity_max_rad_s": 9000.0},
+            "limits: velocity_max_rad_s is 9000; a fin's limits must be finite",
+        ),
         ({"velocity_min_rad_s": 60.0}, "limits: velocity_min_rad_s is 60"),
     ],
 )

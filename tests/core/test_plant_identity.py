@@ -123,7 +123,7 @@ def test_the_conformance_kit_asks_for_an_identity_and_for_the_same_program_each_
             return state._replace(angle=state.angle + 1e-7 * self.calls)
 
     with pytest.raises(
-        PlantError, match="Counting: is another program each time it is traced; init and advance"
+        PlantError, match="Counting: each trace produces a different program; init and advance"
     ):
         check_plant(Counting())
 

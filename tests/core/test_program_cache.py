@@ -55,12 +55,14 @@ def test_the_help_says_where_programs_are_kept_how_large_that_grows_and_how_to_s
 ) -> None:
     main(["--help"])
     told = capsys.readouterr().out
-    assert f"kept in {tmp_path / '.cache' / 'softfin'}, at most 1 GiB" in told
-    assert "SOFTFIN_CACHE=off keeps none" in told
+    assert f"cached in {tmp_path / '.cache' / 'softfin'} (at most 1 GiB)" in told
+    assert "SOFTFIN_CACHE=off to disable" in told
     no_setting.setenv("SOFTFIN_CACHE", "~/moved")
-    assert f"kept in {tmp_path / 'moved'}, at most 1 GiB" in describe_cache()
+    assert f"cached in {tmp_path / 'moved'} (at most 1 GiB)" in describe_cache()
     no_setting.setenv("SOFTFIN_CACHE", "off")
-    assert describe_cache() == "Compiled programs are not kept; SOFTFIN_CACHE=FOLDER keeps them."
+    assert describe_cache() == (
+        "Compiled programs are not cached; set SOFTFIN_CACHE=FOLDER to cache them."
+    )
 
 
 def run_program(**environment: str) -> str:

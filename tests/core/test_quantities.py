@@ -55,7 +55,7 @@ def test_limits_come_back_as_they_were_described():
     [
         (
             {"angle_max_rad": 100.0},
-            "limits: angle_max_rad is 100; a fin's are finite, with -6.283 <= angle_min",
+            "limits: angle_max_rad is 100; a fin's limits must be finite, with -6.283 <= angle_min",
         ),
         ({"velocity_max_rad_s": 9000.0}, "velocity_max_rad_s is 9000; .* velocity_max <= 50 rad/s"),
         ({"velocity_min_rad_s": -1}, "velocity_min_rad_s is -1"),

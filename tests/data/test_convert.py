@@ -70,7 +70,7 @@ def test_several_logs_become_several_files(tmp_path, log):
 def test_what_is_at_out_stays_unless_it_is_said(tmp_path, log):
     write_log(tmp_path / "one.parquet", log)
     convert(tmp_path / "one.parquet", tmp_path / "one.mcap")
-    with pytest.raises(ArtifactError, match="exists already"):
+    with pytest.raises(ArtifactError, match="already exists"):
         convert(tmp_path / "one.parquet", tmp_path / "one.mcap")
     convert(tmp_path / "one.parquet", tmp_path / "one.mcap", overwrite=True)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["one.mcap", "one.parquet"]

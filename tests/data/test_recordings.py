@@ -172,7 +172,7 @@ def test_nanoseconds_since_1970_are_a_clock_too(tmp_path, logs):
 
 
 def test_nothing_to_read_is_refused(tmp_path):
-    with pytest.raises(LogError, match="holds no recordings"):
+    with pytest.raises(LogError, match="contains no recordings"):
         open_logs(tmp_path)
     with pytest.raises(LogError, match="no such file or folder"):
         open_logs(tmp_path / "nowhere")

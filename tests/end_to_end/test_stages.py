@@ -65,7 +65,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
         main([*words, "--seed", "7", "--resume"])
     assert stop.value.code == 2
     assert (
-        "surrogate: belongs to another run (seed was 0 and is 7); give the"
+        "surrogate: belongs to another run (seed was 0 and is 7); use the"
         in capsys.readouterr().err
     )
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
@@ -186,7 +186,8 @@ def test_a_reproduction_that_was_stopped_goes_on_where_it_was_and_writes_results
     with pytest.raises(SystemExit) as stop:
         main(words)
     assert stop.value.code == 1
-    assert "stopped; no file is half-written; add --resume to continue" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "stopped; no incomplete files were left; run it again with --resume to continue" in error
     assert (out / "surrogate").is_dir()
     assert not (out / "results.json").exists()
 

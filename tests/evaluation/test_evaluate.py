@@ -93,7 +93,7 @@ def test_the_folder_holds_scores_conditions_and_figures(evaluation, tmp_path):
 
 def test_an_evaluation_replaces_an_older_one_where_asked_and_nothing_else(evaluation, tmp_path):
     write_evaluation(evaluation, tmp_path / "out")
-    with pytest.raises(ArtifactError, match="exists already"):
+    with pytest.raises(ArtifactError, match="already exists"):
         write_evaluation(evaluation, tmp_path / "out")
     write_evaluation(evaluation, tmp_path / "out", {"plant": "another"}, overwrite=True)
     assert "another" in (tmp_path / "out" / "evaluation.json").read_text()

@@ -89,13 +89,15 @@ def test_every_element_that_the_scripts_name_is_there_and_every_control_has_a_na
 
 def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path):
     out = tmp_path / "explore.html"
-    with pytest.raises(ConfigurationError, match="name one or more, each once"):
+    with pytest.raises(ConfigurationError, match="must be one or more, no duplicates"):
         explore([folder / "gaits", folder / "gaits"], out)
     with pytest.raises(PlantError, match="cannot run in the page"):
         explore([folder / "gaits"], out, ["tests.plants:AnalyticFin"])
     slow = tmp_path / "slow.yaml"
     slow.write_text("drive: {fastest_rad_s: 2}\n")
-    with pytest.raises(PlantError, match=r"commands a velocity of 1 \.\. 3\.14; .* takes 1 \.\. 2"):
+    with pytest.raises(
+        PlantError, match=r"commands a velocity of 1 \.\. 3\.14; .* accepts 1 \.\. 2"
+    ):
         explore([folder / "gaits"], out, [str(slow)])
     assert not out.exists()
 

@@ -93,7 +93,7 @@ def test_a_push_moves_the_water_and_dies_down():
 
 @pytest.mark.parametrize(
     ("plant", "told"),
-    [(paper.surrogate(), "a surrogate of the kind 'paper'"), (AnalyticFin(), "a AnalyticFin")],
+    [(paper.surrogate(), "a surrogate of kind 'paper'"), (AnalyticFin(), "a AnalyticFin")],
     ids=["windowed", "own"],
 )
 def test_another_plant_is_refused_with_the_ones_that_can_move(plant, told):

@@ -141,7 +141,7 @@ def test_a_damaged_folder_is_refused_in_one_line(harm: Any, message: str, tmp_pa
 
 
 def test_a_controllers_folder_is_no_map(tmp_path: Path) -> None:
-    with pytest.raises(ArtifactError, match=r"not a map: it holds no map\.json"):
+    with pytest.raises(ArtifactError, match=r"not a map: it contains no map\.json"):
         load_map(save_controller(tmp_path))
 
 

@@ -28,7 +28,7 @@ def test_several_seeds_are_a_task_each_and_one_seed_is_a_task_per_cell():
 
 def test_a_cluster_without_ray_is_refused(tmp_path: Path):
     with pytest.raises(
-        ConfigurationError, match="cluster here:1: the local engine has none; give --engine ray"
+        ConfigurationError, match="cluster here:1: not used by the local engine; use --engine ray"
     ):
         train("tests.plants:AnalyticFin", tmp_path / "out", cluster="here:1")
 

@@ -84,9 +84,7 @@ def _raising(error):
 
 
 def _failed_recording(made):
-    made.notes.failure = (
-        "run.mcap: recording failed: no space left on device; make room on its disk"
-    )
+    made.notes.failure = "run.mcap: recording failed: no space left on device; free disk space"
 
 
 def _late(made):

@@ -115,7 +115,7 @@ def test_an_input_that_ends_stops_the_fin():
 def test_a_program_without_an_input_is_told_to_say_yes(monkeypatch):
     machine = FreeFin(SimulatedClock())
     monkeypatch.setattr("sys.stdin", None)
-    with pytest.raises(ConfigurationError, match="in a script add --yes"):
+    with pytest.raises(ConfigurationError, match="in a script, add --yes"):
         Armed(arm=True).confirm(RobotSetup(machine, CALM))
     Armed(arm=True, yes=True).confirm(RobotSetup(machine, CALM))
 

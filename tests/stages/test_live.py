@@ -286,7 +286,7 @@ def test_each_log_keeps_serial_number_zero_and_force_at_rest_also_after_an_inter
     assert first["force_at_rest_n"] == pytest.approx([0.4, 0.0], abs=0.05)
     assert second["force_at_rest_n"] == pytest.approx([0.4, 0.3], abs=0.05)
     (warning,) = warnings
-    assert warning.startswith("train-0001: the force at rest is 0.3")
+    assert warning.startswith("train-0001: the rest force differs by 0.3")
     assert described["sensor_warnings"] == warnings
 
 

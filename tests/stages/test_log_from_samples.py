@@ -74,7 +74,7 @@ def test_a_reading_that_comes_twice_counts_once():
     [
         (
             lambda all_: all_[:40] + all_[48:],
-            r"no angle for 90 ms at 0\.39 s of the log: at most 50 ms; .* --resume",
+            r"no angle for 90 ms at 0\.39 s of the log \(limit 50 ms\); .* --resume",
         ),
         (lambda all_: all_[: ROWS - 5], "no angle"),
         (lambda all_: all_[:ROWS], "no force"),

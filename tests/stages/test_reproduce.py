@@ -121,7 +121,7 @@ def test_with_resume_and_overwrite_another_run_is_replaced_and_the_same_one_goes
     claim(0, overwrite=True)
     assert (out / "dataset").exists()
     with pytest.raises(
-        ArtifactError, match=r"belongs to another run \(seed was 0 and is 1\).*or --overwrite"
+        ArtifactError, match=r"belongs to another run \(seed was 0 and is 1\).*or use --overwrite"
     ):
         claim(1, overwrite=False)
     claim(1, overwrite=True)

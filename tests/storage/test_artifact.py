@@ -77,7 +77,7 @@ def test_a_finished_result_is_kept_where_its_place_was_taken_meanwhile(tmp_path)
 
     with pytest.raises(
         RunError,
-        match=r"thing: is now in use; the finished result is in .*thing.finished-1: move",
+        match=r"thing: is now in use; the finished result is in .*thing.finished-1; move",
     ):
         artifacts.write_folder(tmp_path / "thing", write)
     assert (tmp_path / "thing.finished-1" / "result").read_text() == "hours of work"
@@ -163,7 +163,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
         (tmp_path / ("x" * 300), "name too long"),
     ):
         with pytest.raises(
-            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*give another --out"
+            ArtifactError, match=rf"(out|x): cannot be written .*{why}.*choose another --out"
         ):
             artifacts.check_vacant(out)
     assert files_in(tmp_path) == ["file"]
@@ -180,7 +180,7 @@ def test_nothing_of_the_user_is_replaced(tmp_path):
         ):
             artifacts.check_vacant(tmp_path, overwrite=True)
     artifacts.save(tmp_path / "s", "surrogate", {}, {})
-    with pytest.raises(ArtifactError, match="give another --out, or --overwrite"):
+    with pytest.raises(ArtifactError, match="choose another --out, or use --overwrite"):
         artifacts.check_vacant(tmp_path / "s")
     artifacts.check_vacant(tmp_path / "s", overwrite=True)
     artifacts.check_vacant(tmp_path / "new")
@@ -205,7 +205,7 @@ def test_weights_that_are_no_real_numbers_of_numpys_are_refused_in_one_line(tmp_
 
 
 def test_a_missing_folder_and_missing_weights_are_told_apart(tmp_path):
-    with pytest.raises(ArtifactError, match="no such folder; it should be a controller"):
+    with pytest.raises(ArtifactError, match="no such folder; it must be a controller"):
         artifacts.load(tmp_path / "none", "controller")
     artifacts.write_description(tmp_path, "controller", {})
     with pytest.raises(ArtifactError, match=r"weights\.safetensors: missing"):

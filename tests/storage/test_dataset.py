@@ -75,19 +75,20 @@ def test_logs_of_others_need_only_an_empty_description(dataset, tmp_path):
 
 
 def test_a_folder_without_description_is_no_dataset(tmp_path):
-    with pytest.raises(ArtifactError, match=r"not a dataset: it holds no dataset\.json"):
+    with pytest.raises(ArtifactError, match=r"not a dataset: it contains no dataset\.json"):
         Dataset.open(tmp_path)
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ArtifactError, match="nowhere: no such folder; it should be a dataset"):
+    with pytest.raises(ArtifactError, match="nowhere: no such folder; it must be a dataset"):
         Dataset.open(tmp_path / "nowhere")
 
 
 def test_a_dataset_without_logs_says_where_they_belong(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
     with pytest.raises(
-        ArtifactError, match=f"holds no training logs; put Parquet logs into {tmp_path / 'train'}"
+        ArtifactError,
+        match=f"contains no training logs; put Parquet logs into {tmp_path / 'train'}",
     ):
         Dataset.open(tmp_path)
 

@@ -93,7 +93,7 @@ def test_a_log_with_nan_is_refused_with_its_row(tmp_path, table, value):
     force[[123, 200]] = value
     message = refusal(tmp_path, with_column(table, "force_y_n", force))
     assert (
-        f"row 123, column force_y_n: {value} (the first of 2 in this column); cut these rows off"
+        f"row 123, column force_y_n: {value} (the first of 2 in this column); remove these rows"
         in message
     )
 
@@ -110,7 +110,7 @@ def test_a_gap_is_refused_with_its_row_and_length(tmp_path, table):
     time[50:] += 0.37
     message = refusal(tmp_path, with_column(table, "time_s", time))
     assert (
-        "row 50, column time_s: 380.0 ms after row 49, must be 10 ms (the only one in this log)"
+        "row 50, column time_s: 380.0 ms after row 49, but must be 10 ms (the only one in this log)"
         in message
     )
 
@@ -129,12 +129,12 @@ def test_time_that_repeats_or_runs_back_is_refused(tmp_path, table, shift, shown
 @pytest.mark.parametrize("rate", [1.0, 50.0, 70.0, 98.5, 103.0, 1000.0])
 def test_another_rate_is_refused_as_a_rate_and_not_as_gaps(tmp_path, table, rate):
     message = refusal(tmp_path, with_column(table, "time_s", np.arange(300) / rate))
-    assert f"column time_s: {rate:.2f} Hz, must be 100 Hz; resample it" in message
+    assert f"column time_s: {rate:.2f} Hz, but must be 100 Hz; resample the log" in message
 
 
 def test_time_in_milliseconds_is_refused(tmp_path, table):
     message = refusal(tmp_path, with_column(table, "time_s", np.arange(300) * 10.0))
-    assert "time_s is in seconds" in message
+    assert "with time_s in seconds" in message
 
 
 def test_a_clock_that_starts_anywhere_and_jitters_is_taken(tmp_path, table):
@@ -149,15 +149,15 @@ def test_a_missing_column_is_named_with_those_that_are_there(tmp_path, table):
         tmp_path,
         table.rename_columns([name.replace("force_x_n", "force_x") for name in SCHEMA.names]),
     )
-    assert "column 'force_x_n' is missing; it has ['time_s', " in message
+    assert "column 'force_x_n' is missing; the file has ['time_s', " in message
     assert "'force_x', " in message
-    assert message.endswith("a log has " + ", ".join(SCHEMA.names))
+    assert message.endswith("a log must have " + ", ".join(SCHEMA.names))
 
 
 @pytest.mark.parametrize("name", ["angle_radian", "angle_rad"])
 def test_a_column_too_many_is_refused(tmp_path, table, name):
     message = refusal(tmp_path, table.append_column(name, table["angle_rad"]))
-    assert f"column {name!r} must not be there, or only once" in message
+    assert f"column {name!r} is unexpected or repeated" in message
 
 
 def test_a_column_whose_name_is_not_text_is_one_line(tmp_path, table):
@@ -175,9 +175,9 @@ def test_a_column_whose_name_is_not_text_is_one_line(tmp_path, table):
 @pytest.mark.parametrize(
     ("name", "kind", "words"),
     [
-        ("angle_rad", pa.float64(), "column angle_rad is double, must be float; cast it"),
-        ("force_x_n", pa.string(), "column force_x_n is string, must be float; cast it"),
-        ("time_s", pa.float32(), "column time_s is float, must be double; cast it"),
+        ("angle_rad", pa.float64(), "column angle_rad is double, but must be float; cast it"),
+        ("force_x_n", pa.string(), "column force_x_n is string, but must be float; cast it"),
+        ("time_s", pa.float32(), "column time_s is float, but must be double; cast it"),
     ],
 )
 def test_another_type_is_refused(tmp_path, table, name, kind, words):

@@ -42,12 +42,12 @@ def test_a_tank_of_ones_own_numbers_is_found_by_its_file(tmp_path):
     [
         (
             "pool",
-            r"plant pool: unknown \(does not exist\); give tank, the YAML file of a tank, the "
-            r"folder of",
+            r"plant pool: unknown \(does not exist\); use tank, a tank's YAML file, a "
+            r"surrogate's folder",
         ),
         ("no_such_module:plant", "No module named 'no_such_module'"),
         ("json:plant", "module .json. has no attribute .plant."),
-        ("math:pi", "a float is not a plant, which has limits, init and advance"),
+        ("math:pi", "a float is not a plant with limits, init and advance"),
     ],
 )
 def test_an_unknown_plant_is_refused_with_the_ways_out(name, words):
@@ -65,7 +65,7 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
         assert isinstance(find_plant(name), Tank)
     else:
         with pytest.raises(
-            PlantError, match=f"moves in real time .* the folder of this name is ./{name}$"
+            PlantError, match=f"moves in real time .* for the folder of this name, use ./{name}$"
         ):
             find_plant(name)
     assert isinstance(find_plant(f"./{name}"), Surrogate)
@@ -73,7 +73,7 @@ def test_a_folder_hides_no_plant_and_is_found_by_its_path(tmp_path, monkeypatch,
 
 
 def test_a_folder_that_is_no_surrogate_is_no_plant(tmp_path):
-    with pytest.raises(PlantError, match=r"holds no surrogate\.json"):
+    with pytest.raises(PlantError, match=r"contains no surrogate\.json"):
         find_plant(str(tmp_path))
 
 
@@ -217,13 +217,13 @@ def test_a_plant_may_know_its_true_force():
             "reading.angle is float16",
         ),
         (Broken(lambda s, r: (s, r._replace(force=r.force / 0))), "reading.force is not finite"),
-        (Broken(lambda s, r: (s, r._replace(time=2 * r.time))), "each tick is 0.01 s"),
+        (Broken(lambda s, r: (s, r._replace(time=2 * r.time))), "each tick must be 0.01 s"),
         (
             Broken(lambda s, r: (s._replace(angle=(s.angle, s.angle)), r)),
-            "init and advance return the same structure",
+            "init and advance must return the same structure",
         ),
         (Broken(lambda s, r: (s, tuple(r))), "advance does not return a Reading"),
-        (Forgetful(), "the same state and command give other readings"),
+        (Forgetful(), "the same state and command produce different readings"),
         (Branching(), "no Python branches on values"),
         (
             Telling(lambda state: state["force"][:1]),
@@ -232,14 +232,17 @@ def test_a_plant_may_know_its_true_force():
         (Telling(lambda state: (0.0, 0.0)), "true_force returns a tuple; it must return an array"),
         (
             Telling(lambda state: state["force"].astype(int)),
-            "true_force is int32; forces are float32",
+            "true_force is int32; it must be float32",
         ),
         (Telling(lambda state: state["force"] / 0), "true_force is not finite under Command"),
         (
             Telling(true_force_of_a_branch),
-            "jit or vmap does not go through true_force .*no Python branches on values",
+            "jit or vmap fails for true_force .*no Python branches on values",
         ),
-        (Telling(true_force_that_counts), "true_force changes the state; it only reads the state"),
+        (
+            Telling(true_force_that_counts),
+            "true_force changes the state; it must only read the state",
+        ),
     ],
 )
 def test_the_conformance_kit_names_the_fault(plant, words):

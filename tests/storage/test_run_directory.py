@@ -71,26 +71,26 @@ def test_the_order_of_the_leaves_does_not_matter(saved):
     [
         (
             STATE._replace(pair=(jnp.int32(0),)),
-            r"tree.pair\[1\] is float32 \(3,\) there and missing here",
+            r"tree.pair\[1\] is float32 \(3,\) in the checkpoint, missing in this run",
         ),
         (
             STATE._replace(pair=(*STATE.pair, jnp.ones(1))),
-            r"tree.pair\[2\] is missing there and float32 \(1,\) here",
+            r"tree.pair\[2\] is missing in the checkpoint, float32 \(1,\) in this run",
         ),
         (
             STATE._replace(pair=(jnp.int32(0), jnp.ones(2))),
-            r"is float32 \(3,\) there and float32 \(2,\) here",
+            r"is float32 \(3,\) in the checkpoint, float32 \(2,\) in this run",
         ),
         (
             STATE._replace(pair=(jnp.float32(0), jnp.ones(3))),
-            r"is int32 \(\) there and float32 \(\) here",
+            r"is int32 \(\) in the checkpoint, float32 \(\) in this run",
         ),
     ],
 )
 def test_a_leaf_that_does_not_fit_is_named(saved, like, words):
     with pytest.raises(
         ArtifactError,
-        match=rf"does not fit this training state \(.*{words}\); start again with --over",
+        match=rf"does not match this training state \(.*{words}\); start again with --over",
     ):
         saved.load(like)
 
@@ -132,8 +132,8 @@ def test_a_checkpoint_of_another_version_is_refused_and_both_are_named(
     now = checkpoint._software()
     monkeypatch.setattr(checkpoint, "_software", lambda: "softfin 99.1, jax 99.2")
     words = (
-        rf"was written by {re.escape(now)}, and this is softfin 99.1, jax 99.2; resume with "
-        r"that, or --overwrite"
+        rf"written by {re.escape(now)}, but this is softfin 99.1, jax 99.2; resume with "
+        r"that version, or use --overwrite"
     )
     for attempt in (
         lambda: RunDirectory(tmp_path / "out", {"seed": 0}, resume=True),
@@ -147,5 +147,5 @@ def test_one_of_before_versions_were_kept_is_refused(tmp_path, saved):
     weights = {"0": np.zeros(3, np.float32)}
     data = safetensors.numpy.save(weights, {"facts": '{"fingerprint": {"seed": 0}}'})
     (saved.folder / CHECKPOINT).write_bytes(data)
-    with pytest.raises(ArtifactError, match="was written by an older softfin, and this is softfin"):
+    with pytest.raises(ArtifactError, match="written by an older softfin, but this is softfin"):
         saved.load(STATE)

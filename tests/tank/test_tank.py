@@ -250,11 +250,11 @@ def test_some_gait_of_six_actions_holds_each_reference_force():
 def test_commands_beyond_the_limits_are_refused_before_anything_moves():
     tank = COARSE
     with pytest.raises(
-        CommandError, match=r"command angle = 2 rad: the plant takes -1.5708 to 1.5708 rad"
+        CommandError, match=r"command angle = 2 rad: the plant accepts -1.5708 to 1.5708 rad"
     ):
         roll(tank, tank.init(KEY), Command(jnp.array([0.0, 2.0]), jnp.array([1.0, 1.0])))
     with pytest.raises(
-        CommandError, match=r"command velocity = 0.5 rad/s: the plant takes 1 to 7.1 rad/s"
+        CommandError, match=r"command velocity = 0.5 rad/s: the plant accepts 1 to 7.1 rad/s"
     ):
         tank.advance(tank.init(KEY), Command(jnp.float32(0.0), jnp.float32(0.5)), 3)
     with pytest.raises(CommandError, match=r"command angle = nan"):

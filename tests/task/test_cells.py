@@ -88,7 +88,7 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
         ConfigurationError,
         match=r"cells.yaml: the cells leave 1 N\^2 of their bounding box \(x 0 .. 3, y 0 .. 1 N\) "
         r"uncovered; add "
-        r"cells there, or write allow_gaps: true",
+        r"cells there, or set allow_gaps: true",
     ):
         parse_cells(file_of(tmp_path, text), PAPER_RANGE)
 
@@ -102,10 +102,10 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
             r"cells 1 \(x 0 .. 2, y 0 .. 1 N\) and 3 \(x 1.5 .. 2, y 0 .. 3 N\) overlap in x 1.5 "
             r".. 2, y 0 .. 1 N; ",
         ),
-        ("cells: []", r"no cells; give at least one \{low: \[x, y\], high: \[x, y\]\}"),
+        ("cells: []", r"no cells; add at least one \{low: \[x, y\], high: \[x, y\]\}"),
         (
             "cells: [{low: [0, 0], high: [0, 1]}]",
-            r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; give a smaller and a larger force",
+            r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; use a lower and a higher force",
         ),
         ("cells: [{low: [0, 0], high: [-1, 1]}]", "low .* is above high"),
         ("cells: [{low: [.nan, 0], high: [1, 1]}]", r"cells.0.low.0.* = nan: .* finite"),
@@ -113,8 +113,8 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
         ("cells: [{low: [0], high: [1, 1]}]", r"cells.0.low.1"),
         ("cells: [{lower: [0, 0], high: [1, 1]}]", r"cells.0"),
         ("boxes: []", "cells"),
-        ("cells: [", "not YAML"),
-        ("- {low: [0, 0], high: [1, 1]}", "holds a list; it must be a mapping"),
+        ("cells: [", "not valid YAML"),
+        ("- {low: [0, 0], high: [1, 1]}", "contains a list; it must be a mapping"),
     ],
 )
 def test_a_file_that_is_no_grid_is_refused_in_one_line(
@@ -129,9 +129,9 @@ def test_a_file_that_is_no_grid_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0x3", "--cells 0x3: 0 cells; give 1 .. 1024, one or more along each axis"),
+        ("0x3", "--cells 0x3: 0 cells; use 1 to 1024 cells, at least one along each axis"),
         ("99x99", "--cells 99x99: 9801 cells"),
-        ("3x", "--cells 3x: neither paper, nor a lattice such as 3x3 .* nor a .yaml file"),
+        ("3x", "--cells 3x: must be paper, a grid such as 3x3 .* or a .yaml file"),
         ("-1x3", "--cells -1x3: neither"),
         ("", "--cells : neither"),
         ("nowhere.yaml", "nowhere.yaml: cannot be read"),
@@ -157,7 +157,7 @@ def test_a_range_is_four_numbers() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1,2,3", "--range 1,2,3: not four numbers X0,Y0,X1,Y1"),
+        ("1,2,3", "--range 1,2,3: must be four numbers X0,Y0,X1,Y1"),
         ("1,2,3,x", "not four numbers"),
         ("nan,0,1,1", "--range nan,0,1,1: low.0.* = nan: .* finite"),
         ("2,0,1,1", "--range 2,0,1,1: low .* is above high"),

@@ -57,11 +57,11 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", r"not a table of numbers \(Empty CSV file\); repair it"),
-        (HEAD, "has 0 rows; 1 to 360,000 are followed"),
+        ("", r"not a table of numbers \(Empty CSV file\); repair the"),
+        (HEAD, "has 0 rows; it must have 1 to 360,000"),
         (
             HEAD + "0,1,1\n\n2,nan,1\n",
-            "row 2, column force_x_n: nan is not a finite number; write one, or leave",
+            "row 2, column force_x_n: nan is not a finite number; correct it, or remove",
         ),
         (HEAD + "0,1,1\n2,1,-inf\n", "row 2, column force_y_n: -inf is not a finite number"),
         (HEAD + "0,1,1\n2,1,\n", "row 2, column force_y_n: nan is not a finite number"),
@@ -69,22 +69,22 @@ def test_a_file_gives_back_what_was_written_as_csv_and_as_parquet(tmp_path_facto
         (HEAD + "0,1,1\n2,one,1\n", r"not a table of numbers \(.*'one'"),
         (HEAD + "0,1,1\n2,1,1\n2,1,1\n", "time 2 s after 2 s; times must increase"),
         (HEAD + "0,1,1\n2,1,1\n1,1,1\n", "time 1 s after 2 s; times must increase"),
-        (HEAD + "3,1,1\n4,1,1\n", "the first time is 3 s; begin at 0"),
+        (HEAD + "3,1,1\n4,1,1\n", "the first time is 3 s; start at 0"),
         (
             "time_s,force_x_kn,force_y_n\n0,1,1\n",
-            "no column force_x_n, .* force_x_kn, .* one in newton: convert it",
+            "exactly one column force_x_n, .* force_x_kn, .*; convert a column to newtons",
         ),
         (
             "time_ms,force_x_n,force_y_n\n0,1,1\n",
-            "no column time_s, .* among time_ms, .* one in seconds",
+            "exactly one column time_s, got time_ms, .* to seconds",
         ),
         (
             "time_s,force_x_n,torque\n0,1,1\n",
-            "no column force_y_n, or several, among time_s, force_x_n, torque; it",
+            "exactly one column force_y_n, got time_s, force_x_n, torque; convert",
         ),
         (
             "time_s,time_s,force_x_n,force_y_n\n0,0,1,1\n",
-            "no column time_s, or several, among time_s, time_s",
+            "exactly one column time_s, got time_s, time_s",
         ),
     ],
 )
@@ -113,7 +113,9 @@ def test_a_parquet_file_is_held_to_the_same(tmp_path):
 def test_a_file_that_is_not_there_or_of_another_kind_is_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"none\.csv: cannot be read"):
         read_reference_file(tmp_path / "none.csv")
-    with pytest.raises(ConfigurationError, match=r"reference\.txt: neither \.csv nor \.parquet"):
+    with pytest.raises(
+        ConfigurationError, match=r"reference\.txt: must be a \.csv or \.parquet file"
+    ):
         read_reference_file(tmp_path / "reference.txt")
 
 
@@ -124,7 +126,7 @@ def test_a_log_of_softfin_begins_a_tick_late_and_is_read(tmp_path):
 
 def test_milliseconds_are_not_taken_for_seconds(tmp_path):
     with pytest.raises(
-        ConfigurationError, match=r"time_s up to 2000 makes 4000 s; .* are these milliseconds\?"
+        ConfigurationError, match=r"time_s up to 2000 makes 4000 s; .* divide by 1000 if"
     ):
         read_reference_file(written(tmp_path, HEAD + "0,1,0\n2000,2,0\n"))
 

@@ -1,5 +1,5 @@
-"""The command line: ``softfin COMMAND ...``; the module of a command is imported when the command
-is called."""
+"""The command line, ``softfin COMMAND ...``. A command's module is imported only when the command
+runs."""
 
 import contextlib
 import difflib
@@ -9,17 +9,20 @@ import importlib.metadata
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from softfin.core.printable import printable
 from softfin.core.program_cache import describe_cache, use_program_cache
 
+if TYPE_CHECKING:
+    from softfin.cli.common import CommandOptions
+
 
 class Command(NamedTuple):
-    """A command in the list of commands."""
+    """One entry in the list of commands."""
 
     module: str
-    """Module of this folder with its options."""
+    """Module in this folder that defines the command's options."""
     summary: str
     """Description in the list of commands."""
 
@@ -31,9 +34,11 @@ GROUPS = {
         "doctor": Command("doctor", "check this computer and the installation"),
     },
     "Data": {
-        "collect": Command("data", "record random motions of a fin and its force as a dataset"),
+        "collect": Command("data", "record random fin motions and the resulting forces"),
         "inspect": Command("data", "check logs before you fit a surrogate to them"),
-        "import-logs": Command("data", "convert CSV, Parquet or ROS 2 bags into a dataset"),
+        "import-logs": Command(
+            "data", "convert CSV files, Parquet files or ROS 2 bags into a dataset"
+        ),
         "bag recover": Command("data", "recover the readings of a damaged recording"),
         "bag convert": Command("data", "convert recordings to Parquet or ROS 2 bags"),
     },
@@ -48,28 +53,30 @@ GROUPS = {
         "train": Command("controllers", "train force controllers inside a surrogate"),
         "evaluate": Command("evaluation", "evaluate a controller on a fin over reference forces"),
         "baselines": Command("evaluation", "evaluate baselines that need no training"),
-        "view": Command("evaluation", "animate a fin as a GIF, an HTML page or a picture"),
-        "explore": Command("evaluation", "write a page to try controllers in the browser"),
-        "export": Command("controllers", "write a controller or a surrogate as ONNX"),
+        "view": Command("evaluation", "animate a fin as a GIF, an HTML page or a PNG"),
+        "explore": Command("evaluation", "write an HTML page for trying controllers in a browser"),
+        "export": Command("controllers", "export a controller or a surrogate to ONNX"),
     },
     "Rig": {
         "rig check": Command("rig", "check drive, sensor and settings; nothing moves"),
-        "rig zero": Command("rig", "set the angle and the force to zero"),
-        "rig commission": Command("rig", "run the acceptance steps of a new rig"),
+        "rig zero": Command("rig", "zero the angle and the force"),
+        "rig commission": Command("rig", "run the acceptance steps for a new rig"),
         "rig stop": Command("rig", "stop the motor and switch it off"),
         "rig emulate": Command("rig", "emulate a rig without hardware"),
         "run": Command("driving", "hold reference forces on the real fin"),
         "monitor": Command("rig", "watch a recording in progress"),
-        "ros2": Command("driving", "hold the reference forces of a ROS 2 topic on the real fin"),
+        "ros2": Command("driving", "hold reference forces from a ROS 2 topic on the real fin"),
     },
     "Robots": {
-        "robot check": Command("robot", "check what a robot with several fins can do"),
-        "robot evaluate": Command("robot", "evaluate how a robot keeps its place and its path"),
-        "robot view": Command("robot", "show one trial as a page in three dimensions"),
-        "robot ros2": Command("robot", "share body wrenches among fins, as a ROS 2 node"),
+        "robot check": Command("robot", "check rank, reach and stability of a multi-fin robot"),
+        "robot evaluate": Command(
+            "robot", "evaluate station keeping and path following of a robot"
+        ),
+        "robot view": Command("robot", "write an HTML page that shows one trial in 3D"),
+        "robot ros2": Command("robot", "run a ROS 2 node that distributes wrenches among fins"),
     },
     "Paper": {
-        "reproduce": Command("reproduce", "run every stage of the paper, with its tables"),
+        "reproduce": Command("reproduce", "run every stage of the paper and print its tables"),
     },
 }
 """The commands by topic."""
@@ -77,12 +84,12 @@ GROUPS = {
 COMMANDS = {name: command for group in GROUPS.values() for name, command in group.items()}
 
 STOPPED = 1
-"""Exit code after Ctrl-C, as for a failure midway."""
+"""Exit code after Ctrl-C, the same as for a failure at run time."""
 
 
 def script() -> None:
-    """Run `main` as the installed command; after Ctrl-C end at once, because a compiled program may
-    still run."""
+    """Run `main` as the installed command. After Ctrl-C, exit at once: a compiled program may still
+    be running."""
     use_program_cache()
     try:
         main()
@@ -95,7 +102,8 @@ def script() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one command; exit code 0, 1 for a failure midway, 2 for input that cannot be used."""
+    """Run one command. Exit codes: 0 success, 1 failure at run time, 2 unusable input, 3 fin
+    stopped for safety."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     first = words[0] if words else "--help"
     if first in ("-h", "--help"):
@@ -112,14 +120,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def list_actions(name: str) -> tuple[str, ...]:
-    """List the second words of a command, such as recover and convert of bag."""
+    """Return the second words of a command, such as ``recover`` and ``convert`` for ``bag``."""
     return tuple(each.split()[1] for each in COMMANDS if each.startswith(f"{name} "))
 
 
 def _run_action(name: str, actions: tuple[str, ...], words: list[str]) -> None:
     action = words[0] if words else "--help"
     if action in ("-h", "--help"):
-        group = {each: COMMANDS[each] for each in (f"{name} {action}" for action in actions)}
+        group = {f"{name} {each}": COMMANDS[f"{name} {each}"] for each in actions}
         sys.stdout.write(f"usage: softfin {name} ACTION [OPTION ...]\n\n{_list(group)}\n")
     elif action in actions:
         _run(f"{name} {action}", words[1:])
@@ -132,16 +140,17 @@ def _choices(word: str, allowed: tuple[str, ...]) -> str:
     return ", ".join(allowed) + (f"; did you mean {close[0]}?" if close else "")
 
 
-def import_arguments(name: str) -> type[Any]:
+def import_arguments(name: str) -> "type[CommandOptions]":
     """Import the class of a command, such as `RigCheckArguments`, whose fields are its options."""
     module = importlib.import_module(f"softfin.cli.{COMMANDS[name].module}")
     words = name.replace("-", " ").split()
-    arguments: type[Any] = getattr(module, "".join(map(str.capitalize, words)) + "Arguments")
+    class_name = "".join(map(str.capitalize, words)) + "Arguments"
+    arguments: type[CommandOptions] = getattr(module, class_name)
     return arguments
 
 
 def _run(name: str, words: list[str]) -> None:
-    # Imported here: --version needs none of it.
+    # Imported here to keep --version and --help fast.
     from softfin.installation import what_is_missing
 
     debug = "--debug" in words
@@ -152,24 +161,22 @@ def _run(name: str, words: list[str]) -> None:
             raise
         _exit(f"softfin {name}: {missing}", 2)
     _configure_process()
-    arguments: Any = None
+    can_resume = False
     try:
         arguments = import_arguments(name)
-        command = options.parse(arguments, words)
+        can_resume = "resume" in arguments.model_fields
+        try:
+            command = options.parse(arguments, words)
+        except options.HelpRequested:
+            sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
+            raise SystemExit(0) from None
         command.check()
         command()
-    except options.HelpRequested:
-        sys.stdout.write(options.format_help(arguments, f"softfin {name}") + "\n")
-        raise SystemExit(0) from None
     except KeyboardInterrupt as interrupt:
         if debug:
             raise
-        hint = (
-            "; add --resume to continue"
-            if "resume" in getattr(arguments, "model_fields", ())
-            else ""
-        )
-        sys.stderr.write(f"softfin {name}: stopped; no file is half-written{hint}\n")
+        hint = "; run it again with --resume to continue" if can_resume else ""
+        sys.stderr.write(f"softfin {name}: stopped; no incomplete files were left{hint}\n")
         raise SystemExit(STOPPED) from interrupt
     except Exception as error:
         if debug:
@@ -179,11 +186,11 @@ def _run(name: str, words: list[str]) -> None:
 
 
 def _configure_process() -> None:
-    """Set what NumPy, JAX and XLA read when they are imported."""
-    # XLA's notes about compilation would hide the lines of a command.
+    """Set the environment variables that NumPy, JAX and XLA read on import."""
+    # XLA's compilation messages would bury a command's own output.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    # Threads of OpenBLAS spin while they wait for each other: next to other work, sums that take
-    # NumPy 0.1 s of processor time on one thread took from 9 s to a minute.
+    # OpenBLAS threads busy-wait for each other. On a loaded machine, sums that cost 0.1 s of CPU
+    # time on one thread took from 9 s to a minute.
     if "OMP_NUM_THREADS" not in os.environ:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # JAX creates millions of small objects while it traces; collecting garbage at the default rate
@@ -203,7 +210,7 @@ def _describe_error(error: Exception) -> tuple[str, int]:
     if isinstance(error, OSError):
         return f"{error.filename or 'system'}: {error.strerror or error}", STOPPED
     text = f"{type(error).__name__}: {one_line(error)}"
-    return f"{text} (this should not happen; --debug shows where)", STOPPED
+    return f"{text} (unexpected; add --debug for a traceback)", STOPPED
 
 
 def _list(commands: Mapping[str, Command]) -> str:
@@ -214,8 +221,8 @@ def _usage() -> str:
     groups = "\n\n".join(f"{title}:\n{_list(commands)}" for title, commands in GROUPS.items())
     return (
         "usage: softfin COMMAND [OPTION ...]\n\nMake a soft fin produce the force you ask for.\n\n"
-        f"{groups}\n\nsoftfin COMMAND --help lists the options of a command; --debug shows "
-        f"tracebacks; softfin --version prints the version.\n{describe_cache()}"
+        f"{groups}\n\nRun softfin COMMAND --help for the options of a command, and softfin "
+        f"--version for the version. Add --debug for tracebacks.\n{describe_cache()}"
     )
 
 

@@ -1,5 +1,5 @@
-"""Parts that commands share: kinds of options, configuration, arming, progress on stderr, results
-on stdout; no JAX."""
+"""Code that commands share: option types, configuration, arming, progress on stderr and results on
+stdout. No JAX."""
 
 import sys
 import threading
@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TextIO, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TextIO, TypeAlias, TypeVar
 
 from softfin.cli import options
 from softfin.cli.options import Option
@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 StageConfig = TypeVar("StageConfig", bound=Configuration)
 
 PACE_S = 10.0
-"""Time between two lines of progress [s]."""
+"""Interval between progress lines [s]."""
 
 MARKS = {"well": "ok", "note": "note", "wrong": "WRONG"}
 
 WORD = "move"
-"""Word that a person types to let the fin move."""
+"""Word that the operator types to let the fin move."""
 
 
 def folder_option(kind: str, positional: bool = False) -> Option:
@@ -49,19 +49,19 @@ def folder_option(kind: str, positional: bool = False) -> Option:
 
 def plant(metavar: str = "PLANT", positional: bool = False) -> Option:
     """Option for the name of a simulated plant."""
-    return Option(metavar, positional, check=lambda name, _: resolve_plant(name))
+    return Option(metavar, positional, check=lambda name, _: resolve_plant(str(name)))
 
 
-def _check_data(name: str, _: object) -> None:
+def _check_data(name: str | Path, _: object) -> None:
     path = Path(name)
     if path.is_dir() and not artifacts.is_kind(path, "surrogate"):
         artifacts.find_description(path, "dataset")
     else:
-        resolve_plant(name)
+        resolve_plant(str(name))
 
 
 def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple[float, ...]]:
-    """Return a parser of `count` comma-separated numbers, whose error ends in the advice."""
+    """Return a parser for `count` comma-separated numbers; its error message ends with `advice`."""
 
     def parse(text: str, option: str) -> tuple[float, ...]:
         try:
@@ -75,32 +75,33 @@ def numbers(advice: str, count: int | None = None) -> Callable[[str, str], tuple
     return parse
 
 
-def _check_vacant(path: Path, command: Any) -> None:
+def _check_vacant(path: str | Path, command: Configuration) -> None:
     # With --resume the stage decides whether the existing output belongs to this run.
-    artifacts.check_vacant(path, command.overwrite or getattr(command, "resume", False))
+    may_exist = getattr(command, "overwrite", False) or getattr(command, "resume", False)
+    artifacts.check_vacant(Path(path), may_exist)
 
 
 Out: TypeAlias = Annotated[Path, Option("DIR", check=_check_vacant)]
 File: TypeAlias = Annotated[Path, Option("FILE")]
 ReferenceFile: TypeAlias = Annotated[
-    Path, Option("FILE", check=lambda path, _: paths.check_reference_file(path))
+    Path, Option("FILE", check=lambda path, _: paths.check_reference_file(Path(path)))
 ]
 YamlFile: TypeAlias = Annotated[
-    Path, Option("FILE", check=lambda path, _: paths.check_readable(path))
+    Path, Option("FILE", check=lambda path, _: paths.check_readable(Path(path)))
 ]
 ControllerFolder: TypeAlias = Annotated[Path, folder_option("controller", positional=True)]
 PlantName: TypeAlias = Annotated[str, plant()]
 AnyPlant: TypeAlias = Annotated[
-    str, Option("PLANT", check=lambda name, _: is_live(name) or resolve_plant(name))
+    str, Option("PLANT", check=lambda name, _: is_live(str(name)) or resolve_plant(str(name)))
 ]
 LivePlant: TypeAlias = Annotated[str, Option("PLANT")]
 Logs: TypeAlias = Annotated[
-    Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(path))
+    Path, Option("LOGS", True, check=lambda path, _: paths.find_recordings(Path(path)))
 ]
 Data: TypeAlias = Annotated[str, Option("DATA", positional=True, check=_check_data)]
 ForcePair: TypeAlias = Annotated[
     tuple[float, float],
-    Option("X,Y", parse=numbers("not a force; write X,Y in newton, as 1,-1", 2)),
+    Option("X,Y", parse=numbers("not a force; use X,Y in newtons, e.g. 1,-1", 2)),
 ]
 
 
@@ -108,7 +109,7 @@ Repeats: TypeAlias = Annotated[int, Option(former_name="--seeds")]
 
 
 class CommandOptions(Configuration):
-    """Options of every command; calling it runs the command."""
+    """Options of every command. Calling an instance runs the command."""
 
     HELP_TITLE: ClassVar = "general options"
 
@@ -118,17 +119,19 @@ class CommandOptions(Configuration):
     """Show the traceback of an error."""
 
     def check(self) -> None:
-        """Raise a SoftfinError if the options cannot be used, before anything is computed or
-        imported."""
+        """Raise a SoftfinError for unusable options, before anything is computed or imported."""
         seed = getattr(self, "seed", None)
         if seed is not None and not 0 <= seed < SEEDS:
-            raise ConfigurationError(
-                f"--seed {seed}: a seed is a whole number from 0 to {SEEDS - 1}"
-            )
+            raise ConfigurationError(f"--seed {seed}: must be a whole number from 0 to {SEEDS - 1}")
         options.check_values(self)
 
+    def __call__(self) -> None:
+        """Run the command."""
+        raise NotImplementedError
+
     def tell_findings(self, findings: "Iterable[CheckResult]") -> str:
-        """Print each finding as soon as it is known; returns what is wrong, with commas between."""
+        """Print each finding as soon as it is available; returns the names of failed checks,
+        separated by commas."""
         results = []
         for finding in findings:
             results.append(finding)
@@ -141,14 +144,14 @@ class CommandOptions(Configuration):
         return ", ".join(finding.what for finding in results if finding.state == "wrong")
 
     def tell(self, result: object, text: str) -> None:
-        """Print the result: as JSON, or as text for people."""
+        """Print the result, as JSON or as text."""
         sys.stdout.write(
             artifacts.dump_json(result) if self.json_ else printable(text.rstrip("\n"), "\n") + "\n"
         )
 
 
 class Common(CommandOptions):
-    """Options of every command that writes."""
+    """Options of every command that writes files."""
 
     HELP_TITLE: ClassVar = "general options"
 
@@ -162,24 +165,24 @@ class Configured(Common):
     HELP_TITLE: ClassVar = "general options"
 
     config: YamlFile | None = None
-    """YAML file of configuration values; docs/reference/configuration.md lists the fields."""
+    """YAML file with configuration values; see docs/reference/configuration.md for the fields."""
     set: Annotated[tuple[str, ...], Option("PATH=VALUE")] = ()
-    """Set one value of the configuration."""
+    """Set one configuration value."""
 
     def configured(self, base: StageConfig, **given: object) -> StageConfig:
-        """Return the defaults, changed by the YAML file, then by `--set`, then by the given
-        options.
+        """Return the default configuration with the YAML file, then `--set`, then the options
+        applied.
 
-        These are the options that are None or () by default and named like a field; options that
-        the command parses itself, or under another name, are in `given`.
+        An option applies if its default is None or () and its name is that of a field. `given`
+        contains the values that the command parses itself, or whose options have another name.
         """
-        config = (
-            base if self.config is None else base.merged(read_yaml(self.config), str(self.config))
-        )
+        config = base
+        if self.config is not None:
+            config = base.merged(read_yaml(self.config), str(self.config))
         for name, option in type(self).model_fields.items():
             value = getattr(self, name)
             is_changed = option.default in (None, ()) and value not in (None, ())
-            # A text is read by the command, which gives what it stands for.
+            # The command itself interprets text options and passes their values in `given`.
             if name in type(base).model_fields and is_changed and not isinstance(value, str):
                 given.setdefault(name, value)
         changes = {name: value for name, value in given.items() if value not in (None, ())}
@@ -190,42 +193,41 @@ class NodeOptions(Configured):
     """Options of every command that runs as a ROS 2 node."""
 
     transport: TransportName | None = None
-    """rclpy of ROS 2, or dds without ROS 2 (default: auto, rclpy if it is installed)."""
+    """rclpy requires ROS 2, dds does not (default: auto, rclpy if it is installed)."""
     domain: int | None = None
-    """ROS domain (default: ROS_DOMAIN_ID, or 0)."""
+    """ROS domain ID (default: ROS_DOMAIN_ID, or 0)."""
     network: str | None = None
-    """With dds: network interface, such as eth0, whose hosts may read and write the topics
-    (default: this computer alone)."""
+    """For dds: network interface, such as eth0, on which to share the topics (default: this
+    computer only)."""
 
     @property
     def connection(self) -> JsonObject | None:
-        """The options that were given, as the node's `connection`; None without any."""
+        """Options that were set, as the node's `connection`; None if none were."""
         names = {"transport", "domain", "network"}
         return self.model_dump(include=names, exclude_none=True) or None
 
 
 class LogOptions(ImportConfig):
-    """Options of every command that reads recordings made by others; softfin's own recordings need
-    none of these."""
+    """Options of every command that reads recordings made by other software; softfin's own
+    recordings need none of these."""
 
-    HELP_TITLE: ClassVar = "logs that softfin has not recorded"
+    HELP_TITLE: ClassVar = "logs not recorded by softfin"
 
     @property
     def recordings(self) -> ImportConfig:
-        """These options alone."""
+        """The import options alone."""
         return ImportConfig(**{name: getattr(self, name) for name in ImportConfig.model_fields})
 
     @staticmethod
     def columns_read(columns: Mapping[str, str]) -> str:
-        """Return lines that tell how columns without softfin's names were read, one for each way of
-        reading."""
+        """Return one line for each way in which columns without softfin's names were
+        interpreted."""
         return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
 def on_terminal() -> bool:
-    """Whether a person may be there to answer; a program may have been started without any
-    input."""
-    # Python sets it to None if the descriptor is closed, which its types do not tell.
+    """Whether an operator can answer: standard input exists and is a terminal."""
+    # sys.stdin is None if its descriptor is closed, although its declared type excludes that.
     given: TextIO | None = sys.stdin
     return given is not None and given.isatty()
 
@@ -234,17 +236,17 @@ class Armed(Configuration):
     """Options of every command that may move a real fin."""
 
     arm: bool = False
-    """Let the real fin move, after you confirm it on the terminal."""
+    """Allow the real fin to move, after you confirm on the terminal."""
     yes: bool = False
-    """With --arm, do not ask for confirmation. For scripts only: make sure that nobody can reach
-    the fin."""
+    """With --arm, skip the confirmation. For scripts only: make sure that nobody can reach the
+    fin."""
 
     def confirm(self, robot: "RobotSetup", motion: str | None = None, proves: bool = False) -> None:
-        """Print the notes of an open machine; raise ConfigurationError unless a person confirms
-        that it may move.
+        """Print an open machine's notes and ask the operator to confirm the motion.
 
-        `motion` says what it will do, if it does not follow commands. A rig must be ready, unless
-        this motion proves that it is. Raises RigError.
+        `motion` describes the motion if the machine does not follow commands. The rig must be ready
+        unless `proves` is set, for motions that make it ready. Raises ConfigurationError if the
+        motion is not confirmed, and RigError if the rig is not ready.
         """
         name = robot.machine.name
         for note in robot.machine.notes:
@@ -252,24 +254,26 @@ class Armed(Configuration):
         if robot.warning is not None:
             sys.stderr.write(f"warning: {printable(robot.warning)}\n")
         if not self.arm:
-            told = "answers, and " if motion is None else ""
-            raise ConfigurationError(f"{name}: {told}stays still: nothing moves without --arm")
+            state = "connected, but not armed" if motion is None else "not armed"
+            raise ConfigurationError(f"{name}: {state}; nothing moves without --arm")
         if not proves:
             robot.check_ready()
         if self.yes:
             return
         if not on_terminal():
             raise ConfigurationError(
-                f"{name}: --arm asks on a terminal whether it may move; in a script add --yes"
+                f"{name}: --arm needs a terminal for the confirmation; in a script, add --yes"
             )
         limits = robot.machine.limits
         motion = motion or (
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at "
             f"up to {limits.velocity_max:.2f} rad/s"
         )
+        # Enter typed before the prompt must not count as an answer.
         discard_typed_ahead()
         sys.stderr.write(
-            f"{printable(name)}: {motion}.\nCtrl-C stops it. Hands off? Type {WORD!r} and Enter: "
+            f"{printable(name)}: {motion}.\n"
+            f"Press Ctrl-C to stop it. Hands clear? Type {WORD!r} and press Enter: "
         )
         sys.stderr.flush()
         if sys.stdin.readline().strip() != WORD:
@@ -277,8 +281,8 @@ class Armed(Configuration):
 
 
 class ProgressLines:
-    """Progress as lines on standard error: at both ends of a stage, and at a steady pace in
-    between."""
+    """Progress lines on standard error: at the start and end of a stage, and at regular intervals
+    in between."""
 
     def __init__(self, now: float) -> None:
         self._lock = threading.Lock()
@@ -289,7 +293,7 @@ class ProgressLines:
         self._first = self._last = (now, 0.0)
 
     def report(self, now: float, stage: str, done: float, note: str) -> None:
-        """Take a report of the work at a time [s]; write it if the stage begins or ends."""
+        """Record the progress at time `now` [s]; print it if the stage starts or ends."""
         with self._lock:
             begins = stage != self._stage
             ends = done >= 1 > self._done
@@ -304,32 +308,35 @@ class ProgressLines:
         self.write(now)
 
     def write(self, now: float) -> None:
-        """Write the progress of the stage, if a line is due."""
+        """Print the progress of the stage if a line is due."""
         with self._lock:
             if now < self._next_s or (self._done >= 1 and now > self._last[0]) or not self._stage:
                 return
             self._next_s = now + PACE_S
             left = self._left_s(now)
-            told = "" if not left else f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
-            sys.stderr.write(
-                f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip() + f"{told}\n"
-            )
+            line = f"{self._stage}: {self._done:.0%} {printable(self._note)}".rstrip()
+            if left:
+                line += f" (about {left // 60:.0f}:{left % 60:02.0f} left)"
+            sys.stderr.write(f"{line}\n")
             sys.stderr.flush()
 
     def _left_s(self, now: float) -> float | None:
-        """Return the estimated remaining time of the stage [s]; None before the second report, 0
+        """Return the estimated remaining time of the stage [s]; None before the second report and
         after the end."""
         (begin, first) = self._first
         (end, last) = self._last
         if last <= first or last >= 1:
             return None
-        return max(float(round((end - begin) / (last - first) * (1 - last) - (now - end))), 0.0)
+        # At the pace so far: time per unit of work, times the work left, less the time since the
+        # last report.
+        pace_s = (end - begin) / (last - first)
+        return max(float(round(pace_s * (1 - last) - (now - end))), 0.0)
 
 
 @contextmanager
 def progress() -> Iterator[Callable[[str, float, str], None]]:
-    """Show bars on standard error, or lines if that is not a terminal, with the remaining time of
-    each stage."""
+    """Show progress bars on standard error, or lines if it is not a terminal, with the remaining
+    time of each stage."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -345,6 +352,7 @@ def progress() -> Iterator[Callable[[str, float, str], None]]:
         lines = ProgressLines(time.monotonic())
         ended = threading.Event()
 
+        # A stage may report nothing for minutes, so a thread keeps printing.
         def keep_pace() -> None:
             while not ended.wait(PACE_S / 10):
                 lines.write(time.monotonic())
@@ -355,7 +363,7 @@ def progress() -> Iterator[Callable[[str, float, str], None]]:
         finally:
             ended.set()
         return
-    # On a narrow terminal the bar gives way first, then the end of the note.
+    # On a narrow terminal, the bar shrinks first, then the note is truncated.
     bar = Column(min_width=4, ratio=1)
     note = Column(no_wrap=True, overflow="ellipsis")
     columns = (

@@ -1,4 +1,4 @@
-"""Commands that make a controller: ``map``, ``train`` and ``export``."""
+"""Commands that produce or export controllers: ``map``, ``train`` and ``export``."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
 
 MAP = "map"
-"""Value of --range for all forces that the fin can make."""
+"""Value of --range that selects all forces the fin can produce."""
 
 
 class MapArguments(Configured):
     """Find the mean forces that a fin can produce, and gaits that produce them."""
 
     plant: Annotated[str, plant(positional=True)]
-    """Folder of a surrogate, or another plant: tank, package.module:plant."""
+    """Surrogate folder, or another plant: tank or package.module:plant."""
     out: Out
-    """Folder to write map.json, the gaits and the figure to."""
+    """Output folder for map.json, the gaits and the figure."""
 
     def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
@@ -54,10 +54,9 @@ class MapArguments(Configured):
         self.tell(
             summary,
             f"{self.out}: mean forces of x {x0:.2f} .. {x1:.2f} N and y {y0:.2f} .. {y1:.2f} N, "
-            f"{summary['area_n2']:.1f} N2 in all; {summary['held']} of the lattice's "
-            f"{summary['nodes']} forces have a "
-            f"gait that makes them to within {config.tolerance_n:g} N\n"
-            f"the paper's references that this fin cannot make: {beyond}{warning}",
+            f"area {summary['area_n2']:.1f} N2; {summary['held']} of the {summary['nodes']} forces "
+            f"on the grid have a gait that produces them to within {config.tolerance_n:g} N\n"
+            f"references of the paper that this fin cannot reach: {beyond}{warning}",
         )
 
 
@@ -65,44 +64,44 @@ class TrainArguments(Configured):
     """Train force controllers inside a surrogate (paper Sec. III-C)."""
 
     surrogate: Annotated[str, plant("SURROGATE", positional=True)]
-    """Folder of the surrogate, or another plant: tank, package.module:plant."""
+    """Surrogate folder, or another plant: tank or package.module:plant."""
     out: Out
-    """Folder of the controller to write."""
+    """Controller folder to write."""
     controller: ControllerKind = "single"
     """single: one policy for all references; grid: one policy per cell of a grid; gaits: a table of
-    gaits, without a network."""
+    gaits (no network)."""
     algorithm: AlgorithmOption = "auto"
     """gradient: gradients through the plant; ppo: LSTM-PPO as in the paper; ppo-hindsight: LSTM-PPO
     with relabelled references; auto: gradient if the plant is differentiable, else ppo."""
     cells: Annotated[str, Option("CELLS")] | None = None
-    """Cells of a grid: paper, a lattice over --range such as 3x3, or a .yaml file of boxes
+    """Cells of the grid: paper, a uniform grid over --range such as 3x3, or a .yaml file of boxes
     (default: paper)."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
     """Range of reference forces [N], or map for all forces in --map (default:
     0.5,-1.5,3.5,1.5)."""
     map: Annotated[Path, folder_option("map")] | None = None
-    """Folder of a map of this surrogate, written by softfin map (default: compute one)."""
+    """Folder of this surrogate's map, written by softfin map (default: compute one)."""
     steps: int | None = None
-    """Actions to train each policy for (default: depends on the algorithm; for ppo, the paper's
-    30000, or 10000 per cell)."""
+    """Number of training actions per policy (default: depends on the algorithm; for ppo, the
+    paper's 30000, or 10000 per cell)."""
     seed: int = 0
-    """Seed of weights, exploration and references."""
+    """Seed for weights, exploration and references."""
     seeds: Annotated[str, Option("SEEDS")] | None = None
-    """Train several controllers at once, into OUT/seed-N: either how many, counted from --seed, or
-    a list such as --seeds=0,1,2."""
+    """Train several controllers at once, into OUT/seed-N. Either a count, starting at --seed, or a
+    list such as --seeds=0,1,2."""
     engine: EngineName = "local"
-    """local: this process; ray: tasks on a Ray cluster (extra ray)."""
+    """local: in this process; ray: as tasks on a Ray cluster (requires softfin[ray])."""
     cluster: Annotated[str, Option("HOST:PORT")] | None = None
     """Address of the Ray cluster (default: start one on this machine)."""
     resume: bool = False
     """Continue from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
-        """Refuse options that exclude each other."""
+        """Reject options that exclude each other."""
         asked_seeds(self.seed, self.seeds)
         if self.range == MAP and self.map is None:
             raise ConfigurationError(
-                "--range map: also give the map: --map DIR, which softfin map writes"
+                "--range map: requires a map; add --map DIR, a folder written by softfin map"
             )
         if self.range not in (None, MAP):
             read_range(self.range)
@@ -112,7 +111,7 @@ class TrainArguments(Configured):
         useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
             raise ConfigurationError(
-                f"{', '.join(useless)}: gaits are found, not trained; leave it out"
+                f"{', '.join(useless)}: gaits are not trained; omit these options"
             )
         super().check()
 
@@ -128,7 +127,7 @@ class TrainArguments(Configured):
         if self.controller == "gaits":
             box = None if cells is None else cells[0].model_dump()
             lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
-            # With a map, a lattice is passed on only if it was changed, to be refused.
+            # With a map, a changed grid is passed on only so that `find_gaits` rejects it.
             given = (
                 None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
             )
@@ -142,11 +141,12 @@ class TrainArguments(Configured):
                     progress=report,
                 )
             return self._tell((0,))
+        # Each algorithm has its own defaults, so it is chosen before other options apply.
         begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         config = self.configured(begin, cells=cells)
         if config.algorithm != begin.algorithm:
             raise ConfigurationError(
-                f"algorithm = {config.algorithm}: its other settings depend on it; give "
+                f"algorithm = {config.algorithm}: other defaults depend on the algorithm; use "
                 f"--algorithm {config.algorithm}"
             )
         with progress() as report:
@@ -189,30 +189,30 @@ class TrainArguments(Configured):
                 )
                 rows.append([f"({x:5.2f}, {y:5.2f})", error, format_reference_errors(row).strip()])
             footprint = [] if gaits else [describe_memory(description["memory"])]
-            head = f"{folder}: scored in {self.surrogate}, without exploration noise"
+            head = f"{folder}: evaluated in {self.surrogate}, without exploration noise"
             texts.append("\n".join([head, *aligned(rows, (0, 1, 2)), *footprint]))
         self.tell({"controllers": results} if several else results[0], "\n\n".join(texts))
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
-    """Return the seeds of ``--seed`` and ``--seeds``; duplicates are found later."""
+    """Return the seeds selected by ``--seed`` and ``--seeds``; duplicates are rejected later."""
     if text is None:
         return (first,)
     try:
         numbers = tuple(int(part) for part in text.split(","))
     except ValueError:
         raise ConfigurationError(
-            f"--seeds {text}: neither a number nor a list; write --seeds 3 or --seeds=0,1,2"
+            f"--seeds {text}: not a count or a list; use e.g. --seeds 3 or --seeds=0,1,2"
         ) from None
     if len(numbers) == 1:
         numbers = tuple(range(first, first + numbers[0]))
     elif first != 0:
         raise ConfigurationError(
-            f"--seed {first}: --seeds={text} names them all; give one of the two"
+            f"--seed {first}: cannot be combined with the list --seeds={text}; omit one of them"
         )
     if not numbers or not all(0 <= seed < SEEDS for seed in numbers):
         raise ConfigurationError(
-            f"--seeds {text}: give one seed or more, whole numbers from 0 to {SEEDS - 1}"
+            f"--seeds {text}: must be one or more whole numbers from 0 to {SEEDS - 1}"
         )
     return numbers
 
@@ -220,26 +220,20 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
 def asked_cells(
     controller: str, cells: str | None, span: str | None, force_map: Path | None = None
 ) -> "tuple[Cell, ...] | None":
-    """Return the cells of ``--cells`` and ``--range``, one cell unless it is a grid; None if
-    neither is given.
+    """Return the cells selected by ``--cells`` and ``--range``: one cell unless the controller is a
+    grid; None if neither option is set.
 
-    A range of `map` is the bounding box of all forces that the fin can make; training uses the
-    nearest of these.
+    The range `map` is the bounding box of the reachable forces; training replaces unreachable
+    references by the nearest reachable ones.
     """
-    from softfin.gaits.force_map import load_map
-    from softfin.gaits.reachable import Cell, bounding_box
-    from softfin.task.references import PAPER_RANGE, parse_cells, parse_range
+    from softfin.gaits.reachable import bounding_box
+    from softfin.task.references import parse_cells
 
-    within = PAPER_RANGE
-    if span == MAP and force_map is not None:
-        low, high = load_map(force_map).force_map.reachable.bounds()
-        within = Cell(low=low, high=high)
-    elif span is not None:
-        within = parse_range(span)
+    within = _range_cell(span, force_map)
     if controller != "grid":
         if cells is not None:
             raise ConfigurationError(
-                f"--cells {cells}: {controller} has no cells; give --range, or --controller grid"
+                f"--cells {cells}: {controller} has no cells; use --range, or --controller grid"
             )
         return None if span is None else (within,)
     if cells is None and span is None:
@@ -248,29 +242,40 @@ def asked_cells(
     if span is not None and bounding_box(found) != within:
         raise ConfigurationError(
             f"--range {span}: the cells ({cells or 'paper'}) have fixed positions "
-            f"({bounding_box(found)}); leave "
-            "it out, or give a lattice such as --cells 3x3, which fills it"
+            f"({bounding_box(found)}); omit --range, or use a grid that fills it, such as "
+            "--cells 3x3"
         )
     return found
 
 
+def _range_cell(span: str | None, force_map: Path | None) -> "Cell":
+    from softfin.gaits.force_map import load_map
+    from softfin.gaits.reachable import Cell
+    from softfin.task.references import PAPER_RANGE, parse_range
+
+    if span is None:
+        return PAPER_RANGE
+    if span == MAP and force_map is not None:
+        low, high = load_map(force_map).force_map.reachable.bounds()
+        return Cell(low=low, high=high)
+    return parse_range(span)
+
+
 class ExportArguments(Common):
-    """Write one step of a controller or of a surrogate as ONNX, with its state as inputs and
-    outputs; needs softfin[onnx]."""
+    """Export one step of a controller or of a surrogate to ONNX, with its state as inputs and
+    outputs. Requires softfin[onnx]."""
 
     controller: ControllerFolder | None = None
-    """Folder of the controller; not with --surrogate."""
+    """Controller folder; not with --surrogate."""
     surrogate: Annotated[Path, folder_option("surrogate")] | None = None
-    """Folder of a surrogate to export instead: one step of 10 ms, for other simulators."""
+    """Surrogate folder to export instead: one step of 10 ms, for other simulators."""
     onnx: File
     """File to write; its metadata describe the inputs."""
 
     def check(self) -> None:
-        """Refuse a controller and a surrogate, or neither."""
+        """Reject a controller with a surrogate, or neither of them."""
         if (self.controller is None) == (self.surrogate is None):
-            raise ConfigurationError(
-                "give the folder of a controller, or --surrogate DIR, one of them"
-            )
+            raise ConfigurationError("use either CONTROLLER or --surrogate DIR")
         super().check()
 
     def __call__(self) -> None:
@@ -282,18 +287,17 @@ class ExportArguments(Common):
 
             exported = export_onnx(load_controller(self.controller), self.onnx, self.overwrite)
             checked = (
-                f"over {EPISODE} actions onnxruntime's commands differ from softfin's by "
-                f"{{}} (rad, rad/s) at most"
+                f"over {EPISODE} actions, onnxruntime's commands differ from softfin's by at most "
+                f"{{}} (rad, rad/s)"
             )
         elif self.surrogate is not None:
             from softfin.surrogate.onnx import CHECK_S, export_surrogate
 
             exported = export_surrogate(self.surrogate, self.onnx, self.overwrite)
             checked = (
-                f"over {CHECK_S} s of random commands onnxruntime's readings differ from "
-                f"softfin's by {{}} "
+                f"over {CHECK_S} s of random commands, onnxruntime's readings differ from "
+                f"softfin's by at most {{}} (rad, rad/s, N)"
             )
-            checked += "(rad, rad/s, N) at most"
         self.tell(
             {"onnx": str(self.onnx), "opset": OPSET, **exported._asdict()},
             f"{self.onnx}: {exported.bytes:,} bytes, ONNX opset {OPSET}; "

@@ -1,9 +1,9 @@
-"""Commands about logs: ``collect``, ``inspect``, ``import-logs`` and ``bag``."""
+"""Commands for logs: ``collect``, ``inspect``, ``import-logs`` and ``bag``."""
 
 import textwrap
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from softfin.cli.common import (
     AnyPlant,
@@ -18,17 +18,18 @@ from softfin.cli.common import (
 )
 from softfin.cli.options import Option
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.data.issues import counted
 from softfin.storage.registry import is_live
 
 
 class CollectArguments(Armed, Configured):
-    """Record random motions of a fin and its force as a dataset (paper Sec. III-A)."""
+    """Record random fin motions and the resulting forces as a dataset (paper Sec. III-A)."""
 
     out: Out
-    """Folder of the dataset to write."""
+    """Dataset folder to write."""
     plant: AnyPlant = "tank"
-    """The fin. Simulated: tank, YAML file of a tank, folder of a surrogate, package.module:plant.
+    """The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or package.module:plant.
     Real: rig or ros2, optionally followed by :FILE."""
     logs: int | None = None
     """Number of training logs (default: 100, as in the paper)."""
@@ -37,19 +38,19 @@ class CollectArguments(Armed, Configured):
     rows: int | None = None
     """Readings per log, at 100 Hz (default: 20000, as in the paper)."""
     seed: int | None = None
-    """Seed of commands, noise and conditions (default: 0)."""
+    """Seed for commands, noise and conditions (default: 0)."""
     resume: bool = False
     """Continue after the last complete log (real fins only)."""
 
     def check(self) -> None:
-        """Refuse options that do not go with the plant."""
+        """Reject options that do not apply to the plant."""
         super().check()
         if is_live(self.plant):
             return
         for option, is_given in (("--arm", self.arm), ("--resume", self.resume)):
             if is_given:
                 raise ConfigurationError(
-                    f"{option}: {self.plant} is simulated; leave it out, or give --plant rig"
+                    f"{option}: {self.plant} is simulated; omit {option}, or use --plant rig"
                 )
 
     def __call__(self) -> None:
@@ -88,12 +89,12 @@ class CollectArguments(Armed, Configured):
 
 
 class InspectArguments(LogOptions, Common):
-    """Check logs before you train on them; the exit code is 0 even if there are errors."""
+    """Check logs before you train on them. The exit code is 0 even if errors are found."""
 
     logs: Logs
-    """A dataset, a folder of CSV, Parquet or ROS 2 bags, or a single log."""
+    """A dataset, a single log, or a folder of CSV files, Parquet files or ROS 2 bags."""
     out: Out | None = None
-    """Folder to write inspection.json and the figure to."""
+    """Output folder for inspection.json and the figure."""
 
     def __call__(self) -> None:
         from softfin.stages.logs import inspect_logs
@@ -105,8 +106,8 @@ class InspectArguments(LogOptions, Common):
         self.tell(result, inspection_table(result))
 
 
-def inspection_table(result: Mapping[str, Any]) -> str:
-    """Return one line about the logs, and a few about each issue."""
+def inspection_table(result: JsonObject) -> str:
+    """Return a summary of the logs, followed by each issue."""
     summary = result["summary"]
     counts = summary["counts"]
     lines = [
@@ -121,48 +122,53 @@ def inspection_table(result: Mapping[str, Any]) -> str:
         lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
     lines.append("")
     for issue in result["issues"]:
-        row = issue["row"]
-        others = len(issue["logs"]) - 1
-        place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
-        more = f" (and {counted(others, 'more log')})" if others else ""
-        lines.append(
-            f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"
-        )
-        for text in (issue["message"], issue["fix"] and f"-> {issue['fix']}"):
-            lines += textwrap.wrap(
-                text or "",
-                110,
-                initial_indent=" " * 9,
-                subsequent_indent=" " * 9,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
+        lines += _issue_lines(issue)
     lines.append(issue_counts(counts))
     if counts["error"]:
-        lines.append("errors stop fit and import-logs, unless you add --ignore-errors")
+        lines.append("fit and import-logs reject logs with errors unless you add --ignore-errors")
     return "\n".join(lines)
+
+
+def _issue_lines(issue: JsonObject) -> list[str]:
+    """Return the place of an issue, then its message and its fix, indented."""
+    row = issue["row"]
+    others = len(issue["logs"]) - 1
+    place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]
+    more = f" (and {counted(others, 'more log')})" if others else ""
+    lines = [f"{issue['severity']:8} {issue['name']:16} {', '.join(filter(None, place))}{more}"]
+    for text in (issue["message"], issue["fix"] and f"-> {issue['fix']}"):
+        lines += textwrap.wrap(
+            text or "",
+            110,
+            initial_indent=" " * 9,
+            subsequent_indent=" " * 9,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    return lines
 
 
 def _lag(lag: Mapping[str, float] | None) -> str:
     if lag is None:
-        return "not known"
+        return "unknown"
     return f"{lag['median']:.0f} ms ({lag['least']:.0f} .. {lag['most']:.0f})"
 
 
 def issue_counts(counts: Mapping[str, int]) -> str:
-    """Return how many issues of each severity there are."""
+    """Return the number of issues of each severity, as text."""
     return ", ".join(counted(count, kind) for kind, count in counts.items())
 
 
 class ImportLogsArguments(LogOptions, Common):
-    """Convert CSV, Parquet or ROS 2 bags into a dataset at 100 Hz; logs with errors are refused."""
+    """Convert CSV files, Parquet files or ROS 2 bags into a 100 Hz dataset. Logs with errors are
+    rejected."""
 
     logs: Logs
-    """A folder of recordings, or a single one."""
+    """A recording, or a folder of recordings."""
     out: Out
-    """Folder of the dataset to write."""
+    """Dataset folder to write."""
     ignore_errors: bool = False
-    """Import logs with errors, too."""
+    """Also import logs with errors."""
 
     def __call__(self) -> None:
         from softfin.stages.logs import import_logs
@@ -186,7 +192,7 @@ class ImportLogsArguments(LogOptions, Common):
 
 
 class BagRecoverArguments(Common):
-    """Recover the readings of a recording that was cut off or damaged."""
+    """Recover the readings from a truncated or damaged recording."""
 
     path: Annotated[Path, Option("RECORDING", positional=True)]
     """File to recover (.mcap)."""
@@ -218,9 +224,9 @@ class BagConvertArguments(LogOptions, Common):
     path: Annotated[Path, Option("RECORDING", positional=True)]
     """Recording, or folder of recordings."""
     out: File
-    """File to write; its suffix, .parquet or .mcap, chooses the format."""
+    """File to write; its suffix (.parquet or .mcap) selects the format."""
     ignore_errors: bool = False
-    """Convert logs with errors, too."""
+    """Also convert logs with errors."""
 
     def __call__(self) -> None:
         from softfin.data.convert import convert

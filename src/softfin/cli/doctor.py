@@ -1,4 +1,4 @@
-"""``doctor`` checks the computer and the installation, and says what is wrong and how to fix it."""
+"""``doctor`` checks the computer and the installation, and suggests fixes."""
 
 from softfin.cli.common import CommandOptions, YamlFile
 from softfin.core.errors import RunError
@@ -6,8 +6,8 @@ from softfin.rig.doctor import examine
 
 
 class DoctorArguments(CommandOptions):
-    """Check the installation, devices, disk and bus of this computer. Paste the output into an
-    issue; nothing moves."""
+    """Check the installation, devices, disk and bus of this computer; nothing moves. Paste the
+    output into bug reports."""
 
     rig: YamlFile | None = None
     """Also check the drive and the sensor of this rig, as softfin rig check does."""

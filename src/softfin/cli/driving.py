@@ -47,7 +47,7 @@ class Driving(Armed, Common):
     """Options of every command that lets a controller drive a real fin."""
 
     controller: ControllerFolder
-    """Folder of the controller."""
+    """Controller folder."""
     plant: LivePlant = "rig"
     """The fin: rig or ros2, optionally followed by :FILE."""
     seconds: int | None = None
@@ -55,25 +55,24 @@ class Driving(Armed, Common):
     bag: File | None = None
     """Recording to write, a ROS 2 bag (default: run-DATE.mcap)."""
     strict: bool = False
-    """Refuse references that the fin cannot reach, instead of tracking the nearest
-    one that it can."""
+    """Reject unreachable references instead of tracking the nearest reachable one."""
     trim: bool = False
-    """Add force feedback, which removes the steady error of the measured mean force."""
+    """Add force feedback, which removes the steady-state error of the measured mean force."""
 
     def check(self) -> None:
-        """Refuse to replace an existing recording, before anything moves."""
+        """Reject unusable options, such as an existing recording, before anything moves."""
         if self.seconds is not None and self.seconds < 1:
             raise ConfigurationError(
-                f"--seconds {self.seconds}: at least 1; leave it out to run until you stop it"
+                f"--seconds {self.seconds}: must be at least 1; omit it to run until you stop it"
             )
         if self.bag is not None:
             if self.bag.suffix != ".mcap":
-                raise ConfigurationError(f"--bag {self.bag}: a recording is a file NAME.mcap")
+                raise ConfigurationError(f"--bag {self.bag}: must end in .mcap")
             artifacts.check_file(self.bag, self.overwrite, "--bag")
         super().check()
 
     def parties(self) -> tuple[LoadedController, RobotSetup]:
-        """Load the controller and the machine, which must match; nothing is opened yet."""
+        """Load the controller and the machine and check that they match; nothing is opened yet."""
         controller = load_controller(self.controller)
         robot = find_robot(self.plant)
         robot.check_fits(str(self.controller), controller.limits, controller.artifact.fin)
@@ -89,8 +88,11 @@ class Driving(Armed, Common):
         stop: StopRequest | None = None,
         observers: Sequence[Observer] = (),
     ) -> JsonObject:
-        """Ask, move and record; `line` gets what is typed meanwhile. Returns the recording and the
-        errors at its end."""
+        """Ask for confirmation, then move and record.
+
+        `line` is called with each line typed meanwhile. Returns the path of the recording and the
+        errors over its last window.
+        """
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
         stop = stop or StopRequest()
@@ -101,10 +103,11 @@ class Driving(Armed, Common):
             self.confirm(robot)
             if not any(controller.artifact.training_range or ()):
                 say(
-                    f"{self.controller}: has no range of its surrogate's data, so leaving that "
-                    "range is not noticed"
+                    f"{self.controller}: no training range stored, so softfin cannot detect when "
+                    "the fin leaves it"
                 )
             listen_on_terminal(stop, line)
+            # Only now, after the confirmation, is an existing recording replaced.
             bag.unlink(missing_ok=True)
             session.stop_on_signals()
             with session.recording(bag):
@@ -120,7 +123,7 @@ class Driving(Armed, Common):
         }
 
     def tell_errors(self, result: JsonObject) -> None:
-        """Print the recording and the errors at its end."""
+        """Print the path of the recording and the errors over its last window."""
         errors = f"({result['error_x_n']}, {result['error_y_n']})"
         self.tell(
             result,
@@ -129,25 +132,24 @@ class Driving(Armed, Common):
 
 
 def listen_on_terminal(stop: StopRequest, line: Callable[[str], None]) -> None:
-    """Let Enter on the terminal, or the end of its input, request a stop; `line` gets everything
-    else that is typed."""
+    """Request a stop on Enter or when the terminal's input ends; call `line` with any other
+    input."""
     if on_terminal() and not _in_background():
         listen_to_keyboard(stop, line, typed(stop, sys.stdin))
 
 
 def _in_background() -> bool:
-    """Whether this is a background job (&), which the terminal would suspend for reading, in the
-    middle of a motion."""
+    """Whether this is a background job (&): reading would suspend it, in the middle of a motion."""
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) != os.getpgrp()
     except OSError:
-        # A terminal that does not control this session knows no jobs.
+        # A terminal that does not control this session has no job control.
         return False
 
 
 def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
-    """Yield the lines of the terminal; if they end or are not text, no key can stop the fin any
-    more, so it stops."""
+    """Yield the lines typed on the terminal. If they end or are not text, request an emergency
+    stop, because no key can stop the fin any more."""
     with contextlib.suppress(OSError, ValueError):
         yield from terminal
     stop.ask(
@@ -156,23 +158,24 @@ def typed(stop: StopRequest, terminal: Iterable[str]) -> Iterator[str]:
 
 
 class KeyboardStop:
-    """Lets Enter stop a stage, from the moment that a person has confirmed the motion."""
+    """Stops a stage when the operator presses Enter, once the motion is confirmed."""
 
     def __init__(self, confirm: Callable[[RobotSetup], None]) -> None:
         self.stop = StopRequest()
-        """The stop that Enter requests."""
+        """Stop request that Enter triggers."""
         self._confirm = confirm
 
     def confirm(self, robot: RobotSetup) -> None:
-        """Ask whether the fin may move, then listen; raises ConfigurationError if it may not."""
+        """Ask whether the fin may move, then listen for Enter; raises ConfigurationError if it may
+        not."""
         self._confirm(robot)
         listen_on_terminal(
-            self.stop, lambda _: say("the commands are fixed; Enter alone stops the fin")
+            self.stop, lambda _: say("the commands are fixed; press Enter alone to stop the fin")
         )
 
 
 def say(text: str) -> None:
-    """Print a line for the person at the terminal."""
+    """Print a line on the terminal."""
     sys.stderr.write(printable(text) + "\n")
 
 
@@ -183,7 +186,7 @@ def _follow(
     zero: ForcePair,
     seconds: int | None,
 ) -> JsonObject:
-    """Run the controller and print a line every second; returns the errors over the last window."""
+    """Run the controller and print one line per second; returns the errors over the last window."""
     window: list[ActionResult] = []
     ticks = printed = 0
     actions = None if seconds is None else seconds * len(ACTION_TICKS)
@@ -220,15 +223,15 @@ class RunArguments(Driving):
     or Enter alone to stop."""
 
     reference: ForcePair | None = None
-    """First reference force in newtons, such as --reference=1,-0.5."""
+    """First reference force [N], such as --reference=1,-0.5."""
     reference_file: ReferenceFile | None = None
-    """Recorded reference instead: .csv or .parquet with the columns time_s, force_x_n, force_y_n.
-    Each row holds until the next one."""
+    """Recorded reference to use instead: .csv or .parquet with the columns time_s, force_x_n,
+    force_y_n. Each row holds until the next one."""
 
     def check(self) -> None:
-        """Refuse two references, or none."""
+        """Reject two references, or none."""
         if (self.reference is None) == (self.reference_file is None):
-            raise ConfigurationError("give --reference=X,Y or --reference-file, one of them")
+            raise ConfigurationError("use either --reference=X,Y or --reference-file FILE")
         super().check()
 
     def __call__(self) -> None:
@@ -241,14 +244,14 @@ class RunArguments(Driving):
             live = LiveReference(self.reference, resolve, say)
             result = self.drive(controller, robot, live, self.seconds, live.set_from_text)
         elif self.reference_file is not None:
-            # Imported here, because the reader of the file needs packages that a robot may lack.
+            # Imported here, because reading the file needs packages that a robot may lack.
             from softfin.task.signals import read_reference_file
 
             rows = read_reference_file(self.reference_file)
             recorded = recorded_reference(
                 rows.time_s, [(float(x), float(y)) for x, y in rows.force_n], resolve, say
             )
-            line = "references come from the file; Enter alone stops the fin"
+            line = "references come from the file; press Enter alone to stop the fin"
             result = self.drive(
                 controller, robot, recorded, self.seconds or rows.seconds, lambda _: say(line)
             )
@@ -256,18 +259,18 @@ class RunArguments(Driving):
 
 
 class Ros2Arguments(NodeOptions, Driving):
-    """Run as a ROS 2 node: hold the reference force of a topic on the real fin, and publish every
+    """Run as a ROS 2 node: hold the reference force from a topic on the real fin, and publish every
     sample. Enter or a topic stops the fin.
 
-    Use --set joint_topic=/NAME and so on to change topics, frames and timeouts; see docs/ros2.md.
+    To change topics, frames and timeouts, use --set, e.g. --set joint_topic=/NAME; see
+    docs/ros2.md.
     """
 
     reference: ForcePair
-    """Reference force in newtons while the topic has none, or only an old one, such as
-    --reference=1,-0.5."""
+    """Reference force [N] while the topic has no recent message, such as --reference=1,-0.5."""
     fin: str | None = None
-    """Name of one fin of a robot. Its topics are /NAME/joint_states, /NAME/reference and so on, and
-    it stops when no more references arrive."""
+    """Name of one fin of a robot. Its topics are /NAME/joint_states, /NAME/reference and so on. It
+    stops when references stop arriving."""
 
     def __call__(self) -> None:
         from softfin.rig.machine import machine_clock
@@ -281,12 +284,13 @@ class Ros2Arguments(NodeOptions, Driving):
         controller, robot = self.parties()
         if isinstance(machine_clock(robot.machine), SimulatedClock):
             raise RigError(
-                f"{robot.machine.name}: emulated in simulated time, in which no topic can be "
-                "heard; start softfin rig emulate --real-time"
+                f"{robot.machine.name}: emulated in simulated time, which does not work with "
+                "topics; start softfin rig emulate --real-time"
             )
         if isinstance(robot.machine, Ros2Machine):
             robot.machine.config.check_apart(topics)
         otherwise, warning = resolve_reference(controller, self.reference, self.strict)
+        # Opened before the machine, so that problems with ROS 2 appear before anything moves.
         transport = open_transport(topics.connection)
         try:
             node = RosNode(
@@ -303,7 +307,7 @@ class Ros2Arguments(NodeOptions, Driving):
                 robot,
                 lambda _: node.reference() or otherwise,
                 self.seconds,
-                lambda _: say("references come from the topic; Enter alone stops the fin"),
+                lambda _: say("references come from the topic; press Enter alone to stop the fin"),
                 stop,
                 (functools.partial(node.observe, stop),),
             )

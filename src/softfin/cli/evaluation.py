@@ -1,4 +1,5 @@
-"""Commands that show the motion of a fin: ``evaluate``, ``baselines``, ``view`` and ``explore``."""
+"""Commands that evaluate or show the motion of a fin: ``evaluate``, ``baselines``, ``view`` and
+``explore``."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,54 +33,52 @@ class EvaluateArguments(Armed, Configured):
     """Evaluate a controller on a fin over reference forces (paper Sec. IV-B, Table II)."""
 
     controller: ControllerFolder
-    """Folder of the controller."""
+    """Controller folder."""
     out: Out
-    """Folder to write evaluation.json and the figures to."""
+    """Output folder for evaluation.json and the figures."""
     plant: AnyPlant = "tank"
-    """The fin. Simulated: tank, YAML file of a tank, folder of a surrogate, package.module:plant.
+    """The fin. Simulated: tank, a tank's YAML file, a surrogate's folder, or package.module:plant.
     Real: rig or ros2, optionally followed by :FILE."""
     reference: tuple[ForcePair, ...] = ()
-    """Reference force in newtons, such as --reference=1,-0.5 (default: the paper's six)."""
+    """Reference force [N], such as --reference=1,-0.5 (default: the paper's six)."""
     seconds: int | None = None
     """Length of each experiment [s] (default: 30)."""
     repeats: Repeats | None = None
     """Repetitions of each experiment (default: 5)."""
     seed: int | None = None
-    """Seed of the plant's noise (default: 0)."""
+    """Seed for the plant's noise (default: 0)."""
     strict: bool = False
-    """Refuse references that the fin cannot reach, instead of tracking the nearest
-    one that it can."""
+    """Reject unreachable references instead of tracking the nearest reachable one."""
     trim: bool = False
-    """Add force feedback, which removes the steady error of the measured mean force."""
+    """Add force feedback, which removes the steady-state error of the measured mean force."""
     randomize: float | None = None
-    """Perturb the parameters of the tank in each repetition, by up to this fraction; tank only."""
+    """Perturb the tank's parameters in each repetition, by up to this fraction (tank only)."""
     moving: tuple[MovingReference, ...] = ()
     """Also evaluate a moving reference."""
     reference_file: ReferenceFile | None = None
     """Also evaluate a recorded reference: .csv or .parquet with the columns time_s, force_x_n,
     force_y_n. Each row holds until the next one."""
     error_map: bool = False
-    """Plot the error over the range of the controller, at 7 x 7 references; --set error_map=N for
-    N x N."""
+    """Plot the error over the controller's range, at 7 x 7 references; use --set error_map=N for N
+    x N."""
     random: int | None = None
     """Also evaluate this many random references within the reachable part of the training range."""
 
     def check(self) -> None:
-        """Refuse options that do not go with the plant."""
+        """Reject options that do not apply to the plant."""
         super().check()
         if is_live(self.plant) and self.randomize is not None:
             raise ConfigurationError(
-                f"--randomize {self.randomize:g} needs the virtual tank as plant, got "
-                f"{self.plant!r}; leave it out"
+                f"--randomize {self.randomize:g}: requires the virtual tank as plant, got "
+                f"{self.plant!r}; omit --randomize"
             )
         if self.arm and not is_live(self.plant):
             raise ConfigurationError(
-                f"--arm: {self.plant} is not a real fin; leave it out, or give --plant rig"
+                f"--arm: {self.plant} is simulated; omit --arm, or use --plant rig"
             )
 
     def __call__(self) -> None:
         from softfin.cli.driving import KeyboardStop
-        from softfin.cli.tables import table_two
         from softfin.evaluation.evaluate import EvaluateConfig
         from softfin.evaluation.range_errors import LATTICE_POINTS
         from softfin.rig.robot_setup import find_robot
@@ -126,25 +125,33 @@ class EvaluateArguments(Armed, Configured):
                 randomize=self.randomize,
                 overwrite=self.overwrite,
             )
-        lines = [table_two({summary["conditions"]["kind"]: summary})]
-        if "moving" in summary:
-            lines.append(moving_table(summary["moving"]))
-        if "error_map" in summary:
-            lines.append(map_line(summary["error_map"]))
-        if "random" in summary:
-            lines.append(random_line(summary["random"]))
-        if summary["warning"] is not None:
-            lines.append(f"warning: {summary['warning']}")
-        self.tell(summary, "\n".join(lines))
+        self.tell(summary, evaluation_tables(summary))
+
+
+def evaluation_tables(summary: "EvaluationSummary") -> str:
+    """Return Table II, followed by the parts of the evaluation that were requested."""
+    from softfin.cli.tables import table_two
+
+    lines = [table_two({summary["conditions"]["kind"]: summary})]
+    if "moving" in summary:
+        lines.append(moving_table(summary["moving"]))
+    if "error_map" in summary:
+        lines.append(map_line(summary["error_map"]))
+    if "random" in summary:
+        lines.append(random_line(summary["random"]))
+    if summary["warning"] is not None:
+        lines.append(f"warning: {summary['warning']}")
+    return "\n".join(lines)
 
 
 def moving_table(rows: "Sequence[MovingRow]") -> str:
-    """Return one line for every signal: errors, and the longest settling time of its steps over all
-    seeds."""
+    """Return one line per moving reference: its errors, and the longest settling time of its steps
+    over all seeds."""
     from softfin.cli.tables import aligned
 
-    cells = [["references that move", "x error", "y error", "settles in"]]
+    cells = [["moving references", "x error", "y error", "settles in"]]
     for row in rows:
+        # None: the signal has no steps.
         settling = {None: "-", True: f"{row['longest_settling_s']} s", False: "never"}[
             row["settles"]
         ]
@@ -163,11 +170,11 @@ def map_line(errors: "ErrorMapRows") -> str:
     """Return the error map in one line."""
     (x0, y0) = errors["low_n"]
     (x1, y1) = errors["high_n"]
-    counts = {
-        "not covered": errors["not_covered"],
-        "beyond the fin's reach": errors["not_reachable"],
-    }
-    gaps = "".join(f", {count} {what}" for what, count in counts.items() if count)
+    gaps = ""
+    if errors["not_covered"]:
+        gaps += f", {errors['not_covered']} not covered"
+    if errors["not_reachable"]:
+        gaps += f", {errors['not_reachable']} unreachable"
     return (
         f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
         f"{y0:g} .. {y1:g} N{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst "
@@ -191,18 +198,18 @@ class BaselinesArguments(Configured):
     random search."""
 
     out: Out
-    """Folder to write baselines.json to."""
+    """Output folder for baselines.json."""
     plant: PlantName = "tank"
-    """The fin: tank, YAML file of a tank, folder of a surrogate, or package.module:plant."""
+    """The fin: tank, a tank's YAML file, a surrogate's folder, or package.module:plant."""
     surrogate: PlantName | None = None
-    """Plant in which sines and gaits are searched, such as a surrogate of the fin (default: the
+    """Plant in which to search for sines and gaits, such as a surrogate of the fin (default: the
     fin itself)."""
     seconds: int | None = None
     """Length of each experiment [s] (default: 30)."""
     repeats: Repeats | None = None
     """Repetitions of each experiment (default: 5)."""
     seed: int | None = None
-    """Seed of the plant's noise and of the random gaits (default: 0)."""
+    """Seed for the plant's noise and the random gaits (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.evaluation.baselines.baselines import BaselinesConfig
@@ -224,8 +231,8 @@ class BaselinesArguments(Configured):
 def baselines_table(
     summaries: "Mapping[str, EvaluationSummary]", left_out: Mapping[str, str]
 ) -> str:
-    """Return Table II of every baseline, then one line for each on how often limits of plant or
-    model clip it."""
+    """Return Table II of every baseline, then a table of means and of how often the limits of the
+    plant or model clipped each baseline."""
     from softfin.cli.tables import aligned, table_two
 
     limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")
@@ -250,22 +257,22 @@ class ViewArguments(Configured):
     """File to write: an animation (.gif), a page with a player (.html), or the last frame
     (.png)."""
     plant: PlantName = "tank"
-    """The fin: tank, YAML file of a tank, folder of a surrogate, or package.module:plant."""
+    """The fin: tank, a tank's YAML file, a surrogate's folder, or package.module:plant."""
     seconds: float | None = None
     """Duration [s] (default: 10)."""
     centre: float | None = None
-    """Angle about which the gait oscillates [rad] (default: 0); --set gait.amplitude_rad=A and
-    gait.velocity_rad_s=V change the rest."""
+    """Angle about which the gait oscillates [rad] (default: 0); use --set gait.amplitude_rad=A and
+    gait.velocity_rad_s=V for the rest."""
     excitation: bool = False
-    """Send random commands, as collect does, instead of a gait."""
+    """Use random commands, as in collect, instead of a gait."""
     controller: Annotated[Path, folder_option("controller")] | None = None
-    """Folder of a controller that moves the fin instead of a gait."""
+    """Folder of a controller to use instead of a gait."""
     reference: ForcePair | None = None
-    """Reference force of the controller in newtons, such as --reference=1,-0.5."""
+    """Reference force for the controller [N], such as --reference=1,-0.5."""
     next_reference: tuple[ForcePair, ...] = ()
-    """A later reference force; all references get an equal share of the time."""
+    """Reference force to follow; all references last equally long."""
     seed: int | None = None
-    """Seed of the plant's noise and of the random commands (default: 0)."""
+    """Seed for the plant's noise and the random commands (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.evaluation.view.view import ViewConfig
@@ -300,22 +307,22 @@ class ViewArguments(Configured):
 
 
 class ExploreArguments(Common):
-    """Write a page to try controllers in the browser: drag the target force and watch the fin
-    follow it. The page works without a network."""
+    """Write an HTML page for trying controllers in a browser: drag the target force and watch the
+    fin follow it. The page works offline."""
 
     controllers: tuple[ControllerFolder, ...]
-    """Folders of the controllers."""
+    """Controller folders."""
     out: File
     """File to write (.html)."""
     plant: tuple[PlantName, ...] = ("tank",)
-    """The fin: tank, YAML file of a tank, or folder of a streaming surrogate. The page can switch
-    between several."""
+    """The fin: tank, a tank's YAML file, or the folder of a streaming surrogate. With several, the
+    page can switch between them."""
 
     def check(self) -> None:
-        """Refuse a file of another kind."""
+        """Reject an output file that is not HTML."""
         super().check()
         if self.out.suffix != ".html":
-            raise ConfigurationError(f"--out {self.out}: a page is written as .html; name it so")
+            raise ConfigurationError(f"--out {self.out}: must end in .html")
         artifacts.check_file(self.out, self.overwrite)
 
     def __call__(self) -> None:

@@ -1,8 +1,8 @@
-"""The fields of a class as options of a command: parsed, checked, and listed in the help.
+"""Command-line options from the fields of a class: parsing, checks and help.
 
-A field without a default is required. A bool is a flag, a Literal a choice, a tuple an option that
-may be repeated (or several positional arguments). `Option`, in the field's annotation, adds what
-the type does not tell.
+A field without a default is required. A bool is a flag, a Literal is a choice, and a tuple is a
+repeatable option (or several positional arguments). An `Option` in the field's annotation adds
+properties that the type does not express.
 """
 
 import difflib
@@ -13,8 +13,9 @@ import textwrap
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
@@ -23,10 +24,14 @@ from softfin.core.errors import ConfigurationError
 
 Arguments = TypeVar("Arguments", bound=Configuration)
 
-NUMBER_NAMES: dict[Any, str] = {int: "a whole number", float: "a number"}
-METAVARS: dict[Any, str] = {int: "INT", float: "FLOAT", Path: "PATH"}
+NUMBERS: dict[object, tuple[str, Callable[[str], float]]] = {
+    int: ("a whole number", int),
+    float: ("a number", float),
+}
+"""Name and parser of each numeric type."""
+METAVARS: dict[object, str] = {int: "INT", float: "FLOAT", Path: "PATH"}
 INDENT = 18
-"""Width of the column of option names in the help."""
+"""Width of the column of option names in the help [characters]."""
 
 
 class HelpRequested(Exception):
@@ -35,20 +40,21 @@ class HelpRequested(Exception):
 
 @dataclass(frozen=True)
 class Option:
-    """How an option is written, parsed and checked, if its type does not tell."""
+    """Properties of an option that its type does not express."""
 
     metavar: str | None = None
-    """Placeholder of the value in help and messages; by default the type: INT, FLOAT, PATH,
-    TEXT."""
+    """Placeholder for the value in help and messages (default: the type, as INT, FLOAT, PATH or
+    TEXT)."""
     positional: bool = False
     """Whether the option is a positional argument."""
-    parse: Callable[[str, str], Any] | None = None
-    """Function that parses the text, given the name of the option; raises ConfigurationError."""
-    check: Callable[[Any, Any], object] | None = None
-    """Function that checks the value, given its command; raises a SoftfinError if something that it
-    names does not exist."""
+    parse: Callable[[str, str], object] | None = None
+    """Function of a text and the option's name that returns the value; raises
+    ConfigurationError."""
+    check: Callable[[str | Path, Configuration], object] | None = None
+    """Function of a value and its command that raises a SoftfinError if a file, folder or plant
+    does not exist."""
     former_name: str | None = None
-    """Name that the option had before it was renamed; the error for it suggests the new name."""
+    """Name of the option before it was renamed; the error for the old name suggests the new one."""
 
 
 @dataclass(frozen=True)
@@ -57,31 +63,31 @@ class Field:
 
     field: str
     option: Option
-    kind: Any
-    """int, float, Path, bool or a Literal; for anything else the option has a parser, or the
-    command parses the text."""
+    kind: object
+    """int, float, Path, bool or a Literal. Values of other types are parsed by the option's parser
+    or by the command."""
     repeats: bool
     required: bool
-    default: Any
+    default: object
     text: str
     """Description of the option."""
     section: str
-    """Title under which help lists the option."""
+    """Heading of the option in the help."""
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The allowed values, if they are listed."""
+        """Allowed values of a Literal; empty for other types."""
         return get_args(self.kind) if get_origin(self.kind) is Literal else ()
 
     @property
     def metavar(self) -> str:
-        """Placeholder of the value."""
+        """Placeholder for the value."""
         return self.option.metavar or "|".join(self.choices) or METAVARS.get(self.kind, "TEXT")
 
     @property
     def name(self) -> str:
         """The option as typed, such as ``--test-logs``; the metavar of a positional argument."""
-        # A field may end in its unit, which nobody should have to type.
+        # Field names end in their unit; option names leave it out, to save typing.
         field = re.sub("_(hz|rad_s|ms|s|)$", "", self.field)
         return self.metavar if self.option.positional else f"--{field.replace('_', '-')}"
 
@@ -92,8 +98,8 @@ class Field:
             return f"{self.metavar} ..." if self.repeats else self.metavar
         return self.name if self.kind is bool else f"{self.name} {self.metavar}"
 
-    def read(self, text: str) -> Any:
-        """Return the value that a text stands for; raises ConfigurationError."""
+    def read(self, text: str) -> object:
+        """Parse the text of a value; raises ConfigurationError."""
         shown = repr(text) if self.option.positional else f"{self.name} {text}"
         if self.option.parse is not None:
             return self.option.parse(text, self.name)
@@ -102,17 +108,16 @@ class Field:
                 return text
             allowed = ", ".join(self.choices)
             raise ConfigurationError(
-                f"{shown}: choose one of {allowed}{_nearest(text, self.choices)}"
+                f"{shown}: must be one of {allowed}{_nearest(text, self.choices)}"
             )
-        if self.kind in NUMBER_NAMES:
+        if self.kind in NUMBERS:
+            name, number = NUMBERS[self.kind]
             try:
-                return self.kind(text)
+                return number(text)
             except ValueError:
-                raise ConfigurationError(
-                    f"{shown}: not {NUMBER_NAMES[self.kind]}; write {self.usage}"
-                ) from None
+                raise ConfigurationError(f"{shown}: not {name}; use {self.usage}") from None
         if self.kind is Path and not text:
-            raise ConfigurationError(f"{self.name}: the path is empty; write {self.usage}")
+            raise ConfigurationError(f"{self.name}: the path is empty; use {self.usage}")
         return Path(text) if self.kind is Path else text
 
 
@@ -122,31 +127,32 @@ def _nearest(met: str, allowed: Iterable[str], otherwise: str = "") -> str:
 
 
 def list_fields(command: type[Configuration]) -> list[Field]:
-    """List the options of a command: its own first, then inherited ones."""
+    """Return the options of a command: its own first, then inherited ones."""
     hints = get_type_hints(command, include_extras=True)
-    found = command.model_fields
-    own = [
-        name for base in command.__mro__ for name in inspect.get_annotations(base) if name in found
-    ]
-    return [
-        _field(name, hints[name], found[name], _section(command, name))
-        for name in dict.fromkeys(own)
-    ]
+    # Pydantic lists inherited fields first, but the help starts with the command's own.
+    annotated = chain.from_iterable(map(inspect.get_annotations, command.__mro__))
+    fields = []
+    for name in dict.fromkeys(annotated):
+        if name in command.model_fields:
+            info = command.model_fields[name]
+            fields.append(_field(name, hints[name], info, _section(command, name)))
+    return fields
 
 
 def _section(command: type[Configuration], name: str) -> str:
     """Return the `HELP_TITLE` of the base class that adds the option, if it has one."""
-    titles = [
-        vars(base)["HELP_TITLE"]
-        for base in command.__mro__
-        if "HELP_TITLE" in vars(base) and name in getattr(base, "model_fields", ())
-    ]
-    return titles[-1] if titles else "options"
+    section = "options"
+    for base in command.__mro__:
+        # The last one wins: it is the base that introduces the field.
+        if "HELP_TITLE" in vars(base) and name in getattr(base, "model_fields", ()):
+            section = vars(base)["HELP_TITLE"]
+    return section
 
 
 def _field(name: str, hint: object, info: FieldInfo, section: str) -> Field:
     option = Option()
     repeats = False
+    # Unwrap Annotated, `| None` and `tuple[..., ...]` from the outside in, until the type remains.
     while True:
         origin = get_origin(hint)
         parts = get_args(hint)
@@ -171,13 +177,17 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
     """Build the command from its arguments; raises ConfigurationError with a one-line message, or
     HelpRequested."""
     fields = list_fields(command)
-    named = {field.name: field for field in fields if not field.option.positional}
-    places = [field for field in fields if field.option.positional]
-    values: dict[str, Any] = {}
+    places, options = _split_positional(fields)
+    named = {field.name: field for field in options}
+    values: dict[str, object] = {}
+    repeated: dict[str, list[object]] = {}
 
     def take(field: Field, text: str) -> None:
         value = field.read(text)
-        values[field.field] = (*values.get(field.field, ()), value) if field.repeats else value
+        if field.repeats:
+            repeated.setdefault(field.field, []).append(value)
+        else:
+            values[field.field] = value
 
     rest = list(words)
     while rest:
@@ -186,29 +196,45 @@ def parse(command: type[Arguments], words: Sequence[str]) -> Arguments:
             raise HelpRequested
         # -1,2 is a value, not an option.
         if not word.startswith("--") and not (word[:1] == "-" and word[1:2].isalpha()):
-            place = next(
-                (field for field in places if field.repeats or field.field not in values), None
-            )
-            if place is None:
-                expected = " ".join(field.usage for field in places) or "only options"
-                raise ConfigurationError(
-                    f"{word!r}: one argument too many; the command takes {expected}"
-                )
-            take(place, word)
+            take(_next_place(places, values, word), word)
             continue
         field, text = _read_option(word, named, rest)
         if field.kind is bool:
             values[field.field] = True
         else:
             take(field, text)
-    missing = [field.usage for field in fields if field.required and field.field not in values]
-    if missing:
-        raise ConfigurationError(f"{', '.join(missing)}: required, and missing; --help tells more")
+    for name, each in repeated.items():
+        values[name] = tuple(each)
+    _check_required(fields, values)
     return command.build(values, "options")
 
 
+def _split_positional(fields: Iterable[Field]) -> tuple[list[Field], list[Field]]:
+    """Return the positional arguments, then the options."""
+    places: list[Field] = []
+    options: list[Field] = []
+    for field in fields:
+        (places if field.option.positional else options).append(field)
+    return places, options
+
+
+def _check_required(fields: Iterable[Field], values: Mapping[str, object]) -> None:
+    missing = [field.usage for field in fields if field.required and field.field not in values]
+    if missing:
+        raise ConfigurationError(f"missing required {', '.join(missing)}; see --help")
+
+
+def _next_place(places: Sequence[Field], values: Mapping[str, object], word: str) -> Field:
+    """Return the positional argument that a word belongs to."""
+    for field in places:
+        if field.repeats or field.field not in values:
+            return field
+    expected = " ".join(field.usage for field in places) or "only options"
+    raise ConfigurationError(f"{word!r}: unexpected argument; the command accepts {expected}")
+
+
 def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tuple[Field, str]:
-    """Return the option named by a word, and its value, which may be the next word."""
+    """Return the option that a word names, and its value, which may be the next word."""
     written, sign, text = word.partition("=")
     field = named.get(written.replace("_", "-"))
     if field is None:
@@ -220,38 +246,36 @@ def _read_option(word: str, named: Mapping[str, Field], rest: list[str]) -> tupl
     if field.kind is bool:
         if sign:
             raise ConfigurationError(
-                f"{word}: this option takes no value; write {field.name}, or leave it out"
+                f"{word}: this option does not accept a value; use {field.name} alone, or omit it"
             )
         return field, ""
     if sign:
         return field, text
     if not rest or rest[0].startswith("--") or rest[0] == "-h":
-        raise ConfigurationError(f"{field.name}: the value is missing; write {field.usage}")
+        raise ConfigurationError(f"{field.name}: missing value; use {field.usage}")
     return field, rest.pop(0)
 
 
-def check_values(command: Any) -> None:
-    """Check the paths and names in the values of a command; raises a SoftfinError if one does not
-    exist."""
+def check_values(command: Configuration) -> None:
+    """Check that the paths and names in a command's values exist; raises a SoftfinError if not."""
     for field in list_fields(type(command)):
-        if field.option.check is not None and (value := getattr(command, field.field)) is not None:
+        value = getattr(command, field.field)
+        if field.option.check is not None and value is not None:
             for each in value if field.repeats else (value,):
                 field.option.check(each, command)
 
 
 def format_help(command: type[Configuration], program: str) -> str:
-    """Return the help of a command, for the width of the terminal."""
+    """Return the help of a command, wrapped to the width of the terminal."""
     width = max(60, min(shutil.get_terminal_size().columns, 120))
-    fields = list_fields(command)
-    places = [field for field in fields if field.option.positional]
-    options = sorted(
-        (field for field in fields if not field.option.positional),
-        key=lambda field: not field.required,
-    )
-    shown = [
-        field.usage for field in (*places, *options) if field.required or field.option.positional
-    ]
-    lines = _wrap(" ".join(["usage:", program, *shown, "[OPTION ...]"]), width, " " * 7)
+    places, options = _split_positional(list_fields(command))
+    # The sort is stable: required options first, otherwise in the order of the fields.
+    options.sort(key=lambda field: not field.required)
+    usage = f"usage: {program}"
+    for field in (*places, *options):
+        if field.required or field.option.positional:
+            usage += f" {field.usage}"
+    lines = _wrap(f"{usage} [OPTION ...]", width, " " * 7)
     for paragraph in (command.__doc__ or "").split("\n\n"):
         lines += ["", *_wrap(" ".join(paragraph.split()), width)]
     groups = {"arguments": places} if places else {}
@@ -268,13 +292,9 @@ def _notes(field: Field) -> str:
     notes = ["required"] if field.required and not field.option.positional else []
     if field.repeats and not field.option.positional:
         notes.append("may be repeated")
-    if not (
-        field.required
-        or field.default is None
-        or field.default is False
-        or field.default in ((), {})
-    ):
-        values = field.default if field.repeats else (field.default,)
+    default = field.default
+    if not (field.required or default is None or default is False or default in ((), {})):
+        values = default if field.repeats and isinstance(default, tuple) else (default,)
         notes.append(f"default: {' '.join(map(str, values))}")
     return f" ({'; '.join(notes)})" if notes else ""
 

@@ -1,21 +1,26 @@
 """Commands that run every stage: ``demo``, and ``reproduce`` for the paper."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from softfin.cli.common import Configured, Out, PlantName, progress
 from softfin.core.choices import ReproducePreset
 
+if TYPE_CHECKING:
+    from softfin.evaluation.results import EvaluationSummary
+
 
 class DemoArguments(Configured):
-    """Run every stage on the virtual tank in some minutes: collect, fit, train, evaluate; write a
-    report and a page to try the controllers in."""
+    """Run every stage on the virtual tank in a few minutes: collect, fit, train, evaluate. Writes a
+    report and a page for trying the controllers."""
 
     out: Out = Path("runs/demo")
-    """Folder of the run."""
+    """Output folder."""
     quick: bool = False
-    """Take one minute: shows that everything works, but learns next to nothing."""
+    """Finish in one minute: shows that everything works, but hardly trains."""
     seed: int = 0
-    """Seed of data and training."""
+    """Seed for data and training."""
     resume: bool = False
     """Continue a stopped run."""
 
@@ -24,18 +29,17 @@ class DemoArguments(Configured):
 
 
 class ReproduceArguments(Configured):
-    """Run every stage of the paper: collect, fit, train, evaluate; write its tables and figures,
-    a report, and a page to try the controllers in."""
+    """Run every stage of the paper: collect, fit, train, evaluate. Writes its tables and figures, a
+    report, and a page for trying the controllers."""
 
     out: Out
-    """Folder of the run."""
+    """Output folder."""
     preset: ReproducePreset = "paper"
-    """paper: the data and training of the paper, hours; streaming: the same with a streaming
-    surrogate; best: that surrogate, gaits, and policies trained by gradients; demo: minutes; tiny:
-    only shows that everything works."""
+    """paper: the paper's data and training (hours); streaming: the same with a streaming surrogate;
+    best: streaming surrogate, gaits, and policies trained by gradients; demo: the same in minutes;
+    tiny: only shows that everything works."""
     plant: PlantName = "tank"
-    """The fin: tank, package.module:plant, or the folder of a surrogate, which skips collect and
-    fit."""
+    """The fin: tank, package.module:plant, or a surrogate's folder, which skips collect and fit."""
     seed: int = 0
     """First seed."""
     resume: bool = False
@@ -48,8 +52,7 @@ class ReproduceArguments(Configured):
 def _run_stages(
     command: DemoArguments | ReproduceArguments, plant: str, preset: ReproducePreset
 ) -> None:
-    from softfin.cli.evaluation import moving_table
-    from softfin.cli.tables import format_table_one, table_two
+    from softfin.cli.tables import format_table_one
     from softfin.evaluation.headline import headline
     from softfin.stages.reproduce import reproduce
     from softfin.stages.reproduce_config import PRESETS
@@ -71,29 +74,33 @@ def _run_stages(
     evaluated = {
         f"On {plant}": results["controllers"],
         "The same, with force feedback (--trim)": results["trimmed"],
-        "The same in the surrogate that they were trained in": results["in_surrogate"],
+        "The same, in the surrogate used for training": results["in_surrogate"],
     }
     for title, summaries in evaluated.items():
         if summaries:
-            moving = {
-                name: moving_table(rows)
-                for name, each in summaries.items()
-                if (rows := each.get("moving"))
-            }
-            parts.append(
-                "\n".join([title, table_two(summaries), *(f"{k}, {v}" for k, v in moving.items())])
-            )
+            parts.append(f"{title}\n{_evaluation_tables(summaries)}")
     took = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in results["wall_s"].items())
     processor_s = sum(stage["processor_s"] or 0.0 for stage in results["stages"])
     parts.append(
-        f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of processor "
-        f"time; {results['peak_memory_gib']:.1f} GiB at most"
+        f"{took}: {sum(results['wall_s'].values()):.0f} s, {processor_s:.0f} s of CPU time; "
+        f"peak memory {results['peak_memory_gib']:.1f} GiB"
     )
     best = headline(results)
-    parts.append(f"{'' if best is None else best.sentence}\n{command.out / 'report.html'} shows it")
+    parts.append(f"{'' if best is None else best.sentence}\nsee {command.out / 'report.html'}")
     pages = [stage["page"] for stage in results["stages"] if "page" in stage]
     parts += [
-        f"{command.out / page}: drag the force yourself, and watch the fin hold it"
-        for page in pages
+        f"{command.out / page}: drag the target force and watch the fin follow it" for page in pages
     ]
     command.tell(results, "\n\n".join(parts))
+
+
+def _evaluation_tables(summaries: "Mapping[str, EvaluationSummary]") -> str:
+    """Return Table II, then the moving references of each controller."""
+    from softfin.cli.evaluation import moving_table
+    from softfin.cli.tables import table_two
+
+    lines = [table_two(summaries)]
+    for name, summary in summaries.items():
+        if rows := summary.get("moving"):
+            lines.append(f"{name}, {moving_table(rows)}")
+    return "\n".join(lines)

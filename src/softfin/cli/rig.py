@@ -1,4 +1,5 @@
-"""``rig check``, ``rig zero`` and the other commands of a rig; ``monitor`` watches a recording."""
+"""Commands for a rig, such as ``rig check`` and ``rig zero``, and ``monitor``, which watches a
+recording."""
 
 import contextlib
 import json
@@ -60,7 +61,7 @@ class RigCheckArguments(Armed, CommandOptions):
             raise DeviceError(f"{self.rig}: failed: {wrong}")
 
     def _prove(self, config: RigConfig) -> None:
-        # If the terminal closes, the motor must not stay powered: its drive is not proved yet.
+        # If the terminal closes, the motor must not stay powered: the drive's own stop is unproven.
         with interrupted_by_signals(), contextlib.closing(Rig(config)) as rig:
             rig.drive.open()
             self.confirm(RobotSetup(rig, config.safety), PROVING, proves=True)
@@ -86,7 +87,7 @@ class RigStopArguments(CommandOptions):
 
 
 class RigZeroArguments(Armed, CommandOptions):
-    """Zero the angle and the force at their present values."""
+    """Set the present angle and force to zero."""
 
     rig: File = RIG_FILE
     """Rig configuration file."""
@@ -111,13 +112,13 @@ class RigZeroArguments(Armed, CommandOptions):
 
 
 class RigCommissionArguments(Armed, CommandOptions):
-    """Run the acceptance steps of a new rig (docs/commissioning.md), and record and sign each
+    """Run the acceptance steps for a new rig (docs/commissioning.md), and record and sign each
     one."""
 
     rig: File = RIG_FILE
     """Rig configuration file."""
     step: int | None = None
-    """Number of the step to run (default: the first that has not passed)."""
+    """Number of the step to run (default: the first one not yet passed)."""
 
     def __call__(self) -> None:
         from softfin.rig.commissioning.commission import commission_step
@@ -140,7 +141,7 @@ class RigCommissionArguments(Armed, CommandOptions):
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
         while number is not None:
-            # The proof and the zero power the motor, and a child process moves it.
+            # Some steps power the motor here, others move it from a child process.
             with interrupted_by_signals():
                 step = commission_step(self.rig, config, number, operator, REAL)
             if not step.passed:
@@ -157,15 +158,15 @@ class RigCommissionArguments(Armed, CommandOptions):
 
 
 class RigEmulateArguments(Common):
-    """Write the file of an emulated rig. Each command emulates its drive, sensor and tank, as fast
-    as the computer allows."""
+    """Write the configuration file of an emulated rig. Each command emulates its drive, sensor and
+    tank, as fast as the computer allows."""
 
     rig: File = RIG_FILE
     """Rig configuration file to write."""
     tank: YamlFile | None = None
     """Tank configuration file (default: softfin's own tank)."""
     seed: int = 0
-    """Seed of the tank's noise."""
+    """Seed for the tank's noise."""
     real_time: bool = False
     """Instead, emulate a drive and a sensor in real time on local sockets, until Ctrl-C."""
 
@@ -217,7 +218,7 @@ class MonitorArguments(CommandOptions):
     """Watch a recording in progress. Ctrl-C ends the monitor, not the recording."""
 
     run_folder: Annotated[Path, Option("RECORDING", positional=True)]
-    """Bag (.mcap) to watch, or a folder of bags, of which the newest is watched."""
+    """Bag (.mcap) to watch, or a folder of bags (the newest is watched)."""
     web: bool = False
     """Serve a page with live traces instead of printing to the terminal."""
     port: int = 8080

@@ -1,6 +1,7 @@
-"""Commands about a robot with several fins."""
+"""Commands for a robot with several fins."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
@@ -22,7 +23,7 @@ Robot: TypeAlias = Annotated[str, Option("ROBOT", positional=True)]
 
 
 class RobotCheckArguments(CommandOptions):
-    """Check what a robot with several fins can do: rank, singular values, reach and stability."""
+    """Check a robot with several fins: rank, singular values, reach and stability."""
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
@@ -31,18 +32,7 @@ class RobotCheckArguments(CommandOptions):
         from softfin.stages.robot import check_robot_file
 
         found = check_robot_file(self.robot)
-        lines = [
-            f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
-            "singular values  " + "  ".join(f"{value:.3f}" for value in found["singular_values"]),
-            *(f"without {name}: rank {rank}" for name, rank in found["rank_without"].items()),
-            "mean force of each fin  "
-            + ", ".join(f"{name} {n:.2f} N" for name, n in found["fin_reach_n"].items()),
-            *(
-                f"{name:6} up to {most:5.2f} {'N' if i < 3 else 'N m'} "
-                f"({found['acceleration'][name]:.2f} {'m/s2' if i < 3 else 'rad/s2'} from rest)"
-                for i, (name, most) in enumerate(found["reach"].items())
-            ),
-        ]
+        lines = _reach_lines(found)
         if abs(found["sinks_n"]) > 1e-3:
             lines.append(
                 f"{'sinks' if found['sinks_n'] > 0 else 'rises'} with {abs(found['sinks_n']):.2f} N"
@@ -52,32 +42,32 @@ class RobotCheckArguments(CommandOptions):
                 f"{name} at {hz:.2f} Hz" for name, hz in found["swing_hz"].items()
             )
             lines.append(
-                f"rights itself with {found['righting_nm_rad']:.2f} N m/rad: swings in {swings}"
+                f"self-righting with {found['righting_nm_rad']:.2f} N m/rad: oscillates in {swings}"
             )
         lines.extend(f"warning: {problem}" for problem in found["problems"])
         self.tell(found, "\n".join(lines))
 
 
 class RobotEvaluateArguments(Configured):
-    """Evaluate a robot in simulation: wrenches, holding a place, and following paths; write JSON,
-    figures and pages."""
+    """Evaluate a robot in simulation: wrenches, station keeping and path following. Writes JSON,
+    figures and HTML pages."""
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
     out: Out = Path("runs/robot")
-    """Folder to write."""
+    """Output folder."""
     task: tuple[RobotTask, ...] = ()
-    """wrenches: mean wrenches on a body that is held; hold: hold a place against a push and a
-    current; lemniscate: follow a figure of eight; lissajous: follow a curve in three dimensions
-    (default: all four)."""
+    """wrenches: mean wrenches on a fixed body; hold: hold position against a push and a current;
+    lemniscate: follow a figure eight; lissajous: follow a three-dimensional curve (default: all
+    four)."""
     dead: bool = False
-    """A fin fails at a random moment; each fin in turn."""
+    """Let one fin fail at a random time, each fin in turn."""
     baselines: bool = False
-    """Evaluate simpler controllers, too."""
+    """Also evaluate simpler controllers."""
     repeats: Repeats | None = None
     """Repetitions of each trial (default: 5)."""
     seed: int | None = None
-    """Seed of noise and disturbances (default: 0)."""
+    """Seed for noise and disturbances (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.robot.evaluate import RobotEvaluateConfig
@@ -98,19 +88,19 @@ class RobotEvaluateArguments(Configured):
 
 
 class RobotViewArguments(Configured):
-    """Show one trial of a robot as a page in three dimensions."""
+    """Write an HTML page that shows one trial of a robot in 3D."""
 
     robot: Robot = "ucat"
     """Name of a robot, or its YAML file."""
     out: File = Path("robot.html")
     """File to write."""
     task: ViewedTask | None = None
-    """hold: hold a place against a push and a current (default); lemniscate: follow a figure of
+    """hold: hold position against a push and a current (default); lemniscate: follow a figure
     eight; lissajous: follow a three-dimensional curve."""
     dead: bool = False
-    """A fin fails at a random moment."""
+    """Let one fin fail at a random time."""
     seed: int | None = None
-    """Seed of noise and disturbances (default: 0)."""
+    """Seed for noise and disturbances (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.stages.robot import VIEWED, view
@@ -121,16 +111,16 @@ class RobotViewArguments(Configured):
             row = view(self.robot, self.out, config, overwrite=self.overwrite, progress=report)
         self.tell(
             row,
-            f"{self.out}: {config.tasks[0]}, off by {100 * row['position_rms_m']:.1f} cm rms; open "
-            "it in a browser",
+            f"{self.out}: {config.tasks[0]}, RMS position error "
+            f"{100 * row['position_rms_m']:.1f} cm; open it in a browser",
         )
 
 
 class RobotRos2Arguments(NodeOptions):
-    """Share the wrenches of a topic among the fins of a robot, as a ROS 2 node.
+    """Run a ROS 2 node that distributes the wrenches from a topic among the fins of a robot.
 
     The node publishes a reference force for each fin's own node (softfin ros2 --fin NAME) and moves
-    nothing itself. Enter or a topic stops it and the fins. See docs/robot.md.
+    nothing itself. Enter or a topic stops the node and the fins. See docs/robot.md.
     """
 
     robot: Robot = "ucat"
@@ -153,7 +143,7 @@ class RobotRos2Arguments(NodeOptions):
             for note in transport.notes:
                 say(note)
             if on_terminal():
-                line = "wrenches come by their topic; Enter alone stops the fins"
+                line = "wrenches come from the topic; press Enter alone to stop the fins"
                 listen_to_keyboard(request, lambda _: say(line), typed(request, sys.stdin))
             with stopped_by_signals(request):
                 node.run(request)
@@ -161,55 +151,86 @@ class RobotRos2Arguments(NodeOptions):
             transport.close()
 
 
-def _table(found: JsonObject) -> list[str]:
-    from softfin.cli.tables import aligned
+def _reach_lines(found: JsonObject) -> list[str]:
+    """Return rank, singular values and the largest forces and moments of a robot."""
+    singular_values = "  ".join(map("{:.3f}".format, found["singular_values"]))
+    lines = [
+        f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",
+        f"singular values  {singular_values}",
+    ]
+    for name, rank in found["rank_without"].items():
+        lines.append(f"without {name}: rank {rank}")
+    reach = ", ".join(f"{name} {force:.2f} N" for name, force in found["fin_reach_n"].items())
+    lines.append(f"mean force of each fin  {reach}")
+    # Three forces, then three moments.
+    for index, (name, most) in enumerate(found["reach"].items()):
+        unit, acceleration_unit = ("N", "m/s2") if index < 3 else ("N m", "rad/s2")
+        acceleration = found["acceleration"][name]
+        lines.append(
+            f"{name:6} up to {most:5.2f} {unit} ({acceleration:.2f} {acceleration_unit} from rest)"
+        )
+    return lines
 
+
+def _table(found: JsonObject) -> list[str]:
     lines = []
     if (row := found.get("wrenches")) is not None:
         lines.append(
-            f"{row['count']} wrenches, mean over 2 s: off by {row['force_error_n']:.3f} N and "
+            f"{row['count']} wrenches, mean over 2 s: error {row['force_error_n']:.3f} N and "
             f"{row['moment_error_nm']:.3f} N m (worst {row['force_error_worst_n']:.3f} N, "
-            f"{row['moment_error_worst_nm']:.3f} N m); ripple of roll "
-            f"{row['roll_ripple_ratio']:.2f} of that with independent phases"
+            f"{row['moment_error_worst_nm']:.3f} N m); roll ripple "
+            f"{row['roll_ripple_ratio']:.2f} times that with independent phases"
         )
-    trials = {task: found[task] for task in ("hold", "lemniscate", "lissajous") if task in found}
-    if trials:
-        cells = [["", "seed", "off [cm rms]", "worst", "tilt [deg rms]", "worst", ""]]
-        for task, rows in trials.items():
-            for row in rows:
-                note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
-                cells.append(
-                    [
-                        task,
-                        str(row["seed"]),
-                        f"{100 * row['position_rms_m']:.2f}",
-                        f"{100 * row['position_worst_m']:.1f}",
-                        f"{row['attitude_rms_deg']:.2f}",
-                        f"{row['attitude_worst_deg']:.1f}",
-                        note,
-                    ]
-                )
-        lines.append("\n".join(aligned(cells, (0, 6))))
+    tasks = [task for task in ("hold", "lemniscate", "lissajous") if task in found]
+    if tasks:
+        lines.append(_trial_table(found, tasks))
     if "baselines" in found:
-        titles = ("mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]")
-        cells = [[*titles, *(f"{task} [cm; deg]" for task in trials)]]
-        for name, row in found["baselines"].items():
-            scores = row["wrenches"]
-            errors = (
-                [
-                    sum(each[score] for each in row[task]) / len(row[task])
-                    for score in ("position_rms_m", "attitude_rms_deg")
-                ]
-                for task in trials
-            )
+        lines.append(_baseline_table(found["baselines"], tasks))
+    return lines
+
+
+def _trial_table(found: JsonObject, tasks: Sequence[str]) -> str:
+    from softfin.cli.tables import aligned
+
+    cells = [["", "seed", "position [cm RMS]", "worst", "tilt [deg RMS]", "worst", ""]]
+    for task in tasks:
+        for row in found[task]:
+            note = f"{row['dead']} dead at {row['dead_at_s']:.0f} s" if "dead" in row else ""
             cells.append(
                 [
-                    name,
-                    f"{scores['force_error_n']:.3f}",
-                    f"{scores['moment_error_nm']:.3f}",
-                    f"{scores['ripple']['roll']:.2f}",
-                    *(f"{100 * off:.1f}; {tilt:.1f}" for off, tilt in errors),
+                    task,
+                    str(row["seed"]),
+                    f"{100 * row['position_rms_m']:.2f}",
+                    f"{100 * row['position_worst_m']:.1f}",
+                    f"{row['attitude_rms_deg']:.2f}",
+                    f"{row['attitude_worst_deg']:.1f}",
+                    note,
                 ]
             )
-        lines.append("\n".join(aligned(cells)))
-    return lines
+    return "\n".join(aligned(cells, (0, 6)))
+
+
+def _baseline_table(baselines: JsonObject, tasks: Sequence[str]) -> str:
+    from softfin.cli.tables import aligned
+
+    titles = ["mean over seeds", "force [N]", "moment [N m]", "roll ripple [N m]"]
+    cells = [titles + [f"{task} [cm; deg]" for task in tasks]]
+    for name, row in baselines.items():
+        scores = row["wrenches"]
+        line = [
+            name,
+            f"{scores['force_error_n']:.3f}",
+            f"{scores['moment_error_nm']:.3f}",
+            f"{scores['ripple']['roll']:.2f}",
+        ]
+        for task in tasks:
+            off_m = _mean(row[task], "position_rms_m")
+            tilt_deg = _mean(row[task], "attitude_rms_deg")
+            line.append(f"{100 * off_m:.1f}; {tilt_deg:.1f}")
+        cells.append(line)
+    return "\n".join(aligned(cells))
+
+
+def _mean(rows: Sequence[JsonObject], score: str) -> float:
+    total: float = sum(row[score] for row in rows)
+    return total / len(rows)

@@ -1,10 +1,10 @@
-"""Commands about models of a fin: ``fit``, ``import-keras``, ``compare`` and ``calibrate``."""
+"""Commands for models of a fin: ``fit``, ``import-keras``, ``compare`` and ``calibrate``."""
 
 import sys
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from softfin.cli.common import (
     Common,
@@ -22,6 +22,7 @@ from softfin.cli.common import (
 from softfin.cli.options import Option
 from softfin.core.choices import CalibratePreset, ModelName
 from softfin.core.errors import ConfigurationError
+from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.data.issues import counted
 
@@ -29,37 +30,38 @@ if TYPE_CHECKING:
     from softfin.surrogate import FitConfig, StreamingConfig
 
 VELOCITY_RANGE = Option(
-    "LOW,HIGH", parse=numbers("not a range; write LOW,HIGH in rad/s, as 0.3,1.57", count=2)
+    "LOW,HIGH", parse=numbers("not a range; use LOW,HIGH in rad/s, e.g. 0.3,1.57", count=2)
 )
 HORIZONS = Option(
-    "SECONDS,...", parse=numbers("not numbers; write them with commas, in seconds, as 1,5,30")
+    "SECONDS,...",
+    parse=numbers("not a list of numbers; use seconds separated by commas, e.g. 1,5,30"),
 )
 
 
 class FitArguments(LogOptions, Configured):
-    """Fit a surrogate to logs, and print its scores (paper Sec. III-B, Table I)."""
+    """Fit a surrogate to logs and print its scores (paper Sec. III-B, Table I)."""
 
     dataset: Logs
-    """Folder of a dataset, or of CSV, Parquet or ROS 2 bags."""
+    """Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags."""
     out: Out
-    """Folder of the surrogate to write."""
+    """Surrogate folder to write."""
     model: ModelName = "streaming"
     """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet."""
     ignore_errors: bool = False
-    """Fit to logs with errors, too."""
+    """Also fit to logs with errors."""
     epochs: int | None = None
-    """Maximum number of passes over the data, with --model paper."""
+    """Maximum number of epochs, with --model paper."""
     seed: int = 0
-    """Seed of weights, shuffling and dropout."""
+    """Seed for weights, shuffling and dropout."""
     resume: bool = False
     """Continue from the last checkpoint of an unfinished run."""
 
     def check(self) -> None:
-        """Refuse options that do not go with the model."""
+        """Reject options that do not apply to the model."""
         if self.epochs is not None and self.model != "paper":
             raise ConfigurationError(
-                f"--epochs with --model {self.model}: only --model paper counts in epochs; see "
-                "--set force_updates=N"
+                f"--epochs: applies only to --model paper, got --model {self.model}; use "
+                "--set force_updates=N instead"
             )
         super().check()
 
@@ -96,25 +98,25 @@ def defaults(model: ModelName) -> "StreamingConfig | FitConfig":
 
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:
-    """Return one line that counts the issues of the training logs; none if there are none."""
+    """Return one line with the issue counts of the training logs; empty if there are no issues."""
     if not counts["error"] + counts["warning"]:
         return ""
     found = ", ".join(counted(count, kind) for kind, count in counts.items() if count)
-    return f"{dataset}: {found}; softfin inspect {dataset} lists them\n"
+    return f"{dataset}: {found}; run softfin inspect {dataset} to list them\n"
 
 
 class ImportKerasArguments(Common):
-    """Turn two Keras 2 networks and their scalers into a surrogate; needs no TensorFlow and reads
-    no pickle."""
+    """Convert two Keras 2 networks and their scalers to a surrogate, without TensorFlow or pickle
+    files."""
 
     scalers: File
-    """JSON of {channel: {scale, offset, data_min, data_max}}."""
+    """JSON file: {channel: {scale, offset, data_min, data_max}}."""
     posnet: Annotated[Path, Option("POSNET", positional=True)]
     """PosNet's .keras file."""
     forcenet: Annotated[Path, Option("FORCENET", positional=True)]
     """ForceNet's .keras file."""
     out: Out
-    """Folder of the surrogate to write."""
+    """Surrogate folder to write."""
 
     def __call__(self) -> None:
         from softfin.stages.surrogates import import_keras
@@ -143,18 +145,18 @@ class CompareArguments(Configured):
     correction (open loop) over several horizons."""
 
     surrogates: Annotated[tuple[Path, ...], folder_option("surrogate", positional=True)]
-    """Folders of the surrogates. Those that differ only in the seed are averaged."""
+    """Surrogate folders. Surrogates that differ only in the seed are averaged."""
     dataset: Annotated[Path, folder_option("dataset")]
-    """Folder of the dataset with the test logs."""
+    """Dataset folder with the test logs."""
     out: Out
-    """Folder to write comparison.json and the figure to."""
+    """Output folder for comparison.json and the figure."""
     horizons: Annotated[tuple[float, ...], HORIZONS] | None = None
     """Open-loop horizons in seconds (default: 1,5,30)."""
     noise_floor: PlantName | None = None
-    """A plant to record the same commands again, such as the recorded tank. Shows the error that
-    noise, drift and perturbed tanks leave."""
+    """Plant that records the same commands again, such as the recorded tank. Shows the error that
+    remains because of noise, drift and perturbed tanks."""
     seed: int | None = None
-    """Seed of the noise of that second recording (default: 0)."""
+    """Seed for the noise of that second recording (default: 0)."""
 
     def __call__(self) -> None:
         from softfin.stages.surrogates import compare
@@ -200,16 +202,10 @@ WARPED = (
 )
 
 
-def comparison_tables(summary: Mapping[str, Any]) -> str:
+def comparison_tables(summary: JsonObject) -> str:
     """Return the errors, mean force and DTW for a terminal of 120 columns, followed by notes."""
-    groups = []
-    for row in summary["groups"]:
-        yardstick = summary["flops_ratio_to"]
-        ratio = "" if row["name"] == yardstick else f" ({row['flops_ratio']:.3g} of {yardstick}'s)"
-        size = f"{row['parameters']:,} parameters, {row['flops_per_tick']:,} FLOPs per tick"
-        groups.append(
-            (f"{row['name']}: {counted(row['seeds'], 'seed')}, {size}{ratio}", row["horizons"])
-        )
+    yardstick = summary["flops_ratio_to"]
+    groups = [(_heading(row, yardstick), row["horizons"]) for row in summary["groups"]]
     if (floor := summary["noise_floor"]) is not None:
         groups.append((floor["name"], floor["horizons"]))
     several = any(row["seeds"] > 1 for row in summary["groups"])
@@ -219,41 +215,55 @@ def comparison_tables(summary: Mapping[str, Any]) -> str:
         "longest horizon"
     )
     lines = [f"Free-running over {scored}{seeds}", *_table(ERRORS, groups)]
-    if any("mean_force_mae_n" in row for _, rows in groups for row in rows):
-        stated = any("coverage" in row for _, rows in groups for row in rows)
+    scores = set[str]()
+    for _, rows in groups:
+        scores.update(*rows)
+    if "mean_force_mae_n" in scores:
+        stated = "coverage" in scores
         title = "Mean force over 200 samples" + (
-            ", and the intervals stated for it at 90%" if stated else ""
+            ", with the surrogate's 90% intervals" if stated else ""
         )
         lines += ["", title, *_table(MEANS + INTERVALS * stated, groups)]
-    title = "DTW in a band of 1 s: mean absolute difference after warping, in units and scaled"
+    title = "DTW within 1 s: mean absolute difference after warping, physical and scaled"
     lines += ["", title, *_table(WARPED, groups), *[f"note: {note}" for note in summary["notes"]]]
     return "\n".join(lines)
 
 
+def _heading(group: JsonObject, yardstick: str) -> str:
+    """Return the size of a group of surrogates, relative to the group `yardstick`."""
+    heading = (
+        f"{group['name']}: {counted(group['seeds'], 'seed')}, {group['parameters']:,} parameters, "
+        f"{group['flops_per_tick']:,} FLOPs per tick"
+    )
+    if group["name"] == yardstick:
+        return heading
+    return f"{heading} ({group['flops_ratio']:.3g} of {yardstick}'s)"
+
+
 def _table(
-    columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, Any]]
+    columns: Sequence[tuple[str, str, str, int]], groups: Sequence[tuple[str, list[JsonObject]]]
 ) -> list[str]:
     from softfin.cli.tables import aligned
 
     head = [["", *(column[i] for column in columns)] for i in (0, 1)]
-    body = [
-        [
-            f"  {row['horizon_s']:g} s",
-            *(_cell(row.get(score), factor) for _, _, score, factor in columns),
-        ]
-        for _, rows in groups
-        for row in rows
-    ]
+    body = []
+    for _, rows in groups:
+        for row in rows:
+            cells = [_cell(row.get(score), factor) for _, _, score, factor in columns]
+            body.append([f"  {row['horizon_s']:g} s", *cells])
     lines = aligned([*head, *body])
+    # All groups are aligned together; their headings are inserted afterwards.
+    result = lines[:2]
     rest = iter(lines[2:])
-    return lines[:2] + [
-        line for heading, rows in groups for line in (heading, *islice(rest, len(rows)))
-    ]
+    for heading, rows in groups:
+        result += [heading, *islice(rest, len(rows))]
+    return result
 
 
-def _cell(cell: Mapping[str, Any] | None, factor: int) -> str:
+def _cell(cell: JsonObject | None, factor: int) -> str:
     if cell is None:
         return "\N{EN DASH}"
+    # Four significant digits at most, but no exponent unless the value would be shown as 0.
     value = cell["mean"] * factor
     digits = max(0, 4 - len(str(int(abs(value)))))
     text = f"{value:.{digits}f}" if abs(value) >= 0.0005 or value == 0 else f"{value:.0e}"
@@ -268,19 +278,19 @@ class CalibrateArguments(Configured):
     determined."""
 
     data: Data
-    """Folder of a dataset, or a plant: tank, YAML file of a tank, folder of a surrogate, or
+    """Dataset folder, or a plant: tank, a tank's YAML file, a surrogate's folder, or
     package.module:plant."""
     out: Out
-    """Folder to write calibration.json, tank.yaml and the figures to."""
+    """Output folder for calibration.json, tank.yaml and the figures."""
     preset: CalibratePreset = "full"
-    """full: fit the parameters of fin, water, drive and recording; quick: fit six numbers, in a
-    minute."""
+    """full: fit the parameters of fin, water, drive and recording; quick: fit six parameters, in
+    about a minute."""
     evaluations: int | None = None
-    """Number of tanks that the global search tries; 0 for local search only (default: 4000)."""
+    """Number of tanks evaluated by the global search; 0 for local search only (default: 4000)."""
     velocity: Annotated[tuple[float, ...], VELOCITY_RANGE] | None = None
-    """Range of command velocities of a plant in rad/s (default: the limits of the plant)."""
+    """Range of command velocities for a plant [rad/s] (default: the plant's limits)."""
     seed: int = 0
-    """Seed of the search and of the commands."""
+    """Seed for the search and the commands."""
     resume: bool = False
     """Continue a stopped run."""
 
@@ -302,7 +312,7 @@ class CalibrateArguments(Configured):
         self.tell({"calibration": str(self.out), **result}, calibration_tables(result))
 
 
-def calibration_tables(result: Mapping[str, Any]) -> str:
+def calibration_tables(result: JsonObject) -> str:
     """Return the scores, then the parameters."""
     from softfin.cli.tables import aligned
 
@@ -317,7 +327,7 @@ def calibration_tables(result: Mapping[str, Any]) -> str:
         error = "" if row["standard_error"] is None else f"{row['standard_error']:.2g}"
         parameters.append([name, f"{row['value']:.4g}", error, row["unit"], row["determined"]])
     trades = [
-        f"{' and '.join(pair['parameters'])} are a trade-off: correlation "
+        f"{' and '.join(pair['parameters'])} trade off against each other: correlation "
         f"{pair['correlation']:+.2f}"
         for pair in result["trades"]
     ]

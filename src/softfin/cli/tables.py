@@ -13,9 +13,10 @@ from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
 
 
 def aligned(rows: Sequence[Sequence[object]], left: Sequence[int] = (0,)) -> list[str]:
-    """Return one line for each row, with columns as wide as necessary; those in `left` are
+    """Return one line per row, with columns as wide as necessary; columns in `left` are
     left-aligned."""
-    widths = [max(len(str(cell)) for cell in column) for column in zip_longest(*rows, fillvalue="")]
+    columns = zip_longest(*rows, fillvalue="")
+    widths = [max(map(len, map(str, column))) for column in columns]
     lines = []
     for row in rows:
         line = ""
@@ -67,7 +68,9 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
                 ]
             )
             notes.append(("  stands still" if row["still"] else "") + format_reference_errors(row))
-        complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(paper)
+        # The paper's mean only compares to a mean over the same references.
+        references = {tuple(row["reference_n"]) for row in summary["references"]}
+        complete = references == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
         rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
@@ -76,15 +79,13 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
 
 
 def describe_errors(summary: EvaluationSummary) -> str:
-    """Return one line about the force behind the errors, with the error of the sensor's reading if
-    it differs."""
+    """Return one line on which force the errors refer to, with the error of the readings if it
+    differs."""
     mean = summary["mean"]
     if summary["conditions"].get("judged_by") != "true force":
-        return "errors are those of the reported force; errors of the sensor itself are not visible"
+        return "errors refer to the measured force; errors of the sensor itself are not visible"
     x, y = (mean[axis]["reading_error_n"] for axis in AXES)
-    return (
-        f"errors are those of the true force; the sensor reads a mean error of {x:.3f}, {y:.3f} N"
-    )
+    return f"errors refer to the true force; the mean error of the readings is {x:.3f}, {y:.3f} N"
 
 
 def _scores(row: MeanScores) -> list[str]:
@@ -98,8 +99,8 @@ def _scores(row: MeanScores) -> list[str]:
 
 
 def format_reference_errors(row: Mapping[str, Any]) -> str:
-    """Return a note if another force than the requested one is held."""
+    """Return a note if the controller tracks a force other than the requested one."""
     held = row.get("tracked_reference_n") or row["reference_n"]
     if max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:
         return ""
-    return f"  cannot be made: ({held[0]:.2f}, {held[1]:.2f}) N is held"
+    return f"  unreachable: tracks ({held[0]:.2f}, {held[1]:.2f}) N instead"

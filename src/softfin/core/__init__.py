@@ -1,2 +1,2 @@
-"""Shared by all packages: quantities, the action clock, the plant contract, configuration,
+"""Definitions that all packages share: quantities, action clock, plant contract, configuration and
 errors."""

@@ -1,4 +1,4 @@
-"""The script that all pages with a canvas share; each page contains a copy."""
+"""The script shared by all pages with a canvas; each page contains a copy."""
 
 import importlib.resources
 
@@ -6,7 +6,7 @@ MARK = "/* canvas.js */"
 
 
 def with_canvas(page: str) -> str:
-    """A page or its script, with the shared script inserted at the marker."""
+    """Insert the shared script into a page or its script, at the marker."""
     return page.replace(
         MARK, importlib.resources.files("softfin.core").joinpath("canvas.js").read_text("utf-8")
     )

@@ -1,8 +1,8 @@
-"""The clock shared by the 100 Hz loop, its threads and the emulated devices: real, or simulated as
-fast as the computer allows.
+"""The clock shared by the 100 Hz loop, its threads and the emulated devices: real time, or
+simulated as fast as the computer allows.
 
-Everything that waits, waits on a clock: the clock creates the threads, events, locks and
-conditions, and they may only be used with the clock that created them. The simulated one is
+All waiting goes through a clock: it creates the threads, events, locks and conditions, which must
+only be used with the clock that created them. The simulated clock is in
 `softfin.rig.simulated_clock`.
 """
 
@@ -11,12 +11,12 @@ import time
 from collections.abc import Callable
 
 PAIR_S = 0.005
-"""Longest time between two clock readings that still count as simultaneous [s]: a tenth of what
-counts as a suspend."""
+"""Maximum time between two clock readings that are treated as simultaneous [s]: a tenth of the
+shortest time that is treated as a suspend."""
 
 
 class Clock:
-    """The computer's own time, and everything that waits for it, by `threading`."""
+    """The computer's own time, with waiting based on `threading`."""
 
     def __call__(self) -> float:
         """Return the monotonic time [s]."""
@@ -31,7 +31,7 @@ class Clock:
         not track it."""
         if not hasattr(time, "CLOCK_BOOTTIME"):
             return 0.0
-        # This thread may be preempted between two readings, which would look like a short sleep.
+        # Preemption between two readings would look like a short suspend, so read again.
         while True:
             before = time.clock_gettime(time.CLOCK_MONOTONIC)
             boot = time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -39,15 +39,15 @@ class Clock:
                 return boot - before
 
     def sleep(self, seconds: float) -> None:
-        """Wait for so long."""
+        """Wait for `seconds` [s]."""
         time.sleep(seconds)
 
     def event(self) -> threading.Event:
-        """Make an event that is not set."""
+        """Create an event that is not set."""
         return threading.Event()
 
     def condition(self) -> threading.Condition:
-        """Make a condition with a re-entrant lock of its own; like `lock`, it may be held while its
+        """Create a condition with its own re-entrant lock; like `lock`, it may be held while its
         owner waits."""
         return threading.Condition()
 

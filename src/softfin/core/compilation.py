@@ -1,5 +1,4 @@
-"""`equinox.filter_jit` with options of XLA, for programs that take longer to compile than to
-run."""
+"""`equinox.filter_jit` with XLA options, for programs that take longer to compile than to run."""
 
 from collections.abc import Callable
 from typing import Any, Literal, TypeVar, cast
@@ -12,8 +11,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 OPTIMISATION_LEVELS = {"low": 1, "none": 0}
 """XLA's optimisation levels."""
 
-# The older of XLA's code generators for processors compiles a third faster. XLA refuses options
-# that it does not know.
+# The older of XLA's two CPU code generators compiles a third faster. XLA rejects unknown options,
+# so this is set only for versions of JAX that are known to have it.
 OLDER_GENERATOR = (
     {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__[:2] == (0, 10) else {}
 )

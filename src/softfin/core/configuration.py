@@ -1,5 +1,5 @@
-"""Configuration: frozen pydantic models whose defaults are the paper's; YAML or ``path=value``
-change them."""
+"""Configuration: frozen pydantic models with the paper's values as defaults, changed by YAML or
+``path=value``."""
 
 import difflib
 import math
@@ -16,18 +16,18 @@ from softfin.core.errors import ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
 
 MAX_YAML_VALUES = 100_000
-"""Largest number of values in a YAML file with its aliases written out. A few hundred bytes of
-nested aliases can stand for billions of values, which validation and messages would walk one by
-one; a real file has hundreds."""
+"""Maximum number of values in a YAML file with its aliases expanded. A few hundred bytes of nested
+aliases can expand to billions of values, which validation and messages would visit one by one; a
+real file has hundreds."""
 
-# Not typing.Self: the run-time check of the tests decorates functions one by one, and cannot know
+# Not typing.Self: the tests' run-time type check decorates functions individually and does not know
 # their class.
 Config = TypeVar("Config", bound="Configuration")
 
 
 class Configuration(pydantic.BaseModel):
-    """Base of every stage's configuration: frozen, hashable, validated when built, unknown keys are
-    errors."""
+    """Base class of every stage's configuration: frozen, hashable and validated on construction.
+    Unknown keys are errors."""
 
     model_config = pydantic.ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, allow_inf_nan=False
@@ -37,8 +37,8 @@ class Configuration(pydantic.BaseModel):
     def build(
         cls: type[Config], values: Mapping[str, object], source: str = "configuration"
     ) -> Config:
-        """Build from nested mappings; raises ConfigurationError that names the key, the value and
-        what is allowed."""
+        """Build from nested mappings; raises ConfigurationError with the key, the value and the
+        allowed values."""
         try:
             return cls.model_validate(values)
         except pydantic.ValidationError as error:
@@ -46,21 +46,23 @@ class Configuration(pydantic.BaseModel):
 
     def changed(self: Config, changes: Sequence[str]) -> Config:
         """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are
-        read as YAML."""
+        parsed as YAML."""
         values = self.model_dump()
         for change in changes:
             path, sign, text = change.partition("=")
             if not sign:
                 example = "=".join(map(str, next(iter(values.items()))))
                 raise ConfigurationError(
-                    f"--set {change}: no '='; write path=value, for example {example}"
+                    f"--set {change}: missing '='; use path=value, e.g. {example}"
                 )
             try:
                 value = parse_yaml(text)
             except ValueError as error:
                 raise ConfigurationError(
-                    f"--set {change[:200]}: not YAML ({error}); quote it, or close its bracket"
+                    f"--set {change[:200]}: not valid YAML ({error}); quote the value, or "
+                    "close its bracket"
                 ) from None
+            # Missing groups are created; validation then rejects keys that do not exist.
             *groups, name = path.strip().split(".")
             group = values
             for each in groups:
@@ -71,21 +73,21 @@ class Configuration(pydantic.BaseModel):
         return self.build(values, "--set")
 
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
-        """Return a copy with a mapping, such as a part of a YAML file, merged into it."""
+        """Return a copy with a mapping, such as part of a YAML file, merged into it."""
         return self.build(_merge(self.model_dump(), values), source)
 
 
 def read_yaml(path: Path) -> JsonObject:
-    """Return the mapping in a YAML file."""
+    """Read the mapping in a YAML file."""
     try:
         values = parse_yaml(path.read_text())
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read ({error.strerror or error})") from None
     except ValueError as error:
-        raise ConfigurationError(f"{path}: not YAML ({error})") from None
+        raise ConfigurationError(f"{path}: not valid YAML ({error})") from None
     if not isinstance(values, dict | None):
         raise ConfigurationError(
-            f"{path}: holds a {type(values).__name__}; it must be a mapping of names to values"
+            f"{path}: contains a {type(values).__name__}; it must be a mapping of names to values"
         )
     return values or {}
 
@@ -99,8 +101,7 @@ def parse_yaml(text: str) -> Any:
             return None
         if _expanded_size(node, {}) > MAX_YAML_VALUES:
             raise ValueError(
-                f"more than {MAX_YAML_VALUES:,} values with its aliases written out; use fewer "
-                "aliases"
+                f"more than {MAX_YAML_VALUES:,} values with its aliases expanded; use fewer aliases"
             )
         return loader.construct_document(node)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -110,14 +111,14 @@ def parse_yaml(text: str) -> Any:
 
 
 def _expanded_size(node: yaml.Node, sizes: dict[yaml.Node, float]) -> float:
-    """Return the number of values of a node with its aliases written out; infinite if it contains
+    """Return the number of values in a node with its aliases expanded; infinite if it contains
     itself.
 
-    Each node is visited once. `sizes` holds the results so far.
+    Each node is visited once. `sizes` contains the results so far.
     """
     if node in sizes:
         return sizes[node]
-    # Infinite until its parts are counted: a part that refers back here never ends.
+    # Infinite until its parts are counted: expanding a part that refers back here would never end.
     sizes[node] = math.inf
     parts: list[yaml.Node] = []
     if isinstance(node, yaml.SequenceNode):
@@ -139,11 +140,11 @@ def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:
 
 def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
     errors = error.errors(include_url=False)
-    # Where a value may be one of several configurations, pydantic tries each; the user meant the
-    # one that fits best.
+    # If a value may be one of several configurations, pydantic tries each; the user probably meant
+    # the one with the fewest errors.
     tried = Counter(_alternative(each["loc"]) for each in errors)
     meant = min(tried, key=lambda each: (each is not None, tried[each]))
-    # A misspelt key is also a missing one; the key that was written is the better clue.
+    # A misspelled key also causes a missing one; the misspelled key is the better clue.
     first = min(
         (each for each in errors if _alternative(each["loc"]) == meant),
         key=lambda each: each["type"] != "extra_forbidden",
@@ -160,17 +161,17 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
     if first["type"] == "missing":
         # The input of this error is the mapping that lacks the key.
-        return f"{name}: is required, and missing"
+        return f"{name}: missing required key"
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
-        # An error of the whole model: its validator names what is wrong, and its input is the whole
-        # mapping.
+        # An error of an entire model: its validator's message describes the problem, and its input
+        # is the entire mapping, so it is not shown.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {first['msg']}"
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:
-    """Name of a configuration class, such as ``FitConfig``, which pydantic inserts among the names
-    of fields."""
+    """Return the configuration class, such as ``FitConfig``, that pydantic inserts into a path of
+    fields."""
     return next(
         (part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")),
         None,
@@ -179,4 +180,4 @@ def _alternative(place: Sequence[int | str]) -> str | None:
 
 def _nearest(name: str, allowed: Mapping[str, object]) -> str:
     close = difflib.get_close_matches(name, list(allowed), n=1)
-    return f"; did you mean {close[0]!r}?" if close else f"; there are {', '.join(allowed)}"
+    return f"; did you mean {close[0]!r}?" if close else f"; available: {', '.join(allowed)}"

@@ -1,5 +1,5 @@
-"""Errors that softfin raises. Every message says what was wrong, where, what is allowed, what to
-do, in one line."""
+"""Errors that softfin raises. Every message is one line with the object, the problem, the allowed
+values and the fix."""
 
 
 class SoftfinError(Exception):
@@ -9,13 +9,13 @@ class SoftfinError(Exception):
 
 
 class InputError(SoftfinError):
-    """Input from the user that cannot be used."""
+    """Unusable input from the user."""
 
     exit_code = 2
 
 
 class ConfigurationError(InputError):
-    """An option, a YAML file or a ``--set`` that does not fit the configuration."""
+    """An option, YAML file or ``--set`` that does not match the configuration."""
 
 
 class LogError(InputError):
@@ -35,29 +35,28 @@ class CommandError(InputError):
 
 
 class CoverageError(InputError):
-    """A reference force outside what a controller covers."""
+    """A reference force outside a controller's range."""
 
 
 class RigError(InputError):
-    """A rig's file that cannot be used, or a device that does not match the file."""
+    """An unusable rig file, or a device that does not match it."""
 
 
 class RunError(SoftfinError):
-    """A run that started correctly and failed midway."""
+    """A failure at run time."""
 
 
 class DeviceError(RunError):
-    """A drive or a sensor that does not answer, or answers with an error."""
+    """A drive or sensor that does not respond, or responds with an error."""
 
 
 class SafetyStop(RunError):
-    """Something was wrong or a stop was requested: the fin was stopped and the motor
-    disabled."""
+    """A fault or a requested stop, after which the fin was stopped and the motor disabled."""
 
     exit_code = 3
 
 
 def one_line(error: BaseException) -> str:
-    """Return the message of any library's error in one line of at most 300 characters; the error's
-    type if it has no message."""
+    """Return an error's message in one line of at most 300 characters, or its type if it has no
+    message."""
     return " ".join(str(error).split())[:300] or type(error).__name__

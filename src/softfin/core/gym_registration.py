@@ -1,5 +1,5 @@
-"""Makes ``softfin/ForceTracking-v0`` known to Gymnasium; the environment itself is imported when it
-is made."""
+"""Registers ``softfin/ForceTracking-v0`` with Gymnasium. The environment itself is imported when it
+is created."""
 
 ID = "softfin/ForceTracking-v0"
 

@@ -1,7 +1,7 @@
-"""Run a function once JAX is imported, without importing JAX here.
+"""Runs a function once JAX is imported, without importing JAX itself.
 
-A robot runs controllers without JAX, and importing JAX takes about a second, which most commands do
-not need. softfin therefore delays its JAX settings until some module imports JAX.
+A robot runs controllers without JAX, and most commands do not need its import, which takes about a
+second. softfin therefore delays its JAX settings until some module imports JAX.
 """
 
 import sys
@@ -15,7 +15,7 @@ JAX = "jax"
 
 
 def when_jax_is_imported(action: Callable[[], None]) -> None:
-    """Call the action now if JAX is already imported, otherwise right after its import."""
+    """Call `action` now if JAX is already imported, otherwise right after its import."""
     if sys.modules.get(JAX) is not None:
         action()
         return
@@ -25,8 +25,8 @@ def when_jax_is_imported(action: Callable[[], None]) -> None:
 
 
 class _JaxFinder(MetaPathFinder):
-    """Import hook: finds JAX with the other finders and makes its loader call the actions after the
-    import."""
+    """Import hook that finds JAX with the other finders and makes its loader call the actions after
+    the import."""
 
     def __init__(self) -> None:
         self.actions: list[Callable[[], None]] = []
@@ -37,6 +37,7 @@ class _JaxFinder(MetaPathFinder):
         """Return the spec of JAX; None for any other module."""
         if fullname != JAX:
             return None
+        # Skip this finder, which would call itself without end.
         for finder in sys.meta_path:
             spec = None if finder is self else finder.find_spec(fullname, path, target)
             if spec is not None:

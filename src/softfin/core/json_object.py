@@ -1,4 +1,4 @@
-"""The type of what JSON and YAML files contain."""
+"""Type of the contents of JSON and YAML files."""
 
 from typing import Any, TypeAlias
 

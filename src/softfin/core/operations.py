@@ -1,7 +1,8 @@
-"""The operations from which controllers' formulas are built: the array API, and what differs
-between array libraries.
+"""Operations for the formulas of controllers: the array API, and operations that differ between
+array libraries.
 
-Each formula exists once: NumPy runs it on the robot, and JAX compiles it and traces it for ONNX.
+Each formula exists only once: NumPy runs it on the robot, and JAX compiles it and traces it for
+ONNX.
 """
 
 from collections.abc import Callable
@@ -11,27 +12,27 @@ from typing import Any, TypeAlias
 import numpy as np
 
 Array: TypeAlias = Any
-"""An array of the library that runs the formula; float32, except for counts."""
+"""Array of the library that runs the formula; float32, except for counts."""
 
 Number: TypeAlias = Any
-"""A Python number, a NumPy scalar or an array without axes."""
+"""Python number, NumPy scalar or array without axes."""
 
 
 class Operations:
-    """The operations with NumPy; those of other libraries override them."""
+    """Operations with NumPy; subclasses override them for other libraries."""
 
     xp: Any = np
-    """The library's namespace of the array API (2023.12)."""
+    """The library's array API namespace (2023.12)."""
 
     def row(self, table: Array, index: Number) -> Array:
-        """Return ``table[index]`` along the first axis, for an index that is only known at run
-        time."""
+        """Return ``table[index]`` along the first axis, for an index known only at run time."""
         return table[index]
 
     def choose(
         self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
-        """Return one of two values, or tuples of values; the other one may be computed or not."""
+        """Return one of two values, or tuples of values. The other one may or may not be
+        computed."""
         return then() if condition else otherwise()
 
     def dot(self, vector: Array, matrix: Array) -> Array:
@@ -56,7 +57,7 @@ class Operations:
 
 
 class JaxOperations(Operations):
-    """The operations with JAX; both choices are computed, as always under `jax.vmap`."""
+    """Operations with JAX; `choose` computes both values, as always under `jax.vmap`."""
 
     def __init__(self) -> None:
         import jax
@@ -71,7 +72,7 @@ class JaxOperations(Operations):
     def choose(
         self, condition: Number, then: Callable[[], object], otherwise: Callable[[], object]
     ) -> Any:
-        """Select with ``where``, part by part."""
+        """Select with ``where``, leaf by leaf."""
         return self._map(
             lambda one, other: self.xp.where(condition, one, other), then(), otherwise()
         )
@@ -95,11 +96,11 @@ class JaxOperations(Operations):
 
 NUMPY = Operations()
 jax_operations = cache(JaxOperations)
-"""The operations with JAX, imported when first used."""
+"""Return the operations with JAX, which is imported on first use."""
 
 
 def select_operations(*values: object) -> Operations:
-    """Return NumPy's operations if all values are of Python or NumPy, otherwise JAX's."""
+    """Return NumPy's operations if all values are Python or NumPy objects, otherwise JAX's."""
     for value in values:
         if not isinstance(value, (float, int, np.ndarray, np.generic, tuple)):
             return jax_operations()

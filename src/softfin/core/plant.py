@@ -1,7 +1,7 @@
-"""The Plant contract: anything that moves when commanded. The virtual tank, every surrogate and
-your own simulator are Plants.
+"""The Plant contract: anything that moves on command. The virtual tank, every surrogate and your
+own simulator are Plants.
 
-A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` go through it.
+A plant is pure and traceable, so that `jit`, `vmap`, `scan` and `grad` work on it.
 """
 
 from collections.abc import Callable
@@ -21,40 +21,40 @@ State: TypeAlias = PyTree
 Output = TypeVar("Output")
 
 Ticks: TypeAlias = int | Int[Array, ""]
-"""How long an action is held, 33 or 34; a traced value, not a shape."""
+"""Duration of an action, 33 or 34 ticks; a traced value, not a shape."""
 
 
 @runtime_checkable
 class Plant(Protocol):
-    """A fin, real enough to learn from: one fin, no batch axes (`jax.vmap` adds them).
+    """A fin, real enough for training. One fin, without batch axes (`jax.vmap` adds them).
 
-    Compiled programs hold an action by calling `advance` for one tick at a time in a scan. A plant
-    that is faster with many ticks at once may have a method `hold_action(state, command, ticks)`;
-    it must do the same as the function `hold_action`.
+    Compiled programs hold an action by calling `advance` one tick at a time in a scan. A plant that
+    computes many ticks at once more quickly may have a method `hold_action(state, command, ticks)`,
+    which must do the same as the function `hold_action`.
     """
 
     @property
     def limits(self) -> Limits:
-        """The commands that the plant accepts, including angle 0 [rad, rad/s]; outside them its
-        readings are meaningless."""
+        """Limits of the accepted commands, including angle 0 [rad, rad/s]; outside them, readings
+        are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """The fin at rest at angle 0, time 0. The key determines everything random (sensor noise,
-        conditions)."""
+        """Return the state of a fin at rest at angle 0, time 0. The key determines everything
+        random (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (a static number) and read after
-        each; fields have the shape ``(ticks,)``."""
+        each sample; fields have the shape ``(ticks,)``."""
 
 
 @runtime_checkable
 class TrueForcePlant(Plant, Protocol):
-    """A plant that simulates a sensor, and therefore knows the true force behind its readings;
-    errors are computed from the true force."""
+    """A plant that simulates a sensor, and therefore provides the true force behind its readings.
+    Errors are computed from the true force."""
 
     def true_force(self, state: State) -> Float[Array, "2"]:
-        """Mean force of the fin on its mount over the last tick (x, y) [N], without sensor
-        errors."""
+        """Return the mean force of the fin on its mount over the last tick, (x, y) [N], without
+        sensor errors."""
 
 
 @runtime_checkable
@@ -62,15 +62,15 @@ class ForceInterval(Protocol):
     """Prediction interval for the mean force of an ensemble over one window."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
-        """Half of the interval's width [N], from the mean force of each member [N]."""
+        """Return half of the interval's width [N], from the mean force of each member [N]."""
 
     def caveat(self) -> str | None:
-        """Reason not to rely on the interval, in one sentence, or None."""
+        """Return the reason not to rely on the interval, as one sentence, or None."""
 
 
 @runtime_checkable
 class EnsemblePlant(Plant, Protocol):
-    """A plant with several members that estimates its own errors; `advance` returns the mean over
+    """A plant with several members that estimates its own error; `advance` returns the mean over
     the members."""
 
     @property
@@ -82,18 +82,19 @@ class EnsemblePlant(Plant, Protocol):
         """Interval for the mean force, from the disagreement of the members."""
 
     def member(self, index: Int[Array, ""]) -> Plant:
-        """One member as a plant of its own; `index` may be a traced value."""
+        """Return one member as a separate plant; `index` may be a traced value."""
 
     def advance_members(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """Like `advance`, but with the reading of every member: fields ``(members, ticks)``."""
+        """Like `advance`, but return the readings of every member: fields ``(members, ticks)``."""
 
     def distance(self, state: State) -> Float[Array, ""]:
-        """Distance of the last motion from the training data: 1 at their edge, larger outside."""
+        """Return the distance of the last motion from the training data: 1 at their edge, larger
+        outside."""
 
 
 def check_commands(limits: Limits, commands: Command) -> None:
-    """Refuse commands outside the limits if their values are known, which they are not while a
-    program is traced."""
+    """Raise CommandError for commands outside the limits. Traced values are not checked, because
+    they are unknown."""
     for name, unit, channel, low, high in (
         ("angle", "rad", commands.angle, limits.angle_min, limits.angle_max),
         ("velocity", "rad/s", commands.velocity, limits.velocity_min, limits.velocity_max),
@@ -101,19 +102,20 @@ def check_commands(limits: Limits, commands: Command) -> None:
         if isinstance(channel, jax.core.Tracer):
             continue
         values = np.asarray(channel)
-        # Limits are kept in double precision, commands in single, whose rounding error grows with
-        # the size of a limit.
+        # Limits have double precision, commands single precision, whose rounding error grows with
+        # the magnitude of the limit.
         tolerance = 1e-6 * max(1.0, abs(low), abs(high))
+        # Negated, so that NaN is outside as well.
         outside = ~((values >= low - tolerance) & (values <= high + tolerance))
         if outside.any():
             raise CommandError(
-                f"command {name} = {values[outside].flat[0]:g} {unit}: the plant takes {low:g} to "
-                f"{high:g} {unit}"
+                f"command {name} = {values[outside].flat[0]:g} {unit}: the plant accepts {low:g} "
+                f"to {high:g} {unit}"
             )
 
 
 def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]:
-    """Issue one command per tick, ``(ticks,)``, and read after each; raises CommandError for
+    """Issue one command per tick, ``(ticks,)``, and read after each tick; raises CommandError for
     commands outside the plant's limits."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick, plant), state, commands)
@@ -122,8 +124,8 @@ def roll(plant: Plant, state: State, commands: Command) -> tuple[State, Reading]
 def roll_with_true_force(
     plant: Plant, state: State, commands: Command
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    """Issue commands as `roll` does; also return the true force ``(ticks, 2)`` [N], or None if it
-    is unknown."""
+    """Issue commands like `roll`; also return the true force ``(ticks, 2)`` [N], or None if it is
+    unknown."""
     check_commands(plant.limits, commands)
     return jax.lax.scan(partial(_tick_with_true_force, plant), state, commands)
 
@@ -142,8 +144,7 @@ def _tick_with_true_force(
 
 
 def rest_command(limits: Limits) -> Command:
-    """The command under which a fin at rest at angle 0 stays there: angle 0 at the lowest
-    velocity."""
+    """Return the command that keeps a fin at rest at angle 0: angle 0 at the lowest velocity."""
     return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
 
 
@@ -165,8 +166,8 @@ def hold_action(
 def hold_action_with_true_force(
     plant: Plant, state: State, command: Command, ticks: Ticks
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    """Hold a command as `hold_action` does; also return the true force ``(34, 2)`` [N], or None if
-    it is unknown."""
+    """Hold a command like `hold_action`; also return the true force ``(34, 2)`` [N], or None if it
+    is unknown."""
     if not isinstance(plant, TrueForcePlant):
         state, reading = hold_action(plant, state, command, ticks)
         return state, (reading, None)
@@ -176,20 +177,21 @@ def hold_action_with_true_force(
 def repeat(
     tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks
 ) -> tuple[State, Output]:
-    """Call `tick` that many times; its results are stacked to ``(34, ...)``, of which the first
+    """Call `tick` that many times; its results are stacked as ``(34, ...)``, of which the first
     `ticks` are valid."""
-    # For gradients, a tick is computed again, which is faster than keeping its intermediate values.
+    # For gradients, recomputing a tick is faster than storing its intermediate values.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
     def one(state: State, index: Int[Array, ""]) -> tuple[State, Output]:
         after, output = again(state)
+        # After the last tick the state stays the same; the additional output is padding.
         return jax.tree.map(partial(jnp.where, index < ticks), after, state), output
 
     return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
 
 
 def masked_mean(rows: Array, ticks: Ticks) -> Array:
-    """Mean over the valid rows of an action, ``(34, ...)``."""
+    """Return the mean over the valid rows of an action, ``(34, ...)``."""
     counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
     return jnp.where(counts, rows, 0).sum(axis=0) / ticks
 
@@ -205,6 +207,6 @@ def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
 
 
 def drop_padding(rows: Array, actions: int) -> Array:
-    """Join the rows ``(actions, 34, ...)`` of consecutive actions from the start of the clock to
-    ``(ticks, ...)``."""
+    """Join the valid rows of consecutive actions, ``(actions, 34, ...)`` from the start of the
+    clock, into ``(ticks, ...)``."""
     return rows.reshape(-1, *rows.shape[2:])[np.asarray(valid_rows(actions))]

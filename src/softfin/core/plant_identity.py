@@ -1,9 +1,9 @@
-"""Identity of plants: `identity` names a plant in files, `jit_argument` makes it an argument of
-compiled programs.
+"""Identity of plants: `identity` identifies a plant in files, `jit_argument` turns it into an
+argument of compiled programs.
 
-softfin's own plants are pytrees of arrays and plain values, which are compared directly. Of a
-user's simulator only the computation is known: a gain may be an attribute, a constant of its
-module, a closure or a file. So its `init` and `advance` are traced and lowered, which takes
+softfin's own plants are pytrees of arrays and plain values, which are compared directly. A user's
+simulator can only be compared by its computation: a gain may be an attribute, a constant of its
+module, a closure or a file. Its `init` and `advance` are therefore traced and lowered, which takes
 milliseconds, and the programs are compared.
 """
 
@@ -25,21 +25,23 @@ from softfin.core.plant import EnsemblePlant, Plant, TrueForcePlant
 from softfin.core.quantities import Command, Limits
 
 PLAIN = (bool, int, float, str, type(None))
-"""Leaves of a pytree that are fully described by their text."""
+"""Types of leaves that are fully described by their text."""
 
 CALLBACK = re.compile(r"custom_call @\w*python\w*callback")
-"""A call back into Python in a lowered program; what it does is not part of the program."""
+"""Pattern of a Python callback in a lowered program. The program does not contain what the callback
+does."""
 
 
 def identity(plant: Plant, computed: bool = False) -> str:
-    """The type of a plant and a hash of what it computes: equal for equal plants in every process.
+    """Return the type of a plant and a hash of what it computes: equal for equal plants in every
+    process.
 
-    For softfin's own plants it is a hash of what was loaded; with `computed` it also covers what
+    For softfin's own plants, the hash covers what was loaded; with `computed`, it also covers what
     XLA computed from that, whose last bits depend on XLA's options. Resumed runs compare the
-    latter, and files contained it in earlier versions. The hash of a user's simulator also depends
-    on the version of JAX, which writes the lowered program; the version is then part of the text. A
-    simulator may state its identity itself, in an attribute `identity`; one that does not must be
-    traceable and not call back into Python, else PlantError is raised.
+    latter, and files of earlier versions contain it. For a user's simulator, the hash also depends
+    on the version of JAX, which generates the lowered program, so the version is part of the text.
+    A simulator may define an attribute `identity`. Otherwise it must be traceable and must not call
+    back into Python; if it does, PlantError is raised.
     """
     name = f"{type(plant).__module__}.{type(plant).__qualname__}"
     stated = getattr(plant, "identity", None)
@@ -48,39 +50,38 @@ def identity(plant: Plant, computed: bool = False) -> str:
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         leaves, structure = jax.tree.flatten(static)
-        # The text of the structure contains the names of NamedTuples and their fields: renaming one
-        # turns every surrogate into another plant, for which no map or controller exists.
+        # The structure's text contains the names of NamedTuples and their fields. Renaming one
+        # changes the identity of every surrogate, so that no existing map or controller matches.
         for each in () if computed else getattr(plant, "computed", ()):
             arrays = eqx.tree_at(operator.attrgetter(each), arrays, None)
         return f"{name} {_digest(arrays, str(leaves if leaves else '') + str(structure))}"
     program = _program(plant, arrays, static)
     if CALLBACK.search(program):
         raise PlantError(
-            f"plant {name}: calls back into Python, so its parameters cannot be seen in its "
-            "program; give it an attribute `identity`, a string that holds them"
+            f"plant {name}: calls back into Python, so its program does not contain its "
+            "parameters; add an attribute `identity`, a string that contains them"
         )
     return f"{name} {_digest(arrays, program)} (jax {jax.__version__})"
 
 
 def matches_identity(stated: str | None, plant: Plant) -> bool:
-    """Whether the identity in a file, written by this version or an earlier one, is that of a
-    plant."""
+    """Whether the identity in a file, written by this or an earlier version, is that of a plant."""
     return stated in (identity(plant), identity(plant, computed=True))
 
 
 def jit_argument(plant: Plant) -> Plant:
-    """The plant as a pytree whose arrays are traced, and whose compiled program is reused for equal
-    plants only.
+    """Return the plant as a pytree whose arrays are traced, and whose compiled program is reused
+    only for equal plants.
 
-    For `equinox.filter_jit`. A user's simulator is traced at each call of this function: a compiled
-    program holds it as it was then, and is used again only for a plant that still computes the
-    same.
+    For `equinox.filter_jit`. A user's simulator is traced on each call of this function: a compiled
+    program contains the simulator as it was then, and is reused only while the simulator computes
+    the same.
     """
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
         return plant
     program = _program(plant, arrays, static)
-    # Equal programs that call back into Python call different objects.
+    # Equal programs with Python callbacks may still call different objects, so compare by object.
     key = (_digest(None, program), id(static) if CALLBACK.search(program) else None)
     kind: Any = TracedPlant
     if isinstance(plant, EnsemblePlant):
@@ -93,7 +94,7 @@ def jit_argument(plant: Plant) -> Plant:
 
 @dataclass(frozen=True)
 class _Program:
-    """The part of a plant that is compiled into programs; equal if the programs are equal."""
+    """The static part of a plant, compiled into programs; equal if the programs are equal."""
 
     static: PyTree = field(compare=False)
     key: tuple[str, int | None]
@@ -115,7 +116,7 @@ class TracedPlant(eqx.Module):
 
     @property
     def limits(self) -> Limits:
-        """The commands that the simulator accepts."""
+        """Limits of the simulator's commands."""
         return Limits(*eqx.combine(self.arrays, self.program.static).limits)
 
 
@@ -140,10 +141,10 @@ def _is_own(plant: Plant, static: PyTree) -> bool:
 
 
 def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
-    """Everything that a plant does, as a lowered program; its arrays are arguments, other constants
-    are part of the program.
+    """Return everything that a plant computes, as the text of a lowered program. Its arrays are
+    arguments; other constants are part of the program.
 
-    Lowered for one fixed platform, so that the text is the same on every machine.
+    The program is lowered for a fixed platform, so that the text is the same on every machine.
     """
 
     def everything(arrays: PyTree, key: PRNGKeyArray, command: Command) -> Any:
@@ -168,20 +169,21 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
         traced = jax.jit(everything).trace(arrays, jax.random.key(0), command)
         return f"{limits} {traced.lower(lowering_platforms=('cpu',)).as_text()}"
     except Exception as error:
-        # This runs the user's code, which may fail in any way.
+        # The user's code runs here and may raise any error.
         reason = one_line(error)
         raise PlantError(
             f"plant {type(plant).__qualname__}: cannot be traced ({type(error).__name__}: "
-            f"{reason}); softfin.testing.check_plant says what a plant must do"
+            f"{reason}); run softfin.testing.check_plant to find out what is wrong"
         ) from error
 
 
 def _digest(arrays: PyTree, text: str) -> str:
     digest = hashlib.sha256()
     for leaf in jax.tree.leaves(arrays):
-        # A simulator's program contains types and shapes; for softfin's own plants they follow from
-        # the kind.
+        # Only the bytes: a simulator's program contains types and shapes, and for softfin's own
+        # plants they follow from the class.
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
     digest.update(text.encode())
+    # 64 bits: collisions between the few plants of a user are out of the question.
     return digest.hexdigest()[:16]

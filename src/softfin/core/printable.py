@@ -1,4 +1,4 @@
-"""Text from files and devices, made safe to show: a fin's name may contain terminal control
+"""Makes text from files and devices safe to display: a fin's name may contain terminal control
 sequences."""
 
 

@@ -1,7 +1,8 @@
-"""Settings of JAX's own persistent cache, which keeps compiled programs between runs.
+"""Settings of JAX's persistent cache, which stores compiled programs between runs.
 
-The settings are environment variables that JAX reads when it is imported, so no import of softfin
-changes JAX. Only softfin's programs call `use_program_cache`. Variables that are already set win.
+The settings are environment variables that JAX reads on import, so importing softfin does not
+change JAX. Only softfin's programs call `use_program_cache`. Variables that are already set take
+precedence.
 """
 
 import contextlib
@@ -16,17 +17,17 @@ MAX_CACHE_BYTES = 2**30
 """Size above which the least recently used programs are deleted [bytes]."""
 
 JAX_SETTINGS = {
-    # Small programs are kept, too: an evaluation in the tank has 45 of them, which take 30 ms each
-    # to compile.
+    # Store small programs as well: an evaluation in the tank has 45 of them, each of which takes
+    # 30 ms to compile.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
-    # On a GPU, XLA would write files of its own, which JAX would neither count nor delete.
+    # On a GPU, XLA would write additional files, which JAX would not count or delete.
     "JAX_PERSISTENT_CACHE_ENABLE_XLA_CACHES": "none",
 }
 
 
 def cache_folder() -> Path | None:
-    """Return the folder of compiled programs, or None if the cache is off or the user has no
-    home."""
+    """Return the folder of compiled programs, or None if the cache is off or the user has no home
+    folder."""
     if jax_folder := os.environ.get(JAX_VARIABLE):
         return Path(jax_folder)
     chosen = os.environ.get(SOFTFIN_VARIABLE, "")
@@ -45,15 +46,15 @@ def describe_cache() -> str:
     """Describe the cache for ``softfin --help``."""
     folder = cache_folder()
     if folder is None:
-        return f"Compiled programs are not kept; {SOFTFIN_VARIABLE}=FOLDER keeps them."
+        return f"Compiled programs are not cached; set {SOFTFIN_VARIABLE}=FOLDER to cache them."
     return (
-        f"Compiled programs are kept in {folder}, at most {MAX_CACHE_BYTES / 2**30:g} GiB;\n"
-        f"{SOFTFIN_VARIABLE}=FOLDER moves them, {SOFTFIN_VARIABLE}={OFF} keeps none."
+        f"Compiled programs are cached in {folder} (at most {MAX_CACHE_BYTES / 2**30:g} GiB).\n"
+        f"Set {SOFTFIN_VARIABLE}=FOLDER to use another folder, {SOFTFIN_VARIABLE}={OFF} to disable."
     )
 
 
 def use_program_cache() -> None:
-    """Make JAX keep compiled programs, if this process has not imported it yet."""
+    """Let JAX cache compiled programs; call before this process imports JAX."""
     folder = cache_folder()
     if folder is None:
         return
@@ -66,14 +67,15 @@ def use_program_cache() -> None:
 def delete_old_programs(folder: Path, max_bytes: int) -> None:
     """Delete the least recently used programs until the folder is small enough.
 
-    JAX can limit the size itself (`jax_compilation_cache_max_size`), but it then reads the whole
-    folder for each program that it adds: with 2,000 programs in it, 60 ms each.
+    JAX can limit the size itself (`jax_compilation_cache_max_size`), but then reads the entire
+    folder whenever it adds a program: 60 ms each with 2,000 programs.
     """
     programs = []
     # Another process may delete programs at the same time, and the folder may not exist.
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             status = entry.stat()
+            # File systems mounted with noatime do not update the time of the last access.
             last_use = max(status.st_atime, status.st_mtime)
             programs.append((last_use, status.st_size, entry.path))
     size = sum(program_bytes for _, program_bytes, _ in programs)

@@ -1,14 +1,15 @@
-"""Progress reports of long work."""
+"""Progress reports of long computations."""
 
 from typing import Protocol, runtime_checkable
 
 
 @runtime_checkable
 class Progress(Protocol):
-    """Function that long work calls now and then; the command line draws a progress bar with it."""
+    """Function that long computations call from time to time; the command line shows a progress
+    bar."""
 
     def __call__(self, stage: str, fraction: float, note: str, /) -> None:
-        """Report the `fraction` of a stage that is done (0 .. 1), and its newest figures as a
+        """Report the completed `fraction` of a stage (0 .. 1), and its latest figures as a
         `note`."""
 
 

@@ -1,8 +1,8 @@
-"""The three records that all parts exchange: Command, Reading, Log. SI units, float32 arrays, time
-before channel.
+"""The three records that all packages exchange: Command, Reading and Log. SI units, float32 arrays,
+time before channel.
 
-Axes: thrust that pushes the robot forward is +x. At angle theta the fin points along (-cos theta,
-+sin theta) from its shaft. Forces are those of the fin on its mount.
+Axes: +x is the thrust that pushes the robot forward. At angle theta, the fin points along (-cos
+theta, +sin theta) from its shaft. Forces act from the fin on its mount.
 """
 
 from collections.abc import Sequence
@@ -17,12 +17,13 @@ RATE_HZ = 100
 TICK_S = 1 / RATE_HZ
 
 DAY = 24 * 3600 * RATE_HZ
-"""Period of the day counter [ticks]. A plant counts ticks in 32 bits and reports its time in single
-precision; Unix time fits into neither."""
+"""Period of the day counter [ticks]. A plant counts ticks in 32 bits and reports time in single
+precision, and neither can represent Unix time."""
 
 
 def tick_at(time_s: float) -> int:
-    """Return the tick at a time of any clock, of a log or a computer, counted within the day."""
+    """Return the tick within the day for a time of any clock, such as that of a log or a
+    computer."""
     return round(time_s * RATE_HZ) % DAY
 
 
@@ -34,28 +35,28 @@ else:
 
     @runtime_checkable
     class AnyArray(Protocol):
-        """Array of float32: a JAX array in a compiled program, a NumPy one in files and figures.
+        """Array of float32: a JAX array in a compiled program, a NumPy array in files and figures.
 
-        Recognized by its attributes: code on a robot must neither wait a second for JAX nor need
-        it.
+        Recognised by its attributes, because code on a robot must not need JAX or wait a second for
+        its import.
         """
 
         @property
         def shape(self) -> tuple[int, ...]:
-            """Lengths of its axes."""
+            """Lengths of the axes."""
 
         @property
         def dtype(self) -> Any:
-            """Type of its numbers."""
+            """Type of the elements."""
 
 
 class Command(NamedTuple):
-    """Target of the drive; held until the next one."""
+    """Target of the drive, held until the next command."""
 
     angle: Float[AnyArray, "*shape"]
     """Target angle [rad]."""
     velocity: Float[AnyArray, "*shape"]
-    """Profile velocity on the way there [rad/s], positive."""
+    """Profile velocity towards the target [rad/s], positive."""
 
 
 class Reading(NamedTuple):
@@ -72,8 +73,8 @@ class Reading(NamedTuple):
 
 
 class Log(NamedTuple):
-    """A recording: row k holds what was read at ``reading.time[k]`` and the command issued at that
-    moment.
+    """A recording: row k contains the reading at ``reading.time[k]`` and the command issued at that
+    time.
 
     The command of row k therefore first affects the reading of row k + 1.
     """
@@ -88,38 +89,39 @@ class Log(NamedTuple):
 
     @property
     def channels(self) -> tuple[AnyArray, ...]:
-        """Everything except the time, ``(rows,)`` each: command angle and velocity, angle,
-        velocity, force x and y, the order of the columns in a log's file."""
+        """All channels except time, ``(rows,)`` each, in the order of the columns of a log file:
+        command angle and velocity, angle, velocity, force x and y."""
         _, angle, velocity, force = self.reading
         return (*self.command, angle, velocity, *np.moveaxis(np.asarray(force), -1, 0))
 
 
 MAX_ANGLE_RAD = 2 * np.pi
-"""A fin turns at most one revolution in either direction."""
+"""Maximum angle of any fin [rad]: one revolution in either direction."""
 
 MAX_VELOCITY_RAD_S = 50.0
-"""Eight revolutions per second, far above any fin in water."""
+"""Maximum velocity of any fin [rad/s]: eight revolutions per second, far more than any fin in
+water."""
 
 REST_TOLERANCE_RAD = 0.03
-"""Distance from angle 0 within which a shaft counts as at rest there; random commands rarely come
-closer to the end of a range."""
+"""Distance from angle 0 that is treated as angle 0 [rad]; random commands rarely come closer to the
+end of a range."""
 
 REST_FIX = (
-    "count all angles, those of the limits too, from where the fin rests; on a rig turn the fin "
-    "there and run softfin rig zero --arm, in logs subtract it from the angle and its command"
+    "measure all angles, including the limits, from the fin's rest position; on a rig, turn the "
+    "fin there and run softfin rig zero --arm; in logs, subtract it from the angle and its command"
 )
-"""Fix for a range of angles without angle 0, where every experiment, episode and log begins and
-ends."""
+"""Fix for a range of angles that excludes angle 0, where every experiment, episode and log starts
+and ends."""
 
 ALLOWED_LIMITS = (
-    f"a fin's are finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
+    f"a fin's limits must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
     f"{MAX_ANGLE_RAD:.3f} rad and "
     f"0 <= velocity_min < velocity_max <= {MAX_VELOCITY_RAD_S:g} rad/s"
 )
 
 
 class Limits(NamedTuple):
-    """The commands that a plant accepts; `problem` says whether they are possible for a fin."""
+    """Range of the commands that a plant accepts; `problem` checks whether a fin can have it."""
 
     angle_min: float
     angle_max: float
@@ -127,7 +129,7 @@ class Limits(NamedTuple):
     velocity_max: float
 
     def to_dict(self) -> dict[str, float]:
-        """Convert for JSON, under names with units."""
+        """Convert for JSON, with units in the names."""
         named = self._asdict().items()
         return {
             f"{name}_{'rad' if 'angle' in name else 'rad_s'}": float(value) for name, value in named
@@ -135,11 +137,11 @@ class Limits(NamedTuple):
 
     @classmethod
     def of(cls, description: object, one_velocity: bool = False) -> "Limits":
-        """Build from what `to_dict` returned; raises ValueError that says what is allowed."""
+        """Build from the result of `to_dict`; raises ValueError with the allowed values."""
         values = []
         for name in cls(0, 0, 0, 0).to_dict():
             value = description.get(name) if isinstance(description, dict) else None
-            # To Python `true` is an int, and an int may be larger than any float.
+            # In Python, `true` is an int, and an int can be larger than any float.
             if not (isinstance(value, float) or (type(value) is int and abs(value) < 1e300)):
                 met = "missing" if value is None else repr(value)[:80]
                 raise ValueError(f"limits: {name} is {met}; it must be a number; {ALLOWED_LIMITS}")
@@ -151,22 +153,22 @@ class Limits(NamedTuple):
 
     @property
     def contains_rest(self) -> bool:
-        """Whether angle 0, where a fin rests, may be commanded."""
+        """Whether angle 0, the fin's rest position, may be commanded."""
         return self.angle_min <= 0 <= self.angle_max
 
     def problem(self, one_velocity: bool = False) -> str | None:
-        """Describe what is wrong with these limits and what is allowed; None if a fin may have
+        """Describe the problem with these limits and the allowed values; None if a fin can have
         them.
 
-        With `one_velocity` both velocities may be equal: a surrogate can be fitted to such a fin,
-        but no controller can be trained.
+        With `one_velocity`, both velocities may be equal: a surrogate can be fitted to such a fin,
+        but no controller can be trained for it.
         """
         named = self.to_dict()
         for name, value in named.items():
             low, high = (
                 (0, MAX_VELOCITY_RAD_S) if "velocity" in name else (-MAX_ANGLE_RAD, MAX_ANGLE_RAD)
             )
-            # NaN is not within any range.
+            # Written so that NaN fails: it is not within any range.
             if not low <= value <= high:
                 return f"limits: {name} is {value:g}; {ALLOWED_LIMITS}"
         velocities = self.velocity_min < self.velocity_max or (
@@ -187,7 +189,8 @@ class Limits(NamedTuple):
 
 
 def action_to_command(limits: Limits, action: Any) -> Command:
-    """Map an action in [-1, 1]^2, two numbers or an array of any library, onto the limits."""
+    """Map an action in [-1, 1]^2, as two numbers or an array of any library, to the limits."""
+    # [-1, 1] -> [0, 1] -> [min, max]
     angle = (action[0] + 1) / 2
     velocity = (action[1] + 1) / 2
     return Command(
@@ -197,11 +200,11 @@ def action_to_command(limits: Limits, action: Any) -> Command:
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
-    """Return the range of the commands in logs; it becomes the limits of a surrogate fitted to
+    """Return the range of the commands in logs, which becomes the limits of a surrogate fitted to
     them.
 
-    A range that ends close to angle 0 ends there: random commands never quite reach it, but the fin
-    rests there.
+    A range that ends close to angle 0 is extended to it: random commands never quite reach the end
+    of a range, but the fin rests there.
     """
     angles = [np.asarray(log.command.angle, np.float32) for log in logs]
     velocities = [np.asarray(log.command.velocity, np.float32) for log in logs]

@@ -1,8 +1,8 @@
-"""One seed per run, split by name: the same seed and name give the same numbers, whatever else the
-run draws.
+"""One seed per run, split by name: the same seed and name produce the same numbers, no matter what
+else the run draws.
 
-The CMA-ES library seeds NumPy's global generator, draws from it, and obeys a file
-``cma_signals.in`` in the working directory; `cma_es` does none of this.
+By default, the CMA-ES library seeds NumPy's global generator, draws from it, and obeys a file
+``cma_signals.in`` in the working directory; `cma_es` prevents all of this.
 """
 
 import zlib
@@ -14,27 +14,28 @@ from jaxtyping import Float, PRNGKeyArray
 
 
 def named_key(seed: int, name: str) -> PRNGKeyArray:
-    """Return the JAX key for one purpose, such as ``named_key(0, "collect/train/7")``."""
+    """Return the JAX key for a purpose, such as ``named_key(0, "collect/train/7")``."""
+    # CRC-32 is the same in every process, unlike Python's hash of a string.
     return jax.random.fold_in(jax.random.key(seed), zlib.crc32(name.encode()))
 
 
 def named_generator(seed: int, name: str) -> np.random.Generator:
-    """Return the NumPy generator for one purpose; only the last 32 bits of the seed count, as in
-    JAX."""
+    """Return the NumPy generator for a purpose; as in JAX, only the last 32 bits of the seed are
+    used."""
     return np.random.default_rng([seed % 2**32, zlib.crc32(name.encode())])
 
 
 def cma_es(
     start: Float[np.ndarray, "n"], step: float, random: np.random.Generator, **options: object
 ) -> Any:
-    """CMA-ES (Hansen 2016, arXiv:1604.00772) from `start` with the given step: ``ask`` for points,
-    ``tell`` their losses.
+    """Start CMA-ES (Hansen 2016, arXiv:1604.00772) at `start` with the given step size; ``ask`` it
+    for points and ``tell`` it their losses.
 
-    Further options are those of ``cma.CMAOptions``, such as `popsize`, `bounds` and `maxiter`.
+    Other options are passed to ``cma.CMAOptions``, such as `popsize`, `bounds` and `maxiter`.
     """
     # Imported here because it is slow and rarely needed.
     import cma
 
-    # From verbosity -9 on it reads the file.
+    # A NaN seed leaves NumPy's global generator alone; verbosity below -9 skips the signals file.
     own = {"randn": lambda *shape: random.standard_normal(shape), "seed": np.nan, "verbose": -10}
     return cma.CMAEvolutionStrategy(start, step, options | own)

@@ -1,10 +1,10 @@
-"""The evaluation window: controllers are rewarded and judged by the mean force over 200 samples
+"""The evaluation window: controllers are rewarded and evaluated by the mean force over 200 samples
 (paper, Sec. IV-B).
 
     mean = sum(f) / 200        error = mean - reference
 
-Everything that computes such a mean, its error or an interval on a mean does it here; functions of
-forces take NumPy and JAX arrays.
+All such means, their errors and their confidence intervals are computed here. Functions of forces
+accept NumPy and JAX arrays.
 """
 
 import math
@@ -20,12 +20,13 @@ from softfin.core.quantities import AnyArray
 CONFIDENCE = 0.95
 
 FEWEST = 3
-"""Fewest samples for which an interval of the mean is stated: with two, it is 12.7 times as wide as
-their distance."""
+"""Minimum number of samples for an interval of the mean: with two samples, it is 12.7 times as wide
+as their distance."""
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
-    """Mean force over the last `count` of `n` samples [N]; ``count >= 1``."""
+    """Return the mean force over the last `count` of `n` samples [N]; ``count >= 1``."""
+    # A mask instead of a slice, because `count` may be traced.
     xp: Any = forces.__array_namespace__()
     counts = xp.arange(len(forces)) >= len(forces) - count
     return xp.where(counts[:, None], forces, 0).sum(axis=0) / count
@@ -34,37 +35,37 @@ def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any
 def window_error(
     forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], reference: Float[AnyArray, "2"]
 ) -> Any:
-    """F_e = mean(F) - F_r over the last `count` samples [N]."""
+    """Return F_e = mean(F) - F_r over the last `count` samples [N]."""
     return window_mean(forces, count) - reference
 
 
 def sobolev(
     forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean"
 ) -> Any:
-    """Sobolev term of the last `count` of `n` samples (paper Sec. III-C2) [N]: how much consecutive
-    forces differ.
+    """Return the Sobolev term of the last `count` of `n` samples (paper Sec. III-C2) [N]: the
+    change between consecutive forces.
 
-    The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the root of the window's
-    length; the published code's form `mean` is the root of the mean.
+    The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the square root of the
+    window's length; the published code's form `mean` is the root mean square.
     """
     xp: Any = forces.__array_namespace__()
     counts = xp.arange(len(forces) - 1) >= len(forces) - count
     square = xp.where(counts[:, None], xp.diff(forces, axis=0) ** 2, 0).sum(axis=0)
     if form == "mean":
         square = square / xp.maximum(count - 1, 1)
-    # With slope 0 at 0: a fin at rest makes no force, and the derivative of a square root is
-    # infinite there.
+    # The square root with slope 0 at 0: a fin at rest produces no force, and the derivative of the
+    # square root is infinite there. The inner `where` keeps it out of the gradient.
     moves = square > 0
     return xp.where(moves, xp.sqrt(xp.where(moves, square, 1)), 0)
 
 
 def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:
-    """Mean over every whole window, ``(*batch, windows, channels)``; the first covers the first
-    `window` samples."""
+    """Return the mean over every complete window, ``(*batch, windows, channels)``; the first covers
+    the first `window` samples."""
     xp: Any = series.__array_namespace__()
-    # In float64 if available: the difference of two long cumulative sums loses its digits in
-    # float32.
+    # In float64 if available: the difference of two long cumulative sums loses digits in float32.
     total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
+    # sum over window i = total[i + window] - total[i]
     total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
     return (total[..., window:, :] - total[..., :-window, :]) / window
 
@@ -72,15 +73,16 @@ def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int
 def moving_error(
     series: Float[AnyArray, "*batch ticks channels"], reference: AnyArray, window: int = WINDOW
 ) -> Any:
-    """Mean over every whole window of |moving average - reference|; `reference` is broadcast
-    against the windows."""
+    """Return the mean of |moving average - reference| over all complete windows; `reference` is
+    broadcast against the windows."""
     return abs(moving_average(series, window) - reference).mean(axis=-2)
 
 
 def window_means(
     series: Float[np.ndarray, "*batch ticks channels"],
 ) -> Float[np.ndarray, "*batch windows channels"]:
-    """Means over adjacent windows that do not overlap; a remainder at the end is left out."""
+    """Return the means over adjacent, non-overlapping windows; an incomplete window at the end is
+    dropped."""
     count = series.shape[-2] // WINDOW
     windows = series[..., : count * WINDOW, :].astype(np.float64)
     return np.asarray(
@@ -91,7 +93,7 @@ def window_means(
 def interval(
     values: Float[np.ndarray, "samples"], confidence: float = CONFIDENCE
 ) -> list[float] | None:
-    """[low, high] of the mean over independent samples, by Student's t.
+    """Return the interval [low, high] of the mean of independent samples, by Student's t.
 
     None for fewer than `FEWEST` samples, or if all are equal, because then they are not
     independent.
@@ -99,6 +101,7 @@ def interval(
     n = len(values)
     if n < FEWEST or np.ptp(values) == 0:
         return None
+    # mean +- t * s / sqrt(n), with n - 1 degrees of freedom
     half = (
         float(stdtrit(n - 1, (1 + confidence) / 2)) * float(np.std(values, ddof=1)) / math.sqrt(n)
     )

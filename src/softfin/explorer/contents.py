@@ -1,7 +1,7 @@
 """Plants and controllers as plain data for the page: weights in base64, configurations as JSON.
 
-The page's scripts compute what `softfin.tank`, `softfin.surrogate.streaming` and `softfin.control`
-do, from these data.
+From these data, the page's scripts repeat the computations of `softfin.tank`,
+`softfin.surrogate.streaming` and `softfin.control`.
 """
 
 import base64
@@ -25,14 +25,15 @@ from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
 
 COLD_C = 5.0
-"""Temperature of the cold water option of the page [degrees Celsius]."""
+"""Water temperature of the page's cold-water option [degrees Celsius]."""
 
 
 def encode_arrays(array: AnyArray) -> JsonObject:
-    """Return the shape of an array, and its numbers in single precision as base64."""
+    """Return an array's shape, and its values in single precision as base64."""
     values = np.asarray(array, np.float32)
     return {
         "shape": list(values.shape),
+        # Little-endian on every machine, as the page's script expects.
         "data": base64.b64encode(values.astype("<f4").tobytes()).decode(),
     }
 
@@ -45,18 +46,18 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
     if isinstance(plant, StreamingSurrogate):
         return surrogate_data(plant)
     kind = (
-        f"a surrogate of the kind {plant.model!r}"
+        f"a surrogate of kind {plant.model!r}"
         if hasattr(plant, "model")
         else f"a {type(plant).__name__}"
     )
     raise PlantError(
-        f"plant {name}: {kind} cannot run in the page, which moves virtual tanks and streaming "
-        "surrogates; give --plant tank, or one that softfin fit made with --model streaming"
+        f"plant {name}: {kind} cannot run in the page, which supports virtual tanks and streaming "
+        "surrogates; use --plant tank, or a surrogate from softfin fit --model streaming"
     )
 
 
 def tank_data(tank: Tank) -> JsonObject:
-    """Return the data of a virtual tank, without its sensor's noise, drift and resolution."""
+    """Return the data of a virtual tank, without the sensor's noise, drift and resolution."""
     cold = with_parameters(tank, temperature_c=COLD_C - tank.water.temperature).water
     return {
         "kind": "tank",
@@ -70,8 +71,8 @@ def tank_data(tank: Tank) -> JsonObject:
 
 
 def outline(tank: Tank) -> JsonObject:
-    """Return what is drawn of a tank's fin: its length [m], and the thickness [m] of its plates,
-    mount first."""
+    """Return the shape of a tank's fin: its length [m], and the thickness [m] of its plates, mount
+    first."""
     return {
         "length_m": float(tank.fin.plate_length) * len(tank.fin.stiffness),
         "thickness_m": np.asarray(tank.fin.thickness, float).tolist(),

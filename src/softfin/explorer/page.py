@@ -1,5 +1,4 @@
-"""The page as one HTML file: template, scripts in their order, and the data of controllers and
-plants."""
+"""The page as one HTML file: template, scripts in order, and the data of controllers and plants."""
 
 import importlib.resources
 import json
@@ -14,7 +13,7 @@ from softfin.explorer.contents import COLD_C
 from softfin.storage import artifact as artifacts
 
 SIMULATION = ("numbers", "profile", "surrogate", "tank", "region", "controllers", "loop")
-"""Scripts that compute, in order; they need no page."""
+"""Scripts that compute, in order; they do not need a page."""
 
 DRAWN = ("drawing", "page")
 """Scripts that draw and handle input."""
@@ -32,7 +31,7 @@ def write_explorer_page(
     controllers: Sequence[Mapping[str, object]],
     plants: Sequence[Mapping[str, object]],
 ) -> None:
-    """Write the page; it needs no network, so a double click opens it."""
+    """Write the page. It needs no network, so that it can be opened with a double click."""
     template = (
         importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
     )
@@ -49,7 +48,7 @@ def write_explorer_page(
             surrogate=any(plant["kind"] == "surrogate" for plant in plants),
             grid=any(controller["kind"] == "grid" for controller in controllers),
             cold_c=f"{COLD_C:g}",
-            # No text inside may close the element.
+            # Escaped, so that no text in the data can close the script element.
             contents=Markup(contents.replace("<", "\\u003c")),
             script=Markup(
                 with_canvas(f'"use strict";\n/* canvas.js */\n{read_script(*SIMULATION, *DRAWN)}')

@@ -23,8 +23,8 @@ def collect(
 ) -> Dataset:
     """Record random motions of a plant as a dataset (paper Sec. III-A).
 
-    Test logs of the virtual tank are recorded in perturbed tanks, those of other plants differ only
-    in their seed.
+    For the virtual tank, each test log is recorded in a perturbed tank. For other plants, test logs
+    differ only in their seed.
     """
     config = config or CollectConfig()
     artifacts.check_vacant(out, overwrite)

@@ -1,5 +1,5 @@
-"""Stages that end in a controller: map what a fin can do, find gaits, train policies (paper Sec.
-III-C)."""
+"""Stages that lead to a controller: map the reachable forces, find gaits, train policies (paper
+Sec. III-C)."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -34,8 +34,8 @@ def map_forces(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Find the mean forces that a fin can make, their Sobolev terms and gaits for them; writes the
-    folder `out`."""
+    """Find the mean forces that a fin can produce, their Sobolev terms and gaits for them; writes
+    the folder `out`."""
     config = config or MapConfig()
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
@@ -73,10 +73,9 @@ def find_gaits(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> None:
-    """Find the gaits of a lattice of reference forces and write them as a controller, the folder
-    `out`.
+    """Find gaits for a grid of reference forces and write them as a controller to the folder `out`.
 
-    The folder of a map, `force_map`, already contains them, over its own lattice.
+    `force_map`, the folder of a map, already contains gaits for its own grid.
     """
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
@@ -89,7 +88,7 @@ def find_gaits(
         config = loaded.config
     else:
         raise ConfigurationError(
-            f"map {force_map}: its lattice is fixed; leave the configuration and the range out"
+            f"map {force_map}: its grid is fixed; omit the configuration and the range"
         )
     origin = _origin(plant, moving, force_map)
     save_gaits(
@@ -125,16 +124,15 @@ def train(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> None:
-    """Train controllers inside a plant, usually a surrogate, by LSTM-PPO (paper Sec. III-C) or by
+    """Train controllers in a plant, usually a surrogate, by LSTM-PPO (paper Sec. III-C) or by
     gradients.
 
-    The default configuration is a grid over the paper's cells, trained by gradients if the plant
-    has them. The folder of a map of the plant, `force_map`, contains the reach of the fin and saves
-    the search for gaits. Without it, the fin is mapped only if policies start from gaits; otherwise
-    references out of reach are used unchanged. One seed writes the controller's folder `out`;
-    several are written as ``out/seed-N``. The `engine` trains everything in this process, as one
-    program, or in parts on a Ray `cluster`. The `reason` for the algorithm is kept with the
-    controller.
+    By default, a grid over the paper's cells is trained, by gradients if the plant is
+    differentiable. `force_map`, the folder of a map of the plant, provides the reachable forces and
+    gaits. Without it, the fin is mapped only if policies start from gaits; otherwise unreachable
+    references are used unchanged. One seed writes the controller's folder `out`; several write
+    ``out/seed-N``. The `engine` trains everything in this process, as one program, or in parts on a
+    Ray `cluster`. The `reason` for the algorithm is stored with the controller.
     """
     _check_engine(engine, cluster)
     moving = find_plant(plant)
@@ -154,6 +152,7 @@ def train(
         "plant": identity(moving, computed=True),
         "map": None if can is None else can.to_dict(),
     }
+    # Before the run directory is claimed: a configuration that cannot be trained leaves no trace.
     check(moving, config, seeds, can)
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:
@@ -193,5 +192,5 @@ def _check_engine(engine: EngineName, cluster: str | None) -> None:
         check_cluster(cluster)
     elif cluster is not None:
         raise ConfigurationError(
-            f"cluster {cluster}: the local engine has none; give --engine ray, or no --cluster"
+            f"cluster {cluster}: not used by the local engine; use --engine ray, or omit --cluster"
         )

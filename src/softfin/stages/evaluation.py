@@ -1,9 +1,11 @@
-"""Stages that show the motion of a fin: under a controller (paper Sec. IV-B), under baselines, as a
-film or a page."""
+"""Stages that evaluate or show a moving fin: with a controller (paper Sec. IV-B), with baselines,
+as a video or a page."""
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from softfin.control.controller import LoadedController
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError, PlantError
@@ -43,8 +45,8 @@ def evaluate(
     """Evaluate a controller on a plant (paper Sec. IV-B, Table II); writes ``evaluation.json`` and
     figures to `out`.
 
-    With `randomize` the plant must be a tank; every repetition runs in another tank, drawn around
-    it; 0 is the tank itself.
+    `randomize` requires a tank as plant: every repetition runs in a different, randomly perturbed
+    tank. With 0, all run in the tank itself.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)
@@ -57,9 +59,9 @@ def evaluate(
     if widths is not None:
         if not isinstance(moving, Tank):
             raise ConfigurationError(
-                f"--randomize {randomize} needs the virtual tank as plant, got {plant!r}"
+                f"--randomize {randomize}: requires the virtual tank as plant, got {plant!r}"
             )
-        # At 0 the sensor's noise is also the tank's own.
+        # At 0, use the tank itself: RandomizedTank would also change the sensor's noise.
         moving = moving if widths.is_none else RandomizedTank(moving, widths)
     loaded = load_controller(controller)
     check_limits(loaded.limits, moving.limits, controller, str(plant))
@@ -83,8 +85,9 @@ def check_limits(asked: Limits, taken: Limits, controller: Path, named: str) -> 
         tolerance = 1e-3 * (theirs[1] - theirs[0])
         if ours[0] < theirs[0] - tolerance or ours[1] > theirs[1] + tolerance:
             raise PlantError(
-                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}; {named} "
-                f"takes {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a surrogate of this plant"
+                f"{controller}: commands a {quantity} of {ours[0]:.3g} .. {ours[1]:.3g}, but "
+                f"{named} accepts {theirs[0]:.3g} .. {theirs[1]:.3g}; train it in a "
+                "surrogate of this plant"
             )
 
 
@@ -97,10 +100,10 @@ def baselines(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Evaluate a still fin, the best sine, an inverse model, random gaits; writes
+    """Evaluate a still fin, the best sine, an inverse model and random gaits; writes
     ``baselines.json`` to `out`.
 
-    Sines and gaits are searched in the `surrogate`, or in the plant itself.
+    The search for sines and gaits runs in `surrogate`, or in the plant itself.
     """
     config = config or BaselinesConfig()
     artifacts.check_vacant(out, overwrite)
@@ -118,6 +121,20 @@ def baselines(
     return result
 
 
+def _resolve(
+    controller: LoadedController, references: Sequence[tuple[float, float]]
+) -> tuple[list[tuple[float, float]], list[str]]:
+    """Return the references that the controller tracks, and warnings about replaced ones."""
+    forces = []
+    warnings = []
+    for asked in references:
+        force, warning = resolve_reference(controller, asked, strict=False)
+        forces.append(force)
+        if warning is not None:
+            warnings.append(warning)
+    return forces, warnings
+
+
 def view(
     plant: str | Plant,
     out: Path,
@@ -128,25 +145,23 @@ def view(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Show a plant in motion as .gif, .html or .png, with a simple gait or under a controller."""
+    """Show a plant in motion as .gif, .html or .png, with a simple gait or a controller."""
     config = config or ViewConfig()
     check_view(out, overwrite)
     moving = find_plant(plant)
     if (controller is None) != (reference is None):
-        raise ConfigurationError("a controller and a reference belong together; give both or none")
+        raise ConfigurationError(
+            "a controller needs a reference, and vice versa; use both or neither"
+        )
     warnings: list[str] = []
     loaded = None
     if controller is not None and reference is not None:
         if config.random:
-            raise ConfigurationError("random commands and a controller at once; give one of them")
+            raise ConfigurationError(
+                "random commands and a controller cannot be combined; use one of them"
+            )
         loaded = load_controller(controller)
-        forces = []
-        for asked in (reference, *config.next_references):
-            force, warning = resolve_reference(loaded, asked, strict=False)
-            forces.append(force)
-            if warning is not None:
-                warnings.append(warning)
-        reference, *following = forces
+        (reference, *following), warnings = _resolve(loaded, (reference, *config.next_references))
         config = config.merged({"next_references": following}, "view")
         check_limits(loaded.limits, moving.limits, controller, plant_name(plant))
     title = view_title(plant_name(plant), config, reference)

@@ -1,8 +1,8 @@
-"""The example that comes with softfin: a surrogate and controllers of the virtual tank, already
-trained; no JAX.
+"""The example that ships with softfin: a trained surrogate and controllers for the virtual tank. No
+JAX.
 
-``examples/make_example.py`` writes its folder from softfin's own commands; ``example.json`` lists
-these commands, the SHA-256 of each file and the errors of the controllers in the tank.
+``examples/make_example.py`` generates its folder with softfin's own commands. ``example.json``
+lists these commands, the SHA-256 of each file and the controllers' errors in the tank.
 """
 
 import shutil
@@ -12,7 +12,7 @@ from softfin.core.json_object import JsonObject
 from softfin.storage import artifact as artifacts
 
 EXAMPLE = Path(__file__).parents[1] / "example"
-"""Folder of the example within the package."""
+"""The example's folder in the package."""
 
 EXAMPLE_KIND = "example"
 

@@ -1,4 +1,4 @@
-"""The stage that makes a page to try controllers: plants and controllers go in, one HTML file comes
+"""The stage that writes a page for trying controllers: plants and controllers in, one HTML file
 out."""
 
 from collections import Counter
@@ -27,44 +27,34 @@ def explore(
     *,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write a page to drag the target force and watch these controllers follow it in these plants;
-    returns its size and parts.
+    """Write a page on which users drag the target force and the controllers follow it; returns its
+    size and parts.
 
-    Raises PlantError for a plant that the page cannot move, or that cannot follow a controller's
-    commands.
+    Raises PlantError for a plant that the page cannot simulate, or that cannot follow a
+    controller's commands.
     """
     artifacts.check_file(out, overwrite)
     moving = {name: find_plant(name) for name in plants}
     holding = {str(path): load_controller(path) for path in controllers}
-    for given, kept in ((plants, moving), (controllers, holding)):
-        if len(kept) < len(given) or not given:
-            raise ConfigurationError(
-                f"{', '.join(map(str, given)) or 'nothing'}: name one or more, each once"
-            )
+    _check_named(plants, len(moving))
+    _check_named(controllers, len(holding))
     data_of_plants = {name: plant_data(name, plant) for name, plant in moving.items()}
     for path, controller in holding.items():
         for name, plant in moving.items():
             check_limits(controller.limits, plant.limits, Path(path), name)
-    # A surrogate does not know its fin's size.
-    tank = next((plant for plant in moving.values() if isinstance(plant, Tank)), None) or Tank()
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
-    write_explorer_page(
-        out,
-        TITLE,
-        [
-            {"name": kinds[path], **controller_data(controller)}
-            for path, controller in holding.items()
-        ],
-        [
-            {
-                "name": names[name],
-                "outline": outline(plant if isinstance(plant, Tank) else tank),
-                **data_of_plants[name],
-            }
-            for name, plant in moving.items()
-        ],
-    )
+    page_controllers = []
+    for path, controller in holding.items():
+        page_controllers.append({"name": kinds[path], **controller_data(controller)})
+    # A surrogate does not contain its fin's size; draw it like the fin of the first tank.
+    tanks = [plant for plant in moving.values() if isinstance(plant, Tank)]
+    default_tank = tanks[0] if tanks else Tank()
+    page_plants = []
+    for name, plant in moving.items():
+        shape = outline(plant if isinstance(plant, Tank) else default_tank)
+        page_plants.append({"name": names[name], "outline": shape, **data_of_plants[name]})
+    write_explorer_page(out, TITLE, page_controllers, page_plants)
     return {
         "page": str(out),
         "controllers": list(kinds.values()),
@@ -74,12 +64,20 @@ def explore(
 
 
 def is_shown(plant: Plant) -> bool:
-    """Whether the page can simulate such a plant."""
+    """Whether the page can simulate this plant."""
     return isinstance(plant, Tank | StreamingSurrogate)
 
 
+def _check_named(given: Sequence[object], num_distinct: int) -> None:
+    """Raise ConfigurationError unless there are one or more names, each once."""
+    if not given or num_distinct < len(given):
+        names = ", ".join(map(str, given)) or "nothing"
+        raise ConfigurationError(f"{names}: must be one or more, no duplicates")
+
+
 def _labels(short: dict[str, str]) -> dict[str, str]:
-    """Return a short name for each; if two would be equal, with the name that the user gave."""
+    """Return a unique label for each item: its short name, with the user's name appended to
+    duplicates."""
     counts = Counter(short.values())
     return {
         given: name if counts[name] == 1 else f"{name} ({given})" for given, name in short.items()

@@ -1,8 +1,8 @@
-"""The stages on a real fin: logs recorded and controllers evaluated in real time, one after the
-other.
+"""Stages on a real fin: record logs and evaluate controllers in real time, one after the other.
 
-Next to the output folder NAME is ``NAME-bags``, with a ROS 2 bag of everything, written while it
-happens and never removed, and the finished logs, from which an interrupted collection continues.
+The folder ``NAME-bags``, next to the output folder NAME, contains a ROS 2 bag of everything,
+written live and never removed, and the finished logs, from which an interrupted collection
+continues.
 """
 
 import json
@@ -45,30 +45,29 @@ from softfin.storage.paths import DATASET_PARTS
 from softfin.storage.run_directory import check_same
 
 Confirm = Callable[[RobotSetup], None]
-"""Function that asks a person whether the fin may move; raises an error unless the answer is
+"""Function that asks the operator whether the fin may move; raises an error unless the answer is
 yes."""
 
 EXTRA_TICKS = 20
-"""Ticks that are read after the last row of a log, because its force leaves the filter a little
-later."""
+"""Number of ticks read after the last row of a log: the force filter delays its output."""
 
 HALF_TICK_S = TICK_S / 2
-"""Commands are stamped this much earlier [s], so that the jitter of a tick does not move them to
+"""Time by which command stamps are moved back [s], so that a tick's jitter cannot move a command to
 the next row."""
 
 GAP_S = 0.05
-"""Longest gap between two readings of a device that is bridged [s]; a fin at 3 Hz moves smoothly
-over this time."""
+"""Longest gap between two readings of a device that is interpolated [s]. Even at 3 Hz a fin moves
+smoothly over this time."""
 
 STATE = "collect.json"
 
 DRIFT_N = 0.2
-"""Change of the force at rest from the first log of a collection beyond which a log gets a warning
-[N]; the force at rest is subtracted from each log, but a sensor that drifts while it rests also
-drifts while it is recorded."""
+"""Change of the rest force since the first log of a collection above which softfin warns [N]. The
+rest force is subtracted from each log, but a sensor that drifts between logs also drifts within
+them."""
 
 Warn = Callable[[str], None]
-"""Function that shows a one-line warning to a person."""
+"""Function that shows a one-line warning to the operator."""
 
 
 def collect_live(
@@ -85,9 +84,8 @@ def collect_live(
 ) -> Dataset:
     """Record random motions of a real fin as a dataset (paper Sec. III-A), log by log.
 
-    With `resume`, finished logs are kept. Raises SafetyStop if the fin had to be stopped;
-    everything recorded until then is kept. `warn` gets a line for each log whose force at rest has
-    changed.
+    With `resume`, finished logs are kept. `warn` is called for each log whose rest force has
+    changed. Raises SafetyStop if the fin had to be stopped; everything recorded until then is kept.
     """
     artifacts.check_vacant(out, overwrite or resume)
     bags = find_bags(out)
@@ -96,17 +94,14 @@ def collect_live(
         "fin": robot.fin,
         "rig": robot.configuration,
     }
+    # A collection may continue with the sensor at another address, but not with other settings.
     claim = metadata | {"rig": _drop_addresses(robot.configuration)}
-    counts = {"train": config.logs, "test": config.test_logs}
-    names = [
-        f"{part}-{i:0{DATASET_PARTS[part]}d}"
-        for part, count in counts.items()
-        for i in range(count)
-    ]
+    names = _log_names(config)
     missing = [name for name in names if not (bags / f"{name}.parquet").exists()]
+    # Checked before anything moves, because collecting takes hours.
     _check_claim(bags, claim, resume)
     if resume and not overwrite and artifacts.is_kind(out, "dataset"):
-        # The recordings next to it belong to this collection; the dataset is written when they are
+        # The recordings belong to this collection, and the dataset is only written once they are
         # complete.
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
@@ -118,8 +113,9 @@ def collect_live(
             session.stop_on_signals()
             artifacts.write_file(bags / STATE, artifacts.dump_json(claim))
             for index, name in enumerate(missing):
-
+                # Default arguments bind the index and name of this iteration.
                 def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
+                    # Remaining rows, plus the rest before each remaining log.
                     left = ((len(missing) - index) * config.rows - row) / RATE_HZ
                     left_s = timedelta(
                         seconds=round(left + (len(missing) - index - 1) * robot.settle_s)
@@ -133,8 +129,8 @@ def collect_live(
                 sensor_state = _sensor_state(robot.machine) | {
                     "force_at_rest_n": [round(x, 4) for x in rest_force]
                 }
-                # Written before the log itself: an existing log counts as finished, so its state
-                # must exist.
+                # Written before the log: an existing log is considered finished, so its sensor
+                # state must already exist.
                 artifacts.write_file(_sensor_file(bags, name), artifacts.dump_json(sensor_state))
                 write_log(bags / f"{name}.parquet", log)
                 if line := _drift_warning(_sensor_states(bags, names), name):
@@ -150,17 +146,16 @@ def collect_live(
         "commands": {"excitation": "random"},
         "bags": bags.name,
         "sensor_by_log": sensor_states,
-        "sensor_warnings": [
-            line for name in names if (line := _drift_warning(sensor_states, name))
-        ],
+        "sensor_warnings": list(
+            filter(None, (_drift_warning(sensor_states, log) for log in names))
+        ),
         "provenance": artifacts.provenance(seed=config.seed),
         **metadata,
     }
-    train, test = (
-        [bags / f"{name}.parquet" for name in names if name.startswith(part)]
-        for part in DATASET_PARTS
-    )
-    return write_dataset(out, map(read_log, train), map(read_log, test), description, overwrite)
+    logs = [bags / f"{name}.parquet" for name in names]
+    train = map(read_log, logs[: config.logs])
+    test = map(read_log, logs[config.logs :])
+    return write_dataset(out, train, test, description, overwrite)
 
 
 def evaluate_live(
@@ -175,7 +170,7 @@ def evaluate_live(
     progress: Progress = silent,
 ) -> EvaluationSummary:
     """Evaluate a controller on a real fin (paper Sec. IV-B, Table II), as `softfin.evaluate` does
-    on a plant."""
+    on a simulated plant."""
     artifacts.check_vacant(out, overwrite)
     loaded = load_controller(controller)
     robot.check_fits(str(controller), loaded.limits, loaded.artifact.fin)
@@ -196,7 +191,7 @@ def evaluate_live(
 
 
 class LiveFin:
-    """A real fin and the controller on it, as the evaluation's `RealTime`."""
+    """A real fin and its controller, as a `RealTime` target of an evaluation."""
 
     def __init__(
         self, session: Session, controller: Controller, robot: RobotSetup, progress: Progress
@@ -243,11 +238,10 @@ class LiveFin:
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(EXTRA_TICKS)]
-        # Without power, because resampling ten minutes of samples takes longer than a tick may be
-        # late.
+        # Power off first: resampling ten minutes of samples takes longer than a tick may be late.
         session.deactivate()
-        # A tick's reading is the one at its end: row 0, the rest before the first action, is left
-        # out.
+        # A tick's reading is taken at its end, so row 0, the rest before the first action, is
+        # dropped below.
         issued = [(first.time - HALF_TICK_S, results[0].target)]
         log = log_from_samples([*samples, *tail], issued, len(samples), longest_gap(self._robot))
         ticks = [result.target for result in results for _ in result.samples]
@@ -258,13 +252,13 @@ class LiveFin:
 
 
 def longest_gap(robot: RobotSetup) -> float:
-    """Return the longest gap that a log may have [s]; gaps allowed by the safety limits are also
-    bridged."""
+    """Return the longest gap allowed in a log [s]; gaps that the safety limits allow are
+    interpolated as well."""
     return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
 
 
 def find_bags(out: Path) -> Path:
-    """Return the folder of recordings beside an output."""
+    """Return the folder of recordings next to an output folder."""
     return out.absolute().with_name(f"{out.absolute().name}-bags")
 
 
@@ -274,13 +268,14 @@ def log_from_samples(
     rows: int,
     gap_s: float = GAP_S,
 ) -> Log:
-    """Resample both devices to one 100 Hz grid, from the first sample on, without the jitter of the
-    loop.
+    """Resample drive and sensor onto a common 100 Hz grid that starts at the first sample, which
+    removes the loop's jitter.
 
-    `issued` holds each command and when it was issued [s]. The force of a moment is known only
-    after its filter, so a few more samples than rows are needed. Raises DeviceError if the samples
-    end early or have a longer gap.
+    `issued` contains the time [s] and target of each command. The force filter delays its output,
+    so `samples` must extend a little beyond the last row. Raises DeviceError if the samples end
+    early or have a gap longer than `gap_s`.
     """
+    # The force has its own times: the sensor's filter reports it later than the angle.
     grid = samples[0].time + TICK_S * np.arange(rows)
     joint = _resample(
         np.array([(s.time, s.angle, s.velocity) for s in samples]), grid, "angle", gap_s
@@ -300,21 +295,34 @@ def log_from_samples(
 
 
 def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> list[np.ndarray]:
+    # A device may repeat a reading, and interpolation needs increasing times.
     points = points[np.diff(points[:, 0], prepend=-np.inf) > 0]
     time = points[:, 0]
+    # Gaps between readings within the grid, including the gaps at both of its ends.
     within = time[(time > grid[0]) & (time < grid[-1])]
     gaps = np.diff(np.concatenate([[min(time[0], grid[0])], within, [grid[-1]]]))
     if time[0] > grid[0] + gap_s or time[-1] < grid[-1] or gaps.max() > gap_s:
+        # Where the longest gap starts, in seconds from the start of the log.
         place = 0.0 if time[0] > grid[0] + gap_s else gaps[: gaps.argmax()].sum()
         raise DeviceError(
-            f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log: at most "
-            f"{gap_s * 1e3:.0f} ms; see softfin rig check, and record this log again with --resume"
+            f"no {name} for {gaps.max() * 1e3:.0f} ms at {place:.2f} s of the log (limit "
+            f"{gap_s * 1e3:.0f} ms); run softfin rig check, then record this log again with "
+            "--resume"
         )
     return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
 
 
+def _log_names(config: CollectConfig) -> list[str]:
+    """Return the names of all logs of a collection, training logs first."""
+    names = []
+    for part, count in (("train", config.logs), ("test", config.test_logs)):
+        digits = DATASET_PARTS[part]
+        names += [f"{part}-{index:0{digits}d}" for index in range(count)]
+    return names
+
+
 def _drop_addresses(configuration: JsonObject) -> JsonObject:
-    """Return the configuration without the settings that say how its devices are reached."""
+    """Return the configuration without the addresses of its devices."""
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
         kept["sensor"] = {
@@ -324,9 +332,9 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
 
 
 def _sensor_state(machine: Machine) -> JsonObject:
-    """Return the serial number of the sensor's calibration and its last zero; None for anything
-    that a machine does not have."""
-    # Only a rig has a sensor of its own; one behind ROS 2 belongs to another program.
+    """Return the serial number of the sensor's calibration and its last zero; None for entries that
+    a machine lacks."""
+    # Only a rig owns its sensor; behind ROS 2 the sensor belongs to another program.
     if not isinstance(machine, Rig):
         return {"sensor_serial": None, "force_zero": None}
     force_zero = load_record(machine.config.file).force_zero
@@ -337,48 +345,49 @@ def _sensor_state(machine: Machine) -> JsonObject:
 
 
 def _sensor_file(bags: Path, name: str) -> Path:
-    """Return the file of the sensor's state at one log."""
+    """Return the file of the sensor's state for one log."""
     return bags / f"{name}.sensor.json"
 
 
 def _sensor_states(bags: Path, names: Sequence[str]) -> JsonObject:
-    """Return the sensor's state at each recorded log."""
+    """Return the sensor's state for each recorded log."""
     files = {name: _sensor_file(bags, name) for name in names}
     return {name: artifacts.read_json(file) for name, file in files.items() if file.exists()}
 
 
 def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
-    """Return a warning if the force at rest before a log differs from that before the first log."""
+    """Return a warning if the rest force before a log differs from that before the first log."""
     first_name = next(iter(sensor_states))
     first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
     drift = float(np.linalg.norm(now_n - first_n))
     if drift <= DRIFT_N:
         return None
     return (
-        f"{name}: the force at rest is {drift:.2f} N from that of {first_name}: at most "
-        f"{DRIFT_N:g} N; let the sensor and the water reach one temperature, and look for what "
-        "touches the fin"
+        f"{name}: the rest force differs by {drift:.2f} N from that of {first_name} (limit "
+        f"{DRIFT_N:g} N); let the sensor and the water reach the same temperature, and check that "
+        "nothing touches the fin"
     )
 
 
 def _check_claim(bags: Path, claim: JsonObject, resume: bool) -> None:
-    """Raise ArtifactError if the folder contains other recordings, or finished ones without
+    """Raise ArtifactError if the folder contains other recordings, or finished logs without
     `resume`."""
     state = bags / STATE
     if not state.exists():
         if bags.exists() and any(bags.iterdir()):
             raise ArtifactError(
-                f"{bags}: exists and does not hold a collection; give another --out"
+                f"{bags}: already exists and is not a collection; choose another --out"
             )
     elif any(bags.glob("*.parquet")):
         if not resume:
             raise ArtifactError(
-                f"{bags}: holds finished logs; go on with --resume, give another --out, or move it "
-                "away"
+                f"{bags}: contains finished logs; continue with --resume, choose another --out, or "
+                "move the folder away"
             )
+        # Through JSON and back, so that tuples and numbers compare equal to those in the file.
         before = artifacts.read_json(state)
         now = json.loads(artifacts.dump_json(claim))
-        check_same(bags, before, now, "give the same options and rig, or another --out")
+        check_same(bags, before, now, "use the same options and rig, or choose another --out")
 
 
 def _record(
@@ -388,14 +397,14 @@ def _record(
     name: str,
     report: Callable[[int, Sample], None],
 ) -> tuple[Log, MeasuredForce]:
-    """Record a log whose row k holds the reading of tick k + 1 and the command issued at that
-    moment.
+    """Record a log whose row k contains the reading of tick k + 1 and the command issued at that
+    time.
 
-    Return it with the force at rest before it [N], which was subtracted from its force.
+    Returns it with the rest force before the log [N], which is already subtracted from its force.
     """
     part, number = name.split("-")
     _, key = jax.random.split(named_key(config.seed, f"collect/{part}/{int(number)}"))
-    # As for a plant: one command per tick, and one more to begin with.
+    # As for a simulated plant: one command per tick, and an initial one.
     sampled = config.excitation(key, config.rows + 1, robot.machine.limits)
     commands = [Target(*command) for command in np.stack(sampled, axis=1).astype(float).tolist()]
     session.activate()
@@ -405,10 +414,12 @@ def _record(
     for tick in range(len(commands) + EXTRA_TICKS):
         sample = session.tick()
         samples.append(sample)
+        # The drive holds a command until the next one, so only changes are sent.
         if tick < len(commands):
             if not issued or commands[tick] != issued[-1][1]:
                 session.command(commands[tick])
                 issued.append((sample.time - HALF_TICK_S, commands[tick]))
+            # Progress twice per second, and at the end of the log.
             if tick % (RATE_HZ // 2) == 0 or tick >= config.rows:
                 report(tick, sample)
     session.deactivate()

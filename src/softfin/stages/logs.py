@@ -1,4 +1,4 @@
-"""Check recordings and import them as a dataset; no JAX."""
+"""Check recordings and import them as a dataset. No JAX."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def inspect_logs(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Find what is wrong with recordings; writes ``inspection.json`` and a figure to `out`."""
+    """Check recordings for issues; writes ``inspection.json`` and a figure to `out`."""
     if out is not None:
         artifacts.check_vacant(out, overwrite)
     config = config or ImportConfig()
@@ -44,8 +44,8 @@ def import_logs(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> tuple[Dataset, Inspection]:
-    """Turn recordings of any kind into a dataset; raises LogError if they have errors, unless these
-    are ignored."""
+    """Convert recordings of any kind to a dataset; raises LogError if they have errors and
+    `ignore_errors` is not set."""
     artifacts.check_vacant(out, overwrite)
     opened = open_logs(path, config or ImportConfig(), progress)
     opened.check_train(str(path))

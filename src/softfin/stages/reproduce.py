@@ -1,5 +1,5 @@
-"""The main job in one run: collect, fit, train, evaluate, report; each stage has its own folder, so
-that a stopped run can continue."""
+"""The complete pipeline in one run: collect, fit, train, evaluate, report. Each stage has its own
+folder, so that a stopped run can continue."""
 
 import json
 import resource
@@ -46,10 +46,10 @@ REPRODUCTION_KIND = "reproduction"
 RESULTS = "results.json"
 PAGE = "explore.html"
 SHOWN_TEST_S = 8
-"""Length of the stretch of a test log in the report [s]."""
+"""Length of the test-log segment in the report [s]."""
 
 Evaluated: TypeAlias = dict[str, tuple[EvaluationSummary, Evaluation]]
-"""By kind of controller, what its ``evaluation.json`` holds, and the evaluation."""
+"""Contents of ``evaluation.json`` and the evaluation, by kind of controller."""
 
 
 def reproduce(
@@ -62,17 +62,16 @@ def reproduce(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> RunResults:
-    """Run all stages into `out` and write ``results.json``, whose keys docs/files.md lists, and
-    ``report.html``.
+    """Run all stages into `out`; writes ``results.json`` (keys: docs/files.md) and ``report.html``.
 
-    If a page can simulate the plant or the surrogate, also write ``explore.html``, to try the
+    If a page can simulate the plant or the surrogate, also writes ``explore.html``, for trying the
     controllers.
     """
     config = config or ReproduceConfig()
     run = _Reproduction(plant, out, config, seed, progress)
     run.claim(resume, overwrite)
     if resume and (out / RESULTS).is_file():
-        # The run was complete; a second evaluation would only erase the times of its stages.
+        # The run is complete; evaluating again would only erase the times of its stages.
         complete: RunResults = json.loads((out / RESULTS).read_text())
         return complete
     scores = None if is_surrogate(plant) else run.learn_surrogate()
@@ -109,24 +108,7 @@ def reproduce(
         "configuration": config.model_dump(mode="json"),
         "provenance": artifacts.provenance(seed=seed, plant=plant),
     }
-    shown = observed or evaluated
-    best = headline(results)
-    figures = {
-        "headline": {}
-        if best is None
-        else {best.caption: held_figure(shown[best.controller][1].recording)},
-        "surrogate": run.surrogate_figures() if scores is not None else {},
-        "learning": run.learning_figures(),
-        "experiment": {
-            f"{kind} controller, seed {seed}": experiments_figure(e.recording)
-            for kind, (_, e) in evaluated.items()
-        },
-        "moving": {
-            f"{kind} controller, seed {seed}": moving_figure(e.moving)
-            for kind, (_, e) in shown.items()
-            if e.moving
-        },
-    }
+    figures = run.figures(results, evaluated, observed or evaluated)
     write_report(out / "report.html", results, figures)
     # Written last, because it marks the run as complete.
     artifacts.write_file(out / RESULTS, artifacts.dump_json(results))
@@ -135,12 +117,12 @@ def reproduce(
 
 
 def summaries(evaluated: Evaluated) -> dict[str, EvaluationSummary]:
-    """Return the ``evaluation.json`` of each kind of controller."""
+    """Return the contents of ``evaluation.json`` of each kind of controller."""
     return {kind: summary for kind, (summary, _) in evaluated.items()}
 
 
 class _Reproduction:
-    """One run and the folders of its parts."""
+    """A run and the folders of its parts."""
 
     def __init__(
         self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress
@@ -159,7 +141,7 @@ class _Reproduction:
     def claim(self, resume: bool, overwrite: bool) -> None:
         """Claim the folder for this run, or continue a stopped run with the same options.
 
-        A complete run to be replaced is kept until this one is complete.
+        A complete run that is being replaced is kept until this one is complete.
         """
         configuration = self.config.model_dump(mode="json")
         plant = identity(find_plant(self.plant), computed=True)
@@ -174,6 +156,7 @@ class _Reproduction:
             else:
                 return
         artifacts.check_vacant(self.out, overwrite)
+        # Only a complete run is kept until the new one is complete.
         if (self.out / RESULTS).is_file():
             shutil.rmtree(self.replaced, ignore_errors=True)
             self.out.rename(self.replaced)
@@ -204,8 +187,7 @@ class _Reproduction:
 
     @contextmanager
     def timed(self, name: str, what: str) -> Iterator[None]:
-        """Take down at the end of a stage what it made, and its seconds on the wall and of the
-        processor."""
+        """Record a stage's result, wall-clock time and CPU time when it ends."""
         start_s = time.perf_counter()
         start_processor_s = time.process_time()
         yield
@@ -216,7 +198,7 @@ class _Reproduction:
         )
 
     def begin(self, name: str) -> Progress:
-        """Begin a stage; returns its progress report, which includes the number of stages."""
+        """Start a stage; returns its progress callback, which adds the stage's number."""
         number = len(self.stages) + 1
         count = self.count
         self.progress(f"{number}/{count} {name}", 0.0, "")
@@ -237,18 +219,20 @@ class _Reproduction:
         return count
 
     def learn_surrogate(self) -> JsonObject | None:
-        """Collect and fit; Table I."""
+        """Collect logs and fit the surrogate; returns the scores of Table I."""
+        # The run's seed replaces the seed in the configuration of the stage.
         settings = self.config.collect.merged({"seed": self.seed}, "seed")
         minutes = settings.logs * settings.rows / (60 * RATE_HZ)
         what = (
-            f"{minutes:.3g} minutes of random strokes of the fin and the force that they made, "
+            f"{minutes:.3g} minutes of random strokes of the fin and the resulting force, "
             f"{settings.logs} logs"
         )
         self.stage("collect", what, self.dataset, collect, self.plant, self.dataset, settings)
         what = (
-            "a surrogate: neural networks that predict motion and force of the fin from its "
-            "commands"
+            "a surrogate: neural networks that predict the fin's motion and force from its commands"
         )
+        # `resume` continues an interrupted fit and otherwise starts one. Errors are ignored because
+        # the logs were recorded by this run and not by a user's program.
         options = {"seed": self.seed, "resume": True, "ignore_errors": True}
         self.stage(
             "fit",
@@ -266,19 +250,19 @@ class _Reproduction:
         return scores
 
     def make_controllers(self) -> None:
-        """Make one map, its gaits as a controller, and the policies of all seeds; those of one kind
-        are trained in one program."""
+        """Produce the map, its gaits as a controller, and the policies of all seeds; policies of
+        one kind are trained in one program."""
         surrogate = str(self.surrogate)
         mapped = None
         if (settings := self.config.map) is not None:
             mapped = self.out / "map"
             what = (
-                "the mean forces that the fin can make, and gaits, six actions each, that make "
-                "them in the surrogate"
+                "the mean forces that the fin can produce, and the gaits (six actions each) that "
+                "produce them in the surrogate"
             )
             self.stage("map", what, mapped, map_forces, surrogate, mapped, settings)
             gaits = self.out / "gaits"
-            what = "the controller gaits: those gaits as a table, blended between its nodes"
+            what = "the controller gaits: these gaits as a table, blended between its nodes"
             self.stage("gaits", what, gaits, find_gaits, surrogate, gaits, force_map=mapped)
         for kind, config in self.config.policies.items():
             algorithm = "gradients through it" if config.algorithm == "gradient" else "LSTM-PPO"
@@ -302,9 +286,9 @@ class _Reproduction:
         return self.out / kind / f"seed-{seed}"
 
     def make_page(self) -> None:
-        """Write the page to try the controllers of the first seed, if it can simulate a plant of
-        this run."""
-        # The surrogate, given by its folder, may also be the plant of this run.
+        """Write the page for trying the controllers of the first seed, if it can simulate a plant
+        of this run."""
+        # The plant of this run may itself be the surrogate's folder, perhaps spelled differently.
         places = {Path(name).resolve(): name for name in (str(self.surrogate), self.plant)}
         plants = [name for name in reversed(places.values()) if is_shown(find_plant(name))]
         if not plants:
@@ -318,10 +302,10 @@ class _Reproduction:
     def evaluate(
         self, plant: str, folder: str, *, trim: bool = False, moving: bool = True
     ) -> Evaluated:
-        """Evaluate the controllers of each kind and all seeds on a plant, as one evaluation over
-        the seeds."""
+        """Evaluate all controllers on a plant; for each kind, the seeds are combined into one
+        evaluation."""
         where = {str(self.surrogate): "the surrogate", "tank": "the virtual tank"}.get(plant, plant)
-        what = f"these controllers tried in {where}"
+        what = f"evaluation of these controllers in {where}"
         if trim:
             what += ", with force feedback (--trim)"
         evaluated = Evaluated()
@@ -339,7 +323,7 @@ class _Reproduction:
                     controller = load_controller(path)
                     check_limits(controller.limits, target.limits, path, plant)
                     each.append(score_controller(controller, target, config))
-                # Not after every seed: the first one takes long, and the others share its program.
+                # Not reported per seed: the first one compiles the program that the others share.
                 progress(folder, place / len(self.config.kinds), kind)
                 whole = together(each)
                 repetitions = (
@@ -354,8 +338,32 @@ class _Reproduction:
                 )
         return evaluated
 
+    def figures(
+        self, results: RunResults, evaluated: Evaluated, shown: Evaluated
+    ) -> dict[str, dict[str, Figure]]:
+        """Draw the figures of the report by section; moving references are those of `shown`."""
+        figures: dict[str, dict[str, Figure]] = {
+            "headline": {},
+            "surrogate": {} if results["surrogate"] is None else self.surrogate_figures(),
+            "learning": self.learning_figures(),
+            "experiment": {},
+            "moving": {},
+        }
+        best = headline(results)
+        if best is not None:
+            recording = shown[best.controller][1].recording
+            figures["headline"][best.caption] = held_figure(recording)
+        for kind, (_, evaluation) in evaluated.items():
+            caption = f"{kind} controller, seed {self.seed}"
+            figures["experiment"][caption] = experiments_figure(evaluation.recording)
+        for kind, (_, evaluation) in shown.items():
+            if evaluation.moving:
+                caption = f"{kind} controller, seed {self.seed}"
+                figures["moving"][caption] = moving_figure(evaluation.moving)
+        return figures
+
     def learning_figures(self) -> dict[str, Figure]:
-        """Draw the reward over the steps, and the error of the policies without noise."""
+        """Draw the reward, and the error without exploration noise, over the training steps."""
         logs = {
             kind: read_training_log(self.out / kind / TRAINING_LOG / LOG)
             for kind in self.config.policies
@@ -373,8 +381,8 @@ class _Reproduction:
             return found
 
         return {
-            "Mean reward a step while exploring": learning_figure(
-                curves("reward"), "mean reward a step [N]"
+            "Mean reward per step during exploration": learning_figure(
+                curves("reward"), "mean reward per step [N]"
             ),
             "Mean error of the policies without exploration noise, over both axes": learning_figure(
                 curves("score_x_n", "score_y_n"), "error without noise [N]"
@@ -382,19 +390,21 @@ class _Reproduction:
         }
 
     def surrogate_figures(self) -> dict[str, Figure]:
-        """Draw a stretch of an unseen log and its prediction by the surrogate."""
+        """Draw a segment of a test log and the surrogate's prediction of it."""
         data = Dataset.open(self.dataset)
         surrogate = load_surrogate(self.surrogate)
         if not data.test:
             return {}
         log = next(data.load(data.test[:1]))
         rows = len(log.reading.time)
+        # Late enough to fill the surrogate's memory.
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
         free, _ = free_run(surrogate, [log], [(0, first)], ticks)
         predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
+            # Row i of this prediction is for row i + window of the log.
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             predicted = {
                 "given the angle": surrogate.predict_force(log, free_running=False)[behind],
@@ -408,6 +418,7 @@ class _Reproduction:
 
 
 def _peak_memory_gib() -> float:
-    """Return the largest resident memory of this process so far."""
+    """Return the peak resident memory of this process so far [GiB]."""
+    # macOS reports bytes, Linux kibibytes.
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return largest / (2**30 if sys.platform == "darwin" else 2**20)

@@ -1,4 +1,4 @@
-"""Configuration of a whole run, stage by stage, and the presets of ``softfin reproduce``."""
+"""Configuration of a complete run, stage by stage, and the presets of ``softfin reproduce``."""
 
 from pydantic import PositiveInt, model_validator
 
@@ -17,46 +17,48 @@ from softfin.task.references import PAPER_RANGE
 from softfin.task.signals import Recorded
 
 CONTROLLER_KINDS: tuple[ControllerKind, ...] = ("gaits", "single", "grid")
-"""Kinds of controllers, in the order in which they are made."""
+"""Kinds of controllers, in the order in which they are produced."""
 
 ONE_STEP = Recorded(time_s=(0, 10), force_n=((2, -1), (2, 1)))
-"""A moving reference: one step from one side to the other."""
+"""Moving reference: one step from one side to the other."""
 
 
 class ReproduceConfig(Configuration):
     """Configuration of all stages; the defaults are the paper's data and budgets. A controller set
-    to null is not made."""
+    to null is skipped."""
 
     collect: CollectConfig = CollectConfig()
-    """Logs of the plant; not used when the plant is a surrogate."""
+    """Logs of the plant; unused if the plant is a surrogate."""
     fit: FitConfig | StreamingConfig = FitConfig()
-    """The surrogate, the paper's networks or streaming ones; not used when the plant is one."""
+    """Surrogate with the paper's networks or streaming networks; unused if the plant is a
+    surrogate."""
     gaits: MapConfig | None = None
-    """The force map, whose gaits are a controller and the start of policies that begin as gaits.
-    Without a box it covers all references for which a controller is made."""
+    """Force map. Its gaits form a controller and initialise policies that start from gaits. Without
+    a box, the map covers all references of the trained controllers."""
     single: TrainConfig | None = SINGLE
     """One policy for all references."""
     grid: TrainConfig | None = GRID
-    """One policy a cell."""
+    """One policy per cell."""
     evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
-    """The experiments; each trained controller does all of them, `seeds` times. With `trim` set,
-    all are done in the plant without and with force feedback."""
+    """Experiments; each trained controller runs all of them, `seeds` times. With `trim`, all run in
+    the plant without and with force feedback."""
     seeds: PositiveInt = 5
-    """Number of policies trained of each kind, from seeds 0, 1, ...; the intervals are over
-    these."""
+    """Number of policies trained per kind, from consecutive seeds; intervals are computed over
+    them."""
 
     @property
     def policies(self) -> dict[ControllerKind, TrainConfig]:
-        """The training runs by the kind of controller."""
-        trained: dict[ControllerKind, TrainConfig | None] = {
-            "single": self.single,
-            "grid": self.grid,
-        }
-        return {kind: config for kind, config in trained.items() if config is not None}
+        """Training runs by kind of controller."""
+        trained: dict[ControllerKind, TrainConfig] = {}
+        if self.single is not None:
+            trained["single"] = self.single
+        if self.grid is not None:
+            trained["grid"] = self.grid
+        return trained
 
     @property
     def kinds(self) -> list[ControllerKind]:
-        """The kinds of controllers that are made."""
+        """Kinds of controllers that are produced."""
         return [kind for kind in CONTROLLER_KINDS if getattr(self, kind) is not None]
 
     @property
@@ -74,23 +76,21 @@ class ReproduceConfig(Configuration):
         for name in ("error_map", "random"):
             if getattr(self.evaluate, name):
                 raise ValueError(
-                    f"evaluate.{name} is set; a reproduction evaluates at given references: leave "
-                    "it out; give it to softfin evaluate with a controller of the reproduction"
+                    f"evaluate.{name} is set, but a reproduction evaluates only fixed references; "
+                    "omit it, and use it in softfin evaluate with one of the controllers instead"
                 )
         if not self.kinds:
-            raise ValueError(
-                "gaits, single and grid are null, so nothing is made; keep one of them"
-            )
+            raise ValueError("gaits, single and grid are all null; set at least one of them")
         cells = {kind: config.cells for kind, config in self.policies.items()}
         if self.map is not None and self.map.box is not None:
             cells["gaits"] = (self.map.box,)
         for reference in self.evaluate.references:
             for kind, own in cells.items():
                 if all(cell.distance(reference) > 0 for cell in own):
-                    missing = (
-                        f"evaluate.references has {reference} N, which no cell of {kind} covers"
+                    raise ValueError(
+                        f"evaluate.references has {reference} N, which no cell of {kind} covers; "
+                        "add a cell"
                     )
-                    raise ValueError(f"{missing}; add a cell")
         return self
 
 
@@ -125,6 +125,6 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
     ),
 }
 """``paper``: the paper's full data and budgets. ``streaming``: the same with a streaming surrogate.
-``best``: that surrogate, and gaits and controllers by gradients through it.
-``demo``: the same from ten minutes of the fin, without the grid, in a few minutes.
-``tiny``: does every stage work at all?"""
+``best``: streaming surrogate, with gaits and controllers found by gradients through it. ``demo``:
+the same from ten minutes of data, without the grid, in a few minutes. ``tiny``: a check that every
+stage works."""

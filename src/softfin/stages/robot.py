@@ -1,4 +1,4 @@
-"""Stages of robots with several fins: check, evaluation, and a page that shows a trial."""
+"""Stages for robots with several fins: check, evaluation, and a page that shows a trial."""
 
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,7 @@ def evaluate(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Evaluate a robot in simulation; writes ``robot.json``, figures and a page for each task to
+    """Evaluate a robot in simulation; writes ``robot.json``, figures and one page per task to
     `out`."""
     artifacts.check_vacant(out, overwrite)
     config = config or RobotEvaluateConfig()
@@ -67,7 +67,7 @@ def evaluate(
 
 
 VIEWED = RobotEvaluateConfig(tasks=("hold",), hold_s=60, settled_s=15, path_s=100)
-"""Trial that is shown by default."""
+"""Trial shown by default."""
 
 
 def view(
@@ -78,14 +78,14 @@ def view(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Show one trial of the first task as a page in three dimensions; returns its errors."""
+    """Show one trial of the first task on a page in 3D; returns its errors."""
     task = config.tasks[0]
     if out.suffix != ".html":
-        raise ConfigurationError(
-            f"{out}: a robot is shown as a page; give a name that ends in .html"
-        )
+        raise ConfigurationError(f"{out}: must end in .html")
     if task not in TITLES:
-        raise ConfigurationError(f"{task}: there are pages of {', '.join(TITLES)}")
+        raise ConfigurationError(
+            f"{task}: no page for this task; available tasks are {', '.join(TITLES)}"
+        )
     artifacts.check_file(out, overwrite)
     body = load_robot(robot)
     tanks = build_tanks(body)
@@ -104,33 +104,33 @@ def _title(robot: RobotConfig, task: str, dead: bool) -> str:
 
 
 def build_tanks(robot: RobotConfig) -> list[Tank]:
-    """Build the tank of each fin; fins with the same plant share one. Raises ConfigurationError for
-    other plants."""
+    """Build the tank of each fin; fins with the same plant share a tank. Raises ConfigurationError
+    for other plants."""
     built: dict[str, Tank] = {}
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:
             raise ConfigurationError(
-                f"robot {robot.name}: {name} turns within a range; robots are simulated with fins "
-                "that turn all the way round: leave range_rad out"
+                f"robot {robot.name}: {name} has a limited range, but simulated fins turn all the "
+                "way round; omit range_rad"
             )
         if fin.plant not in built:
             plant = find_plant(fin.plant)
             if not isinstance(plant, Tank):
                 raise ConfigurationError(
-                    f"robot {robot.name}: {name} is {fin.plant}; a robot moves, and only a tank "
-                    "knows moving water: give tank, or the YAML file of a tank"
+                    f"robot {robot.name}: {name} is {fin.plant}, but only a tank models a moving "
+                    "mount; use tank, or the YAML file of a tank"
                 )
             built[fin.plant] = plant
         first = next(iter(built.values()))
         if _shapes(built[fin.plant]) != _shapes(first):
             raise ConfigurationError(
-                f"robot {robot.name}: {name} is {fin.plant}, which is another program than that of "
-                "the fins before it; give their tanks the same number of plates"
+                f"robot {robot.name}: {name} is {fin.plant}, whose structure differs from that of "
+                "the previous fins; use tanks with the same number of plates"
             )
     return [built[fin.plant] for fin in robot.fins.values()]
 
 
 def _shapes(tank: Tank) -> tuple[Any, ...]:
-    """Return everything that tanks must share to use one program."""
+    """Return the structure that tanks must share to run in one compiled program."""
     arrays, rest = eqx.partition(tank, eqx.is_array)
     return jax.tree.structure(rest), [leaf.shape for leaf in jax.tree.leaves(arrays)]

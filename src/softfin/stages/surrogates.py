@@ -1,4 +1,4 @@
-"""Stages about models of a fin: fit and compare surrogates (paper Sec. III-B), and calibrate the
+"""Stages for models of a fin: fit and compare surrogates (paper Sec. III-B), and calibrate the
 tank."""
 
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import command_limits
+from softfin.core.quantities import Log, command_limits
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
@@ -48,12 +48,12 @@ def fit(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> JsonObject:
-    """Fit a surrogate to logs, score it on their test logs, and write it; returns Table I, counts
-    of issues, and a caveat.
+    """Fit a surrogate to logs, score it on the test logs, and write it; returns Table I, issue
+    counts and a caveat.
 
-    The kind of configuration selects the model: the paper's networks or streaming networks.
-    `dataset` is a dataset's folder, or recordings of any other kind, read with the options `logs`;
-    raises LogError if these have errors, unless they are ignored, now or when the dataset was
+    The class of the configuration selects the model: the paper's networks or streaming networks.
+    `dataset` is a dataset's folder, or recordings of any other kind, read with the options `logs`.
+    Raises LogError if the logs have errors, unless errors are ignored, now or when the dataset was
     imported.
     """
     config = config or StreamingConfig()
@@ -74,10 +74,8 @@ def fit(
     }
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if not run_directory.complete:
-        limits = command_limits(opened.train)
-        if problem := limits.problem(one_velocity=True):
-            hint = "; are they in degrees? see --angles deg" if limits.contains_rest else ""
-            raise LogError(f"{dataset}: the training commands: {problem}{hint}")
+        _check_commands(dataset, opened.train)
+        # Check the test logs before the long fit, so that scoring cannot fail afterwards.
         test = opened.test
         check_lengths(test, SKIPPED, "test")
         if test:
@@ -87,7 +85,7 @@ def fit(
             fitted = fit_paper(opened.train, config, seed, run_directory, progress)
         else:
             fitted = fit_streaming(opened.train, config, seed, run_directory, progress)
-        # A dataset's own folder has its metadata.
+        # The metadata of a dataset are already in its own folder.
         own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(
             seed=seed, data_hash=opened.data_hash, dataset=str(dataset), **own
@@ -116,6 +114,14 @@ def fit(
     }
 
 
+def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
+    """Raise LogError if no fin can have the range of the training commands."""
+    limits = command_limits(train)
+    if problem := limits.problem(one_velocity=True):
+        hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""
+        raise LogError(f"{dataset}: the training commands: {problem}{hint}")
+
+
 def import_keras(
     posnet: Path, forcenet: Path, scalers: Path, out: Path, *, overwrite: bool = False
 ) -> Surrogate:
@@ -140,10 +146,10 @@ def compare(
     progress: Progress = silent,
 ) -> JsonObject:
     """Score surrogates on a dataset's test logs, free-running over several horizons; writes JSON
-    and a figure.
+    and a figure to `out`.
 
-    `noise_floor` is a plant that records the same commands again, such as the tank: its error
-    consists of noise and drift, twice, and the perturbation of the tanks.
+    `noise_floor` is a plant that records the same commands again, such as the tank. Its error comes
+    from the noise and drift of both recordings and from the perturbation of the tanks.
     """
     config = config or CompareConfig()
     if out is not None:
@@ -152,7 +158,7 @@ def compare(
     data = Dataset.open(dataset)
     if not data.test:
         raise ArtifactError(
-            f"{dataset}: holds no test logs to compare on; put Parquet logs into {dataset / 'test'}"
+            f"{dataset}: contains no test logs; put Parquet logs into {dataset / 'test'}"
         )
     floor = None if noise_floor is None else (plant_name(noise_floor), find_plant(noise_floor))
     comparison = compare_surrogates(found, list(data.load(data.test)), config, floor, progress)

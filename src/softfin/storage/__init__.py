@@ -1,2 +1,1 @@
-"""Files on disk: artifacts, run directories, logs, datasets, bags; and plants found by their
-names."""
+"""Files on disk: artifacts, run directories, logs, datasets and bags. Also finds plants by name."""

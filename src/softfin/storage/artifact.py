@@ -1,10 +1,10 @@
-"""Folders that describe themselves: a JSON file beside ``weights.safetensors``, written completely
-or not at all.
+"""Self-describing folders: a JSON file next to ``weights.safetensors``, written completely or not
+at all.
 
-A folder is written next to its destination, flushed to the disk and renamed. The folder that it
-replaces is kept until then, so a crash loses neither. Reading never writes. No pickle. NumPy and
-safetensors are imported only where weights are read or written; the command line inspects folders
-without them.
+A folder is written next to its destination, flushed to disk and renamed. A replaced folder is kept
+until then, so a crash loses neither. Reading never writes, and pickle is never used. NumPy and
+safetensors are imported only to read or write weights; the command line inspects folders without
+them.
 """
 
 import contextlib
@@ -29,36 +29,37 @@ WEIGHTS = "weights.safetensors"
 
 
 def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> None:
-    """Raise ArtifactError unless a folder can be written at `path`: vacant, or a softfin folder and
-    `overwrite`."""
+    """Raise ArtifactError unless a folder can be written to `path`: it must be vacant, or a softfin
+    folder with `overwrite` set."""
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
     if not overwrite:
         raise ArtifactError(
-            f"{path}: exists already; give another {option}, or --overwrite to replace it"
+            f"{path}: already exists; choose another {option}, or use --overwrite to replace it"
         )
     if not any(_is_own(path, kind) for kind in FOLDERS):
         raise ArtifactError(
-            f"{path}: exists and was not written by softfin, so it is not replaced; give another "
-            f"{option}"
+            f"{path}: already exists and was not written by softfin, so it is not replaced; choose "
+            f"another {option}"
         )
 
 
 def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
-    """Raise ArtifactError unless a file may be written at `path`, which an option names."""
+    """Raise ArtifactError unless a file can be written to `path`, the value of `option`."""
     if path.exists() and not path.is_file():
-        raise ArtifactError(f"{path}: exists and is not a file; give another {option}")
+        raise ArtifactError(f"{path}: already exists and is not a file; choose another {option}")
     if path.exists() and not overwrite:
         raise ArtifactError(
-            f"{path}: exists already; give another {option}, or --overwrite to replace it"
+            f"{path}: already exists; choose another {option}, or use --overwrite to replace it"
         )
     check_writable(path, option)
 
 
 def check_writable(path: Path, option: str = "--out") -> None:
-    """Raise ArtifactError unless a file or folder can be made at `path`; this is tried, because
-    permissions do not tell everything."""
+    """Raise ArtifactError unless a file or folder can be created at `path`. This is tried, because
+    permissions are not the only obstacle."""
+    # The nearest existing parent decides whether the missing folders can be created.
     parent = path.absolute().parent
     while not parent.exists():
         parent = parent.parent
@@ -66,12 +67,12 @@ def check_writable(path: Path, option: str = "--out") -> None:
         Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=parent)).rmdir()
     except OSError as error:
         raise ArtifactError(
-            f"{path}: cannot be written ({parent}: {error.strerror}); give another {option}"
+            f"{path}: cannot be written ({parent}: {error.strerror}); choose another {option}"
         ) from None
 
 
 def is_kind(path: Path, kind: str) -> bool:
-    """Whether `path` holds a ``KIND.json``."""
+    """Whether the folder `path` contains a ``KIND.json``."""
     return (path / f"{kind}.json").is_file()
 
 
@@ -79,7 +80,7 @@ def _is_own(path: Path, kind: str) -> bool:
     """Whether softfin wrote a folder of this kind; other programs also write a ``robot.json``."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
         content = json.loads((path / f"{kind}.json").read_text())
-        # The first ones had no kind.
+        # Early descriptions had no kind.
         return isinstance(content, dict) and (
             content.get("kind") == kind or "provenance" in content
         )
@@ -87,11 +88,11 @@ def _is_own(path: Path, kind: str) -> bool:
 
 
 def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = False) -> None:
-    """Let `write` fill a folder beside `path`, then rename it to `path`; `overwrite` replaces an
+    """Let `write` fill a folder next to `path`, then rename it to `path`; `overwrite` replaces an
     existing folder.
 
-    Raises ArtifactError if `path` may not be written, and RunError if filling or renaming fails.
-    After a failed renaming the filled folder is kept, and the message names it.
+    Raises ArtifactError if `path` must not be written, and RunError if filling or renaming fails.
+    If renaming fails, the filled folder is kept, and the message names it.
     """
     check_vacant(path, overwrite)
     path = path.resolve()
@@ -110,6 +111,8 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         raise RunError(
             f"{path}: cannot be written ({error.strerror or error}); nothing else was changed"
         ) from None
+    # Another process may have written `path` while this one was computing, so check again. A rename
+    # is atomic: at any moment either the old or the new folder is complete.
     try:
         check_vacant(path, overwrite)
         if path.exists():
@@ -119,6 +122,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     except (OSError, ArtifactError) as error:
         if before.exists():
             before.rename(path)
+        # The result may have taken hours: keep it under a name that is free.
         number = 1
         while (kept := path.with_name(f"{path.name}.finished-{number}")).exists():
             number += 1
@@ -127,17 +131,16 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
         if isinstance(error, OSError):
             reason = f"cannot be written ({error.strerror or error})"
         raise RunError(
-            f"{path}: {reason}; the finished result is in {kept}: move it where it is wanted"
+            f"{path}: {reason}; the finished result is in {kept}; move it to where you want it"
         ) from None
     shutil.rmtree(before, ignore_errors=True)
 
 
 def sync(place: Path) -> None:
-    """Flush a file or folder to the disk, so that a power cut does not leave a name without
-    content."""
+    """Flush a file or folder to disk, so that a power cut cannot leave a name without content."""
     descriptor = os.open(place, os.O_RDONLY)
     try:
-        # Some file systems cannot flush folders, and do not need it.
+        # Some file systems cannot flush folders, and do not need to.
         with contextlib.suppress(OSError) if place.is_dir() else contextlib.nullcontext():
             os.fsync(descriptor)
     finally:
@@ -145,13 +148,13 @@ def sync(place: Path) -> None:
 
 
 def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> None:
-    """Write a file next to its destination and rename it once it is on the disk; `data` may be a
+    """Write a file next to its destination and rename it once it is on disk; `data` may be a
     function that writes in pieces."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside.unlink(missing_ok=True)
-        # Never write through a link that somebody put there.
+        # Exclusive creation: never write through a link that somebody else placed there.
         with beside.open("xb") as file:
             if callable(data):
                 data(file)
@@ -162,7 +165,8 @@ def write_file(path: Path, data: bytes | str | Callable[[BinaryIO], None]) -> No
         sync(path.parent)
     except OSError as error:
         raise RunError(
-            f"{path}: cannot be written ({error.strerror or error}); make room, or choose another"
+            f"{path}: cannot be written ({error.strerror or error}); free disk space, or choose "
+            "another path"
         ) from None
     finally:
         with contextlib.suppress(OSError):
@@ -177,12 +181,12 @@ def save(
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write ``KIND.json``, the weights and the files of `extra_files` as one folder, by
+    """Write ``KIND.json``, the weights and the files of `extra_files` as one folder, with
     `write_folder`."""
 
     def write(folder: Path) -> None:
-        # The bytes are written by Path: safetensors' own writer hides a full disk, and makes files
-        # that other users cannot read.
+        # Path writes the bytes: safetensors' own writer hides a full disk, and creates files that
+        # other users cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         write_description(folder, kind, description)
         if extra_files is not None:
@@ -192,29 +196,29 @@ def save(
 
 
 class Head(TypedDict):
-    """The entries with which a description begins."""
+    """First entries of a description."""
 
     kind: str
     format: int
 
 
 def head(kind: str) -> Head:
-    """Return the entries with which a description begins."""
+    """Return the first entries of a description."""
     return {"kind": kind, "format": FOLDERS[kind].number}
 
 
 def write_description(folder: Path, kind: str, description: Mapping[str, object]) -> None:
-    """Write ``KIND.json`` into a folder that is being written."""
+    """Write ``KIND.json`` to a folder."""
     (folder / f"{kind}.json").write_text(encode_description(kind, description))
 
 
 def encode_description(kind: str, description: Mapping[str, object]) -> str:
-    """Return the JSON of a description; it begins with kind and format number."""
+    """Return a description as JSON, starting with its kind and format number."""
     return dump_json({**head(kind), **description})
 
 
 def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None) -> bytes:
-    """Arrays by name as safetensors."""
+    """Encode named arrays as safetensors."""
     import numpy as np
     import safetensors.numpy
 
@@ -224,7 +228,7 @@ def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None
 
 
 def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
-    """The description and the weights of a folder that `save` wrote; raises ArtifactError for
+    """Read the description and the weights of a folder written by `save`; raises ArtifactError for
     anything else."""
     import safetensors.numpy
 
@@ -235,18 +239,19 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
     try:
         weights = safetensors.numpy.load_file(file)
         for name, array in weights.items():
+            # Only floating-point numbers and integers, signed or not.
             if array.dtype.kind not in "fiu":
                 raise ValueError(f"{name[:80]!r} is of type {array.dtype}")
     except Exception as error:
-        # Damaged files, and types that NumPy lacks, such as bfloat16, make safetensors raise
-        # various errors.
+        # safetensors raises various errors for damaged files and for types that NumPy lacks, such
+        # as bfloat16.
         raise ArtifactError(f"{file}: truncated or damaged ({error}); copy it again") from None
     return description, weights
 
 
 def load_description(path: Path, kind: str) -> JsonObject:
-    """The JSON of a folder of one kind; raises ArtifactError for anything else, and for a format
-    that this softfin does not read."""
+    """Read the JSON of a folder of one kind; raises ArtifactError for anything else, and for a
+    format that this version cannot read."""
     file = find_description(path, kind)
     description = read_json(file)
     check_format(kind, description.get("format", 1), str(file))
@@ -259,32 +264,32 @@ def find_description(path: Path, kind: str) -> Path:
     file = path / f"{kind}.json"
     if not path.is_dir():
         raise ArtifactError(
-            f"{path}: no such folder; it should be a {kind}, a folder with a {kind}.json"
+            f"{path}: no such folder; it must be a {kind}: a folder with a {kind}.json"
         )
     if not file.is_file():
-        raise ArtifactError(f"{path}: not a {kind}: it holds no {kind}.json")
+        raise ArtifactError(f"{path}: not a {kind}: it contains no {kind}.json")
     return file
 
 
 def read_json(file: Path) -> JsonObject:
-    """Return the object in one of softfin's JSON files."""
+    """Read the object in one of softfin's JSON files."""
     try:
         description = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError) as error:
-        raise ArtifactError(f"{file}: not readable as JSON ({error}); copy it again") from None
+        raise ArtifactError(f"{file}: cannot be read as JSON ({error}); copy it again") from None
     if not isinstance(description, dict):
-        raise ArtifactError(f"{file}: holds no object; it was not written by softfin")
+        raise ArtifactError(f"{file}: must contain a JSON object; it was not written by softfin")
     return description
 
 
 def dump_json(value: object) -> str:
-    """Return a value, converted by `plain`, as indented JSON with a final newline."""
+    """Return a value, converted with `plain`, as indented JSON with a final newline."""
     return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
 
 
 def plain(value: object) -> Any:
-    """Convert a value for JSON: arrays become lists, non-finite numbers null, anything unknown a
-    string."""
+    """Convert a value for JSON: arrays become lists, non-finite numbers become null, and unknown
+    objects become strings."""
     if isinstance(value, Mapping):
         return {name: plain(each) for name, each in value.items()}
     if isinstance(value, list | tuple):
@@ -297,10 +302,10 @@ def plain(value: object) -> Any:
 
 
 def provenance(**metadata: object) -> JsonObject:
-    """Provenance of an artifact: the given metadata, versions, git commit, time."""
+    """Return the provenance of an artifact: the given metadata, versions, git commit and time."""
     versions: dict[str, str | None] = dict.fromkeys(("softfin", "jax", "numpy"))
     for package in versions:
-        # Controllers run on computers without JAX.
+        # JAX may be missing: controllers also run on computers without it.
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[package] = importlib.metadata.version(package)
     return {
@@ -313,7 +318,7 @@ def provenance(**metadata: object) -> JsonObject:
 
 
 def _git_commit() -> str | None:
-    """Return the commit of softfin's checkout, with ``+`` if it has uncommitted changes; None
+    """Return the commit of softfin's checkout, with ``+`` if there are uncommitted changes; None
     outside a checkout."""
     checkout = Path(__file__).parents[3]
     # An environment inside another repository is not a checkout of softfin.

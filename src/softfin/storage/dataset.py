@@ -1,8 +1,7 @@
-"""A dataset: a folder of Parquet logs, training logs in ``train/``, test logs in ``test/``, with a
-``dataset.json``.
+"""A dataset: a folder with Parquet logs, training logs in ``train/`` and test logs in ``test/``,
+and a ``dataset.json``.
 
-For logs put there by hand, ``{}`` in ``dataset.json`` suffices; `write_dataset` adds their
-metadata.
+If you add the logs by hand, ``{}`` suffices as ``dataset.json``; `write_dataset` adds metadata.
 """
 
 import dataclasses
@@ -20,30 +19,31 @@ from softfin.storage.paths import DATASET_PARTS, list_logs
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """The logs of a folder; opening it compares the hash of every file, but reads no rows."""
+    """The logs of a folder. Opening it compares the hash of every file, but reads no rows."""
 
     path: Path
     train: tuple[Path, ...]
     """Training logs, at least one."""
     test: tuple[Path, ...]
-    """Test logs, recorded separately; a dataset may have none."""
+    """Test logs, recorded separately; may be empty."""
     description: JsonObject
-    """``dataset.json``: rate_hz, files, data_hash, and what the writer added (configuration, plant,
+    """``dataset.json``: rate_hz, files, data_hash and the writer's metadata (configuration, plant,
     provenance)."""
     data_hash: str
-    """SHA-256 over the names and contents of all logs, which identifies the data of a surrogate."""
+    """SHA-256 over the names and contents of all logs; identifies the data that a surrogate was
+    fitted to."""
 
     @classmethod
     def open(cls, path: Path) -> "Dataset":
-        """Open a folder; raises ArtifactError if it lacks logs or has changed since it was
-        written."""
+        """Open a dataset; raises ArtifactError if it has no training logs or has changed since it
+        was written."""
         description = artifacts.load_description(path, "dataset")
         found = _hash_files(path)
         listed = description.get("files", found)
         if not isinstance(listed, dict):
             raise ArtifactError(
-                f"{path / 'dataset.json'}: 'files' must map names to hashes; take it out to list "
-                "none"
+                f"{path / 'dataset.json'}: 'files' must map names to hashes; remove it to disable "
+                "the check"
             )
         for name in sorted(listed.keys() | found.keys()):
             if listed.get(name) != found.get(name):
@@ -54,12 +54,12 @@ class Dataset:
                     what = "new"
                 raise ArtifactError(
                     f"{path / name}: {what} since dataset.json was written; copy the dataset "
-                    "again, or take 'files' out of its dataset.json to take the logs as they are"
+                    "again, or remove 'files' from dataset.json to use the logs as they are"
                 )
         train, test = map(tuple, list_logs(path))
         if not train:
             raise ArtifactError(
-                f"{path}: holds no training logs; put Parquet logs into {path / 'train'}"
+                f"{path}: contains no training logs; put Parquet logs into {path / 'train'}"
             )
         return cls(path, train, test, description, _hash_file(found))
 
@@ -75,7 +75,7 @@ def write_dataset(
     metadata: JsonObject,
     overwrite: bool = False,
 ) -> Dataset:
-    """Write logs, taken one by one, as a dataset; `metadata` goes into ``dataset.json``."""
+    """Write logs as a dataset, one at a time; `metadata` is added to ``dataset.json``."""
 
     def write(folder: Path) -> None:
         for (part, digits), logs in zip(DATASET_PARTS.items(), (train, test), strict=True):
@@ -97,9 +97,10 @@ def write_dataset(
 
 
 def _hash_files(path: Path) -> dict[str, str]:
-    """SHA-256 of each log by its name within the folder, in order."""
+    """Return the SHA-256 of each log by its path within the folder, in a fixed order."""
     hashes = {}
     train, test = list_logs(path)
+    # The order determines the data hash, so it must not change.
     for file in (*test, *train):
         try:
             with file.open("rb") as content:

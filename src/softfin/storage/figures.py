@@ -1,9 +1,10 @@
-"""Style and files of all figures: readable in greyscale and for colour-blind readers; no global
+"""Style and files of all figures, readable in greyscale and by colour-blind readers. No global
 state.
 
 Colours: Okabe and Ito's palette (2008), in an order that also differs in lightness.
 """
 
+import contextlib
 import hashlib
 import io
 import re
@@ -38,18 +39,18 @@ STYLE: Any = {
     "savefig.dpi": 150,
     # Text stays text: small files, searchable, in the reader's font.
     "svg.fonttype": "none",
-    # The same figure gives the same bytes.
+    # The same figure always produces the same bytes.
     "svg.hashsalt": "softfin",
 }
 
 
 def new_figure(width_in: int | float, height_in: int | float) -> Figure:
-    """Return an empty figure with automatic layout; draw within `styled`."""
+    """Return an empty figure with automatic layout; draw in it within `styled`."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def styled() -> Any:
-    """Return the context within which figures are drawn and saved."""
+def styled() -> contextlib.AbstractContextManager[None]:
+    """Return the context manager within which figures are drawn and saved."""
     return matplotlib.rc_context(STYLE)
 
 
@@ -70,16 +71,17 @@ def _render(figure: Figure, kind: str, transparent: bool = False) -> bytes:
 
 
 def inline_svg(figure: Figure, name: str) -> str:
-    """Return an ``<svg>`` element for a page; elements with different names or contents share no
-    id."""
+    """Return an ``<svg>`` element for a page. Elements with different names or contents share no
+    ids."""
     text = _render(figure, "svg", transparent=True).decode()
     text = text[text.index("<svg") :]
+    # Matplotlib's ids repeat between figures, and ids must be unique within a page.
     prefix = "f" + hashlib.sha256(f"{name}\n{text}".encode()).hexdigest()[:10]
     text = re.sub(r'(\bid="|href="#|url\(#)', rf"\1{prefix}-", text)
-    # A hundredth of a point is finer than any screen, and halves the size.
+    # A hundredth of a point is finer than any screen; rounding to it halves the size.
     return re.sub(r' d="[^"]+"', lambda path: re.sub(r"(\d\.\d\d)\d+", r"\1", path.group()), text)
 
 
 def with_minus_signs(text: str) -> str:
-    """Replace hyphens by minus signs, in texts whose hyphens are all minus signs."""
+    """Replace hyphens with minus signs, for texts in which every hyphen is a minus sign."""
     return text.replace("-", "\N{MINUS SIGN}")

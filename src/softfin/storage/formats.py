@@ -1,9 +1,9 @@
-"""Every kind of artifact that softfin writes, with its format number: the only list of both.
+"""Every kind of artifact that softfin writes, with its format number. This is the only such list.
 
-The number of a kind is raised when older versions of softfin cannot read what is written now;
-`oldest` then stays, the reader of the older format is kept, and ``tests/golden`` gets a file in the
-new one. Added keys do not change the number. A file without a number is of format 1. Configurations
-(YAML) have none: their keys are checked by name.
+The number of a kind increases when older versions of softfin cannot read the new files. `oldest`
+then stays unchanged, the reader of the older format is kept, and ``tests/golden`` gets a file in
+the new format. Added keys do not change the number. A file without a number has format 1.
+Configurations (YAML) have no number: their keys are checked by name.
 """
 
 from collections.abc import Mapping
@@ -14,12 +14,12 @@ from softfin.core.errors import ArtifactError, InputError, LogError
 
 
 class Format(NamedTuple):
-    """Format number of one kind of artifact, and the formats that this softfin reads."""
+    """Format number of one kind of artifact, and the formats that this version of softfin reads."""
 
     number: int = 1
-    """Format that this softfin writes, and the newest that it reads."""
+    """Format that this version writes, and the newest that it reads."""
     oldest: int = 1
-    """Oldest format that it reads."""
+    """Oldest format that this version reads."""
     remedy: str = ""
     """How to get a new artifact if this one is older."""
 
@@ -41,28 +41,29 @@ FOLDERS: Mapping[str, Format] = MappingProxyType(
         "example": Format(),
     }
 )
-"""Folders by their kind, which is described by its ``KIND.json``."""
+"""Formats of folders by kind; a ``KIND.json`` describes the folder."""
 
 FILES: Mapping[str, Format] = MappingProxyType({"log": Format(), "recording": Format()})
-"""Single files: logs (Parquet) have the number in the metadata of their schema, recordings (MCAP)
-in that of their channels."""
+"""Formats of single files. Logs (Parquet) store the number in the schema's metadata, recordings
+(MCAP) in the channels' metadata."""
 
 FORMATS: Mapping[str, Format] = MappingProxyType({**FOLDERS, **FILES})
-"""All of them."""
+"""Formats of all artifacts by kind."""
 
 IN_FILE = "softfin_format"
-"""Key of the number in the metadata of single files, where it is a string."""
+"""Key of the format number in the metadata of single files; the value is a string."""
 
 
 def check_format(
     kind: str, number: object, source: str, error: type[InputError] = ArtifactError
 ) -> None:
-    """Raise the error unless this softfin reads artifacts of this kind and format number."""
+    """Raise an error of class `error` unless this version reads artifacts of this kind and format
+    number."""
     newest, oldest, remedy = FORMATS[kind]
     if isinstance(number, bool) or not isinstance(number, int) or number < 1:
         raise error(
-            f"{source}: format is {str(number)[:80]!r}; it must be a whole number from 1 on; copy "
-            "it again"
+            f"{source}: format is {str(number)[:80]!r}; it must be a whole number of at least 1; "
+            "copy the file again"
         )
     span = newest if oldest == newest else f"{oldest} to {newest}"
     reads = f"this softfin reads {span}"
@@ -77,7 +78,8 @@ def check_format(
 def check_file_format(
     kind: str, metadata: Mapping[Any, Any] | None, source: str, error: type[InputError] = LogError
 ) -> None:
-    """Check the number in the metadata of a single file; keys and values are strings or bytes."""
+    """Check the format number in the metadata of a single file; keys and values are strings or
+    bytes."""
     entries = metadata or {}
     found = entries.get(IN_FILE, entries.get(IN_FILE.encode(), "1"))
     text = found.decode(errors="replace") if isinstance(found, bytes) else str(found)

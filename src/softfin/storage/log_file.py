@@ -1,7 +1,7 @@
-"""One log as one Parquet file: seven named columns, fully checked when written and when read.
+"""A log as a Parquet file: seven named columns, fully checked on writing and reading.
 
-A Log goes in and the same Log comes out; a log that cannot be used for training raises a LogError
-with the place and the cause.
+A Log is read back exactly as written. A log that cannot be used for training raises a LogError with
+the place and the cause.
 """
 
 from pathlib import Path
@@ -38,13 +38,13 @@ Columns = dict[str, NDArray[np.floating]]
 
 
 def write_log(path: Path, log: Log) -> None:
-    """Write a log; raises LogError, and writes nothing, if `read_log` would refuse it."""
+    """Write a log; raises LogError and writes nothing if `read_log` would reject it."""
     artifacts.write_file(path, encode_log(log, str(path)))
 
 
 def encode_log(log: Log, source: str) -> bytes:
-    """Return the bytes of a log's file; raises LogError, with the name `source`, if `read_log`
-    would refuse it."""
+    """Return a log as the bytes of a Parquet file; raises LogError, naming `source`, if `read_log`
+    would reject it."""
     columns = {}
     for field, values in zip(SCHEMA, (log.reading.time, *log.channels), strict=True):
         columns[field.name] = np.asarray(values, field.type.to_pandas_dtype())
@@ -58,27 +58,26 @@ def encode_log(log: Log, source: str) -> bytes:
 
 
 def read_log(path: Path) -> Log:
-    """Read a log as NumPy arrays; raises LogError naming file, row, column, value and what to
-    do."""
+    """Read a log as NumPy arrays; raises LogError with the file, row, column, value and fix."""
     table = read_parquet(path)
     names = table.schema.names
     problems = [(name, "is missing") for name in SCHEMA.names if name not in names]
     problems += [
-        (name, "must not be there, or only once")
+        (name, "is unexpected or repeated")
         for name in names
         if name not in SCHEMA.names or names.count(name) > 1
     ]
     if problems:
         column, problem = problems[0]
         raise LogError(
-            f"{path}: column {column!r} {problem}; it has {names}; a log has "
+            f"{path}: column {column!r} {problem}; the file has {names}; a log must have "
             f"{', '.join(SCHEMA.names)}"
         )
     columns = {}
     for name, kind in zip(SCHEMA.names, SCHEMA.types, strict=True):
         values = table.column(name)
         if values.type != kind:
-            raise LogError(f"{path}: column {name} is {values.type}, must be {kind}; cast it")
+            raise LogError(f"{path}: column {name} is {values.type}, but must be {kind}; cast it")
         columns[name] = values.to_numpy()
     check_columns(columns, str(path))
     time, command_angle, command_velocity, angle, velocity, *force = columns.values()
@@ -89,44 +88,45 @@ def read_log(path: Path) -> Log:
 
 
 def check_columns(columns: Columns, source: str) -> None:
-    """Raise LogError unless the columns hold rows, finite values and a steady 100 Hz clock."""
+    """Raise LogError unless the columns have rows, finite values and a steady 100 Hz clock."""
     if not columns["time_s"].size:
-        raise LogError(f"{source}: empty: it has no rows; record it again")
+        raise LogError(f"{source}: has no rows; record it again")
     for name, values in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise LogError(
                 f"{source}: row {bad[0]}, column {name}: {values[bad[0]]} ({_count(bad.size)} in "
-                "this column); cut these rows off, or split the log around them"
+                "this column); remove these rows, or split the log around them"
             )
     time = columns["time_s"]
+    # Order of the checks: a repeated or wrong time would also look like a wrong rate or a gap.
     steps = np.diff(time)
     backward = np.flatnonzero(steps <= 0)
     if backward.size:
         row = backward[0] + 1
         raise LogError(
             f"{source}: row {row}, column time_s: {time[row]:.4f} s repeats or precedes row "
-            f"{row - 1} ({time[row - 1]:.4f} s); remove repeated rows, sort by time_s"
+            f"{row - 1} ({time[row - 1]:.4f} s); remove repeated rows and sort by time_s"
         )
     if not steps.size:
         return
     uneven = np.flatnonzero(np.abs(steps - TICK_S) > 0.5 * TICK_S)
-    # The mean over a second or more without a gap, otherwise the median: at a wrong rate every step
-    # would look like a gap.
+    # Use the mean rate over at least a second without gaps, otherwise the median: at a wrong rate,
+    # every step looks like a gap.
     is_steady = not uneven.size and steps.size >= RATE_HZ
     rate = steps.size / float(time[-1] - time[0]) if is_steady else 1 / float(np.median(steps))
     low, high = (1 - RATE_TOLERANCE, 1 + RATE_TOLERANCE) if is_steady else (2 / 3, 2)
     if not low <= rate / RATE_HZ <= high:
         raise LogError(
-            f"{source}: column time_s: {rate:.2f} Hz, must be {RATE_HZ} Hz; resample it, time_s is "
-            "in seconds"
+            f"{source}: column time_s: {rate:.2f} Hz, but must be {RATE_HZ} Hz; resample the log, "
+            "with time_s in seconds"
         )
     if uneven.size:
         row = uneven[0] + 1
         raise LogError(
             f"{source}: row {row}, column time_s: {steps[row - 1] * 1e3:.1f} ms after row "
-            f"{row - 1}, must be 10 ms ({_count(uneven.size)} in this log); split the log there, "
-            "or record it again"
+            f"{row - 1}, but must be 10 ms ({_count(uneven.size)} in this log); split the log "
+            "there, or record it again"
         )
 
 
@@ -142,10 +142,10 @@ def read_parquet(path: Path) -> pa.Table:
         # Arrow decodes column names only on access.
         _ = table.schema.names
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        # Arrow's own errors are also OSErrors, without the system's reason.
+        # Arrow's own errors may be OSErrors as well, but without the system's reason.
         if isinstance(error, OSError) and error.strerror:
             raise LogError(
-                f"{path}: cannot be read ({error.strerror}); give the path of a Parquet file"
+                f"{path}: cannot be read ({error.strerror}); use the path of a Parquet file"
             ) from None
         reason = one_line(error)
         raise LogError(

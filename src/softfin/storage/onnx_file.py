@@ -1,8 +1,8 @@
-"""ONNX files: versions, metadata, and the check before one is kept; each file is one step with its
-state as inputs and outputs.
+"""ONNX files: versions, metadata, and the check before a file is written. Each file is one step
+with its state as inputs and outputs.
 
-To run such a file, feed the outputs ``next_NAME`` back as the inputs NAME. Its metadata states
-names, units and rates as strings, with JSON for anything longer than a word. Needs the extra
+To run such a file, feed the outputs ``next_NAME`` back as the inputs NAME. Its metadata contain
+names, units and rates as strings, with JSON for anything longer than a word. Requires
 ``softfin[onnx]``.
 """
 
@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softfin.core.errors import ConfigurationError, RunError
+from softfin.core.json_object import JsonObject
 from softfin.installation import how_to_add
 from softfin.storage.artifact import write_file
 
@@ -24,7 +25,7 @@ IR_VERSION = 8
 """Versions of ONNX and of its file format that onnxruntime runs from 1.12 (2022) on."""
 
 NEXT = "next_"
-"""Prefix of the outputs that hold the state for the next step."""
+"""Prefix of the outputs that contain the state for the next step."""
 
 FORCE_FRAME = (
     "force of the fin on its mount: +x is the thrust that pushes the robot forward; at angle "
@@ -43,27 +44,27 @@ class Exported(NamedTuple):
 
 
 def import_extra(*names: str) -> tuple[Any, ...]:
-    """Import modules of the extra; raises ConfigurationError where one is missing."""
+    """Import modules of the extra ``onnx``; raises ConfigurationError if one is missing."""
     try:
         return tuple(importlib.import_module(name) for name in names)
     except ImportError as error:
         raise ConfigurationError(
-            f"ONNX needs {error.name}, of an extra: {how_to_add('onnx')}"
+            f"ONNX needs {error.name}, which is not installed; run {how_to_add('onnx')}"
         ) from None
 
 
 def encode_model(
-    model: Any, title: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
+    model: Any, title: str, initial: Mapping[str, np.ndarray], metadata: Mapping[str, object]
 ) -> bytes:
-    """Return the bytes of a model, checked by onnx, with its metadata and those of its state, whose
-    first value is `initial`."""
+    """Return the bytes of a model, checked by onnx, with its metadata and the initial values of its
+    state."""
     (onnx,) = import_extra("onnx")
     version = importlib.metadata.version("softfin")
     model.ir_version = IR_VERSION
     model.producer_name = "softfin"
     model.producer_version = version
     model.graph.name = title
-    properties: dict[str, Any] = {"softfin": version, **metadata, "state": {}}
+    properties: JsonObject = {"softfin": version, **metadata, "state": {}}
     for name, value in initial.items():
         properties["state"][name] = f"{NEXT}{name}"
         properties[f"initial_{name}"] = value.tolist()
@@ -85,12 +86,12 @@ def open_session(data: bytes) -> Any:
 
 
 def keep_model(file: Path, data: bytes, what: str, worst: float, tolerance: float) -> Exported:
-    """Write a file whose outputs, called `what` in messages, equal softfin's own within
-    `tolerance`; raises RunError if they differ by more."""
+    """Write a model file if its outputs, called `what` in messages, equal softfin's own within
+    `tolerance`; raises RunError otherwise."""
     if not worst <= tolerance:
         raise RunError(
-            f"{file}: onnxruntime's {what} differ by {worst:.2g} from softfin's (bar "
-            f"{tolerance:g}); not written; export with another version of onnxruntime"
+            f"{file}: not written: onnxruntime's {what} differ from softfin's by {worst:.2g} "
+            f"(limit {tolerance:g}); use another version of onnxruntime"
         )
     write_file(file, data)
     session = open_session(data)

@@ -1,29 +1,33 @@
-"""A JAX function as an ONNX graph: each primitive of its jaxpr becomes operators of opset 17.
+"""Converts a JAX function to an ONNX graph: each primitive of its jaxpr becomes operators of opset
+17.
 
-Controllers and surrogates are exported from the formulas that softfin runs, so that no formula
-exists twice. Values that do not depend on the inputs, such as transposed weights, become constants.
-Primitives that softfin does not use are refused by name. Needs the extra ``softfin[onnx]``.
+Controllers and surrogates are exported from the formulas that softfin itself runs, so that no
+formula exists twice. Values that do not depend on the inputs, such as transposed weights, become
+constants. Unsupported primitives are rejected by name. Requires ``softfin[onnx]``.
 """
 
 import importlib.metadata
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, SupportsIndex, TypeAlias
+from typing import Any, SupportsIndex, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import spox
 import spox.opset.ai.onnx.v17 as op
-from jax.extend.core import Jaxpr, JaxprEqn, Literal
+from jax.extend.core import Jaxpr, JaxprEqn, Literal, Var
 
 from softfin.core.errors import RunError
 from softfin.storage.onnx_file import NEXT, OPSET
 
 Value: TypeAlias = np.ndarray | np.generic | jax.Array | spox.Var
-"""An array if the value is known while the graph is built, otherwise a variable of the graph."""
+"""Array, if the value is known while the graph is built; otherwise a variable of the graph."""
 
 Results: TypeAlias = Value | list[Value]
+
+Atom: TypeAlias = Var | Literal
+"""Operand of an equation: a variable of the jaxpr, or a constant."""
 
 
 def build_graph(
@@ -32,12 +36,12 @@ def build_graph(
     """Build the ONNX model of a function of named arrays that returns named arrays.
 
     Args:
-        function: Called with keyword arguments of the names in `inputs`.
+        function: Called with the `inputs` as keyword arguments.
         inputs: An example of each input, for its shape and dtype. The output ``next_NAME`` gets
             the dtype of the input NAME.
 
     Raises:
-        RunError: the function uses a primitive that is not translated.
+        RunError: the function uses a primitive that cannot be translated.
     """
     names: list[str] = []
 
@@ -51,8 +55,8 @@ def build_graph(
     arguments = {
         name: spox.argument(spox.Tensor(value.dtype, value.shape)) for name, value in inputs.items()
     }
-    # JAX flattens dictionaries in the order of their keys, and its integers have 32 bits by
-    # default.
+    # JAX flattens dictionaries in the order of their keys. Inputs are cast to JAX's own dtypes,
+    # because its integers have 32 bits by default.
     given = [_cast(arguments[name], examples[name].dtype) for name in sorted(arguments)]
     found = dict(zip(sorted(names), _translate(closed.jaxpr, closed.consts, given), strict=True))
     outputs = {}
@@ -62,17 +66,17 @@ def build_graph(
         if name.startswith(NEXT) and like is not None:
             outputs[name] = _cast(outputs[name], like.dtype)
     model = spox.build(arguments, outputs)
-    # spox sets the oldest opset that has these operators.
+    # spox sets the oldest opset that has these operators; softfin always states the same one.
     model.opset_import[0].version = OPSET
     return model
 
 
 def _translate(jaxpr: Jaxpr, consts: Sequence[Value], arguments: Sequence[Value]) -> list[Value]:
     """Translate the equations one by one; return the outputs of the jaxpr."""
-    values: dict[Any, Value] = dict(zip(jaxpr.constvars, consts, strict=True))
+    values: dict[Var, Value] = dict(zip(jaxpr.constvars, consts, strict=True))
     values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
-    def read(atom: object) -> Value:
+    def read(atom: Atom) -> Value:
         if isinstance(atom, Literal):
             return np.asarray(atom.val, dtype=_dtype(atom))
         return values[atom]
@@ -89,15 +93,17 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
     params = equation.params
     if name == "scan":
         return _unroll_scan(equation, values)
+    # Calls of other functions, such as jit and custom derivatives, are translated in place.
     inner = params.get("jaxpr", params.get("call_jaxpr"))
     if inner is not None:
         if hasattr(inner, "consts"):
             return _translate(inner.jaxpr, inner.consts, values)
         return _translate(inner, (), values)
     if all(map(_is_known, values)):
-        bind: Callable[..., Any] = equation.primitive.bind
+        # Independent of the inputs, such as a transposed weight: compute it now, as a constant.
+        bind: Callable[..., jax.Array | Sequence[jax.Array]] = equation.primitive.bind
         computed = bind(*values, **params)
-        results = computed if equation.primitive.multiple_results else [computed]
+        results = [computed] if isinstance(computed, jax.Array) else computed
         return list(map(np.asarray, results))
     if name in SAME_OPERANDS:
         return SAME_OPERANDS[name](*map(_variable, values))
@@ -106,16 +112,16 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
     if name not in TRANSLATORS:
         raise RunError(
             f"ONNX: JAX {importlib.metadata.version('jax')} uses the primitive {name!r}, which "
-            "softfin cannot export; use another version of JAX, or report it to softfin's authors"
+            "softfin cannot export; use another version of JAX, or report this to softfin's authors"
         )
     return TRANSLATORS[name](equation, *map(_variable, values))
 
 
 def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
-    """Write out every iteration: a step has few of them.
+    """Unroll all iterations: one step of a controller or surrogate has few.
 
-    Versions of JAX state the number of carried values in different ways. They are the values
-    without a leading axis of iterations.
+    Versions of JAX store the number of carried values differently, so they are recognised by their
+    shape: they lack the leading axis of iterations.
     """
     params = equation.params
     body = params["jaxpr"]
@@ -135,7 +141,7 @@ def _unroll_scan(equation: JaxprEqn, values: list[Value]) -> list[Value]:
     return [*carried, *(_stack(each, 0) for each in zip(*in_order, strict=True))]
 
 
-def _count_unscanned(atoms: Sequence[object], in_body: Sequence[Any]) -> int:
+def _count_unscanned(atoms: Sequence[Atom], in_body: Sequence[jax.core.ShapedArray]) -> int:
     return sum(_shape(atom) == inner.shape for atom, inner in zip(atoms, in_body, strict=True))
 
 
@@ -151,17 +157,18 @@ def _integers(numbers: Sequence[SupportsIndex] | np.ndarray) -> spox.Var:
     return op.const(np.asarray(numbers, np.int64))
 
 
-def _cast(value: Value, dtype: Any) -> spox.Var:
+def _cast(value: Value, dtype: np.dtype | type[np.generic]) -> spox.Var:
     return op.cast(_variable(value), to=np.dtype(dtype).type)
 
 
-def _shape(atom: Any) -> tuple[int, ...]:
-    shape: tuple[int, ...] = atom.aval.shape
+def _shape(atom: Atom) -> tuple[int, ...]:
+    shape: tuple[int, ...] = cast(jax.core.ShapedArray, atom.aval).shape
     return shape
 
 
-def _dtype(atom: Any) -> Any:
-    return atom.aval.dtype
+def _dtype(atom: Atom) -> np.dtype:
+    dtype: np.dtype = cast(jax.core.ShapedArray, atom.aval).dtype
+    return dtype
 
 
 def _row(value: Value, index: int) -> Value:
@@ -179,6 +186,7 @@ def _stack(values: Sequence[Value], axis: int) -> Value:
 
 
 def _broadcast_in_dim(equation: JaxprEqn, value: spox.Var) -> spox.Var:
+    # First reshape, with ones for the new axes, then expand them.
     shape = equation.params["shape"]
     sizes = np.ones(len(shape), np.int64)
     sizes[list(equation.params["broadcast_dimensions"])] = _shape(equation.invars[0])
@@ -195,7 +203,8 @@ def _slice(equation: JaxprEqn, value: spox.Var) -> spox.Var:
 
 
 def _dynamic_slice(equation: JaxprEqn, value: spox.Var, *starts: spox.Var) -> spox.Var:
-    """Cut out a part; as in JAX, the position is moved so that the part lies inside."""
+    """Take a slice at computed starts; as in JAX, the starts are clamped so that the slice lies
+    inside."""
     sizes = np.asarray(equation.params["slice_sizes"], np.int64)
     last_starts = _shape(equation.invars[0]) - sizes
     rows = [op.reshape(_cast(start, np.int64), _integers([1])) for start in starts]
@@ -221,12 +230,12 @@ def _integer_pow(equation: JaxprEqn, value: spox.Var) -> spox.Var:
 
 
 def _gather(equation: JaxprEqn, value: Value, indices: Value) -> spox.Var:
-    """Take whole rows along one axis, at indices that are known while the graph is built."""
+    """Take entire rows along one axis, at indices that are known while the graph is built."""
     shape = _shape(equation.invars[0])
     numbers = equation.params["dimension_numbers"]
     (axis,) = numbers.start_index_map
-    # One row of the operand is cut out for each index, and its other axes lie around those of the
-    # indices in the result.
+    # Each index selects one row of the operand; in the result, the row's other axes surround the
+    # axes of the indices.
     sizes = (*shape[:axis], 1, *shape[axis + 1 :])
     rank = len(_shape(equation.outvars[0]))
     row_axes = (*range(axis), *range(rank - len(shape) + 1 + axis, rank))
@@ -236,13 +245,16 @@ def _gather(equation: JaxprEqn, value: Value, indices: Value) -> spox.Var:
         and equation.params["slice_sizes"] == sizes
     )
     if isinstance(indices, spox.Var) or not takes_rows:
-        raise RunError("ONNX: softfin can export a gather only of whole rows at fixed places")
+        raise RunError("ONNX: softfin can only export a gather of entire rows at fixed indices")
+    # Clamp indices that are out of bounds, as JAX does; ONNX's Gather rejects them.
     places = np.clip(np.asarray(indices)[..., 0], 0, shape[axis] - 1)
     return op.gather(_variable(value), _integers(places), axis=axis)
 
 
 def _dot_general(equation: JaxprEqn, left: Value, right: Value) -> spox.Var:
     """Multiply matrices ``(batch, rows, sum)`` and ``(batch, sum, columns)``."""
+    # Any contraction becomes a batch of matrix products: move the axes to (batch, rows, sum) and
+    # (batch, sum, columns), merge each group into one axis, multiply, and split them again.
     (left_sum, right_sum), (left_batch, right_batch) = equation.params["dimension_numbers"]
     left_shape, right_shape = map(_shape, equation.invars)
     rows = [axis for axis in range(len(left_shape)) if axis not in (*left_sum, *left_batch)]
@@ -256,7 +268,7 @@ def _dot_general(equation: JaxprEqn, left: Value, right: Value) -> spox.Var:
 
 def _arrange(value: Value, axes: tuple[int, ...], shape: tuple[int, ...]) -> spox.Var:
     if not isinstance(value, spox.Var):
-        # Weights are transposed once, here.
+        # Known values, such as weights, are transposed now instead of on every run.
         return op.const(np.transpose(np.asarray(value), axes).reshape(shape))
     if list(axes) != sorted(axes):
         value = op.transpose(value, perm=axes)
@@ -300,7 +312,7 @@ SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
     "sub": op.sub,
     "tanh": op.tanh,
 }
-"""Operators for primitives without parameters."""
+"""Operators for primitives that need no parameters."""
 
 TRANSLATORS: Mapping[str, Callable[..., Results]] = {
     "argmin": _argmin,
@@ -321,10 +333,10 @@ TRANSLATORS: Mapping[str, Callable[..., Results]] = {
     "tile": lambda equation, value: op.tile(value, _integers(equation.params["reps"])),
     "transpose": lambda equation, value: op.transpose(value, perm=equation.params["permutation"]),
 }
-"""Translators of an equation and its operands, as variables."""
+"""Translators that get the equation and its operands as variables of the graph."""
 
 TRANSLATORS_OF_VALUES: Mapping[str, Callable[..., spox.Var]] = {
     "dot_general": _dot_general,
     "gather": _gather,
 }
-"""Translators that make use of operands that are known while the graph is built."""
+"""Translators that get operands as arrays if they are known while the graph is built."""

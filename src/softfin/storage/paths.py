@@ -1,5 +1,5 @@
-"""Checks of files and folders that a user names, before any work; without NumPy and JAX, so a
-mistake is reported at once."""
+"""Checks of files and folders that a user names, before any work. Without NumPy and JAX, so that
+mistakes are reported immediately."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,7 +10,7 @@ from softfin.storage import artifact as artifacts
 CSV = (".csv", ".tsv", ".txt")
 PARQUET = (".parquet",)
 DATASET_PARTS = {"train": 4, "test": 3}
-"""The subfolders of a dataset, and the number of digits in the names of their logs."""
+"""Subfolders of a dataset, with the number of digits in the names of their logs."""
 
 VIEWS = (".gif", ".html", ".png")
 """Formats of a view."""
@@ -21,7 +21,7 @@ RIG_FILE = Path("rig.yaml")
 def check_readable(
     path: Path, kind: type[SoftfinError] = ConfigurationError, hint: str = "", option: str = ""
 ) -> None:
-    """Raise an error of the given class unless there is a readable file."""
+    """Raise an error of class `kind` unless `path` is a readable file."""
     try:
         with path.open("rb"):
             pass
@@ -30,14 +30,14 @@ def check_readable(
 
 
 def find_recordings(path: Path) -> list[Path]:
-    """Return tables and bags, sorted by name; raises LogError if there are none."""
+    """Return the tables and bags at a path, sorted by name; raises LogError if there are none."""
     if not path.exists():
         raise LogError(
-            f"{path}: no such file or folder; give a folder of CSV, Parquet or ROS 2 bags, or one "
-            "of them"
+            f"{path}: no such file or folder; use a CSV file, a Parquet file, a ROS 2 bag, or a "
+            "folder of them"
         )
     if not path.is_dir():
-        check_readable(path, LogError, "; give a CSV or Parquet file, or a ROS 2 bag")
+        check_readable(path, LogError, "; use a CSV file, a Parquet file or a ROS 2 bag")
     if artifacts.is_kind(path, "dataset"):
         train, test = list_logs(path)
         found = [*train, *test]
@@ -45,8 +45,8 @@ def find_recordings(path: Path) -> list[Path]:
         found = list(_walk(path, ()))
     if not found:
         raise LogError(
-            f"{path}: holds no recordings; they are {', '.join((*CSV, *PARQUET))} or ROS 2 bags "
-            "(.mcap)"
+            f"{path}: contains no recordings; supported are {', '.join((*CSV, *PARQUET))} files "
+            "and ROS 2 bags (.mcap)"
         )
     return found
 
@@ -57,7 +57,7 @@ def list_logs(dataset: Path) -> list[list[Path]]:
 
 
 def _walk(path: Path, within: tuple[Path, ...]) -> Iterator[Path]:
-    """Return the recordings below a folder, without following links that lead back into it."""
+    """Yield the recordings below a folder, without following links that lead back into it."""
     if path.is_file() or is_bag(path):
         if is_bag(path) or path.suffix.lower() in (*CSV, *PARQUET):
             yield path
@@ -73,10 +73,10 @@ def is_bag(path: Path) -> bool:
 
 
 def check_monitored(path: Path) -> None:
-    """Raise LogError where there is no recording to follow."""
+    """Raise LogError if there is no recording to follow."""
     if not path.is_file() and not path.is_dir():
         raise LogError(
-            f"{path}: no such file or folder; give a bag (.mcap), or the folder that bags are "
+            f"{path}: no such file or folder; use a bag (.mcap), or the folder that bags are "
             "written to"
         )
 
@@ -84,16 +84,14 @@ def check_monitored(path: Path) -> None:
 def check_reference_file(path: Path) -> None:
     """Raise ConfigurationError unless there is a readable .csv or .parquet file."""
     if path.suffix not in (".csv", ".parquet"):
-        raise ConfigurationError(
-            f"--reference-file {path}: neither .csv nor .parquet; write it as one of them"
-        )
+        raise ConfigurationError(f"--reference-file {path}: must be a .csv or .parquet file")
     check_readable(path, option="--reference-file ")
 
 
 def check_view(path: Path, overwrite: bool) -> None:
-    """Raise an error unless a film or a page can be written at `path`."""
+    """Raise an error unless a view can be written to `path`."""
     if path.suffix not in VIEWS:
         raise ConfigurationError(
-            f"--out {path}: a view is written as {', '.join(VIEWS)}; name it so"
+            f"--out {path}: unsupported file type; a view must be one of {', '.join(VIEWS)}"
         )
     artifacts.check_file(path, overwrite)

@@ -1,9 +1,9 @@
-"""Finds plants by name: ``tank``, a tank's YAML file, a surrogate's folder,
+"""Finds plants by name: ``tank``, a tank's YAML file, a surrogate's folder or
 ``package.module:plant``.
 
-Fins that move in real time are ``rig``, ``ros2``, or one of these with ``:FILE``;
-`softfin.rig.find` opens them. For a folder with the name of a plant, write ``./tank``. JAX is
-imported only when a plant is built.
+Fins that move in real time are ``rig`` and ``ros2``, optionally with ``:FILE``;
+`softfin.rig.robot_setup` opens them. A folder that has the name of a plant must be written as
+``./tank``. JAX is imported only when a plant is built.
 """
 
 import importlib
@@ -27,31 +27,31 @@ LIVE = ("rig", "ros2")
 """Names of fins that move in real time."""
 
 HELP = (
-    "tank, the YAML file of a tank, the folder of a surrogate (./NAME if it has the name of a "
-    "plant), or package.module:plant (your own simulator)"
+    "tank, a tank's YAML file, a surrogate's folder (./NAME if it has the name of a plant), or "
+    "package.module:plant (your own simulator)"
 )
 
 
 def is_live(name: str) -> bool:
-    """Whether `name` stands for a fin that moves in real time."""
+    """Whether `name` is that of a fin that moves in real time."""
     return name.partition(":")[0] in LIVE
 
 
 def is_surrogate(name: str) -> bool:
-    """Whether `name` stands for a surrogate's folder."""
+    """Whether `name` is that of a surrogate's folder."""
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
 def resolve_plant(name: str) -> "Callable[[], Plant]":
-    """Return a function that builds the plant that `name` stands for; raises a PlantError that
-    lists the possible names."""
+    """Return a function that builds the plant `name`; raises a PlantError that lists the possible
+    names."""
     path = Path(name)
-    # Surrogates and tanks are packages above this one, imported by name.
+    # Surrogates and tanks are in packages that depend on this one, so they are imported by name.
     if is_live(name):
-        folder = f"; the folder of this name is ./{name}" if path.exists() else ""
+        folder = f"; for the folder of this name, use ./{name}" if path.exists() else ""
         raise PlantError(
-            f"plant {name}: moves in real time and cannot be simulated; collect, evaluate and run "
-            f"take it{folder}"
+            f"plant {name}: moves in real time and cannot be simulated; use it with collect, "
+            f"evaluate or run{folder}"
         )
     if name == TANK or (path.suffix in (".yaml", ".yml") and path.is_file()):
         return partial(_build_tank, name)
@@ -62,14 +62,14 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
         return partial(_import_object, name, build=True)
     what = "does not exist"
     if path.is_dir():
-        what = "holds no surrogate.json"
+        what = "contains no surrogate.json"
     elif path.exists():
         what = "is not a YAML file"
-    raise PlantError(f"plant {name}: unknown ({what}); give {HELP}")
+    raise PlantError(f"plant {name}: unknown ({what}); use {HELP}")
 
 
 def find_plant(name: "str | Plant") -> "Plant":
-    """Build or load the plant that `name` stands for, or return it; raises a PlantError that lists
+    """Build or load the plant `name`; a plant is returned unchanged. Raises a PlantError that lists
     the possible names."""
     if not isinstance(name, str):
         return name
@@ -88,7 +88,7 @@ def find_plant(name: "str | Plant") -> "Plant":
 
 
 def plant_name(plant: object) -> str:
-    """Return the name that a user gave to a plant, or the name of its class."""
+    """Return the name under which a user selected a plant, or the name of its class."""
     return str(plant) if isinstance(plant, str | Path) else type(plant).__name__
 
 
@@ -100,10 +100,10 @@ def _build_tank(name: str) -> Any:
 
 
 def _import_object(name: str, build: bool = False) -> Any:
-    """Import ``package.module:attribute``; with `build` return the plant: the attribute itself, or
+    """Import ``package.module:attribute``. With `build`, return the plant: the attribute itself, or
     the result of calling it."""
     module, _, attribute = name.partition(":")
-    # As `python -m` does: users usually have their simulator in the working directory.
+    # As for `python -m`: users usually keep their simulator in the working directory.
     here = str(Path.cwd())
     sys.path.insert(0, here)
     try:
@@ -117,12 +117,12 @@ def _import_object(name: str, build: bool = False) -> Any:
     except Exception as error:
         # The user's code may raise any error.
         reason = one_line(error)
-        raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; give {HELP}") from error
+        raise PlantError(f"plant {name}: {type(error).__name__}: {reason}; use {HELP}") from error
     finally:
         sys.path.remove(here)
     if not isinstance(plant, Plant):
         raise PlantError(
-            f"plant {name}: a {type(plant).__name__} is not a plant, which has limits, init and "
-            "advance; softfin.testing.check_plant says what is missing"
+            f"plant {name}: a {type(plant).__name__} is not a plant with limits, init and advance; "
+            "run softfin.testing.check_plant to find out what is missing"
         )
     return plant

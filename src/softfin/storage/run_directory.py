@@ -1,24 +1,24 @@
-"""Work in progress beside its output: a folder ``.NAME.unfinished`` with the last checkpoint and
+"""Work in progress, next to its output: a folder ``.NAME.unfinished`` with the last checkpoint and
 the training log.
 
-A checkpoint is one safetensors file: a pytree of arrays, named by their paths, and metadata as
-JSON, with the versions that wrote it. It is replaced by one rename, so a kill at any moment leaves
-either the old or the new one.
+A checkpoint is a safetensors file: a pytree of arrays, named by their paths, and metadata as JSON,
+including the versions that wrote it. It is replaced by a rename, so a process killed at any time
+leaves either the old or the new checkpoint.
 """
 
 import copy
 import importlib.metadata
 import json
 import shutil
+from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import safetensors
 from jaxtyping import PyTree
-from numpy.typing import NDArray
 
 from softfin.core.errors import ArtifactError, RunError
 from softfin.core.json_object import JsonObject
@@ -28,37 +28,38 @@ Tree = TypeVar("Tree")
 
 CHECKPOINT = "checkpoint.safetensors"
 TRAINING_LOG = "training"
-"""Subfolder of a finished artifact: ``log.jsonl``, the event file for TensorBoard, and the run that
-wrote them."""
+"""Subfolder of a finished artifact with ``log.jsonl``, the TensorBoard event file, and a
+description of the run that wrote them."""
 RUN = "run.json"
 LOG = "log.jsonl"
 
 
 class RunDirectory:
-    """The unfinished work of one output folder."""
+    """The unfinished work for one output folder."""
 
     def __init__(
         self, out: Path, fingerprint: JsonObject, resume: bool = False, overwrite: bool = False
     ) -> None:
-        """Claim ``.NAME.unfinished`` beside `out`: continue it with `resume`, empty it with
+        """Claim ``.NAME.unfinished`` next to `out`: continue it with `resume`, empty it with
         `overwrite`.
 
-        With both, it is continued if it is complete and of the same run, and emptied otherwise. The
-        fingerprint of configuration, data and seed identifies a run. Raises ArtifactError if there
-        is unfinished work and neither was asked for, or if it belongs to another run and must not
-        be overwritten.
+        With both, the folder is continued if its checkpoints are intact and belong to the same run,
+        and emptied otherwise. The fingerprint of configuration, data and seed identifies a run.
+        Raises ArtifactError if there is unfinished work and neither flag is set, or if it belongs
+        to another run and must not be overwritten.
         """
         self.overwrite = overwrite
         self.folder = out.absolute().with_name(f".{out.absolute().name}.unfinished")
         self.fingerprint = json.loads(artifacts.dump_json(fingerprint))
+        # With `resume`, a run whose artifact is already finished needs no further work.
         finished = out / TRAINING_LOG / RUN
         self.complete = resume and not overwrite and finished.is_file()
-        """Whether `out` already holds the finished artifact of this run."""
+        """Whether `out` already contains the finished artifact of this run."""
         if self.complete:
             check_same(out, artifacts.read_json(finished), self.fingerprint)
             return
         artifacts.check_vacant(out, overwrite)
-        # Including those of parts.
+        # Including the checkpoints of parts.
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
             try:
@@ -71,8 +72,8 @@ class RunDirectory:
         elif self.folder.exists():
             if not overwrite and found:
                 raise ArtifactError(
-                    f"{self.folder}: holds an unfinished run; go on with --resume, or drop it with "
-                    "--overwrite"
+                    f"{self.folder}: contains an unfinished run; continue with --resume, or "
+                    "discard it with --overwrite"
                 )
             shutil.rmtree(self.folder)
 
@@ -92,12 +93,15 @@ class RunDirectory:
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
         """Return the last checkpoint, in the structure of `like`; None if there is none yet.
 
-        One that does not fit raises ArtifactError, or counts as none if it may be overwritten."""
+        A checkpoint that does not match raises ArtifactError, or is treated as absent if it may be
+        overwritten.
+        """
         path = self.folder / CHECKPOINT
         if not path.exists():
             return None
         arrays, metadata = self._read(path)
         expected, structure = _named(like)
+        # Compare both ways, so that missing and additional leaves are found as well.
         for name in sorted(arrays | expected):
             there = _describe_leaf(arrays, name)
             here = _describe_leaf(expected, name)
@@ -105,13 +109,13 @@ class RunDirectory:
                 if self.overwrite:
                     return None
                 raise ArtifactError(
-                    f"{path}: does not fit this training state ({name} is {there} there and {here} "
-                    "here); start again with --overwrite"
+                    f"{path}: does not match this training state ({name} is {there} in the "
+                    f"checkpoint, {here} in this run); start again with --overwrite"
                 )
         leaves = [jnp.asarray(arrays[name]) for name in expected]
         return jax.tree.unflatten(structure, leaves), metadata
 
-    def _read(self, path: Path) -> tuple[dict[str, NDArray[Any]], JsonObject]:
+    def _read(self, path: Path) -> tuple[dict[str, np.ndarray], JsonObject]:
         """Read the arrays and the metadata of a checkpoint, which must belong to this run."""
         try:
             with safetensors.safe_open(path, "numpy") as file:
@@ -132,20 +136,20 @@ class RunDirectory:
         software = metadata.pop("software", "an older softfin")
         if software != _software():
             raise ArtifactError(
-                f"{path}: was written by {software}, and this is {_software()}; resume with that, "
-                "or --overwrite"
+                f"{path}: written by {software}, but this is {_software()}; resume with that "
+                "version, or use --overwrite"
             )
         check_same(path, before, self.fingerprint)
         return arrays, metadata
 
     def log(self, rewind_to: int | None = None) -> "RunLog":
-        """The training log; on resuming, entries after step `rewind_to` are dropped, because they
-        will be written again."""
+        """Open the training log. When a run resumes, entries after step `rewind_to` are dropped,
+        because they will be written again."""
         return RunLog(self.folder, rewind_to)
 
     def keep_log(self, artifact: Path) -> None:
-        """Copy the training log, and those of parts, into a finished artifact, and note which run
-        wrote it."""
+        """Copy the training logs of the run and its parts to a finished artifact, with the run's
+        fingerprint."""
         folder = artifact / TRAINING_LOG
         folder.mkdir(parents=True, exist_ok=True)
         (folder / RUN).write_text(artifacts.dump_json(self.fingerprint))
@@ -164,17 +168,18 @@ class RunLog:
     """Scalars of a run: one line of JSON per step, and an event file for TensorBoard."""
 
     def __init__(self, folder: Path, rewind_to: int | None = None) -> None:
-        # Imported here, because protobuf would cost every other command a third of a second.
+        # Imported here, because importing protobuf takes a third of a second.
         from tensorboardX import SummaryWriter
 
         self.path = folder / LOG
+        # Without a step to rewind to, the run starts from the beginning: keep no old entry.
         last = -1 if rewind_to is None else rewind_to
         kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
         self._writer = SummaryWriter(str(folder), purge_step=last + 1, filename_suffix=".softfin")
 
     def write(self, step: int, **scalars: float) -> None:
-        """Append the scalars of one step; non-finite ones as null."""
+        """Append the scalars of one step; non-finite values are written as null."""
         numbers = {name: float(value) for name, value in scalars.items()}
         entry = artifacts.plain({"step": step, **numbers})
         try:
@@ -182,7 +187,8 @@ class RunLog:
                 file.write(json.dumps(entry, allow_nan=False) + "\n")
         except OSError as error:
             raise RunError(
-                f"{self.path}: cannot be written ({error.strerror}); make room and --resume"
+                f"{self.path}: cannot be written ({error.strerror}); free disk space, then use "
+                "--resume"
             ) from None
         for name, value in numbers.items():
             self._writer.add_scalar(name, value, step)
@@ -193,8 +199,8 @@ class RunLog:
 
 
 def read_training_log(path: Path) -> list[JsonObject]:
-    """Return the entries of a ``log.jsonl``, up to the first line that a kill or a power cut has
-    damaged."""
+    """Return the entries of a ``log.jsonl``, up to the first line damaged by a crash or a power
+    cut."""
     entries = []
     for line in path.read_text(errors="replace").splitlines() if path.is_file() else []:
         try:
@@ -205,32 +211,33 @@ def read_training_log(path: Path) -> list[JsonObject]:
 
 
 def _software() -> str:
-    """The configuration on which the leaves of the state and the next random numbers depend."""
+    """Return the versions on which the training state and the next random numbers depend."""
     return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in ("softfin", "jax"))
 
 
-def _named(tree: PyTree) -> tuple[dict[str, Any], Any]:
+def _named(tree: PyTree) -> tuple[dict[str, object], jax.tree_util.PyTreeDef]:
     """Return the leaves by their paths, such as ``tree.lanes.policy.net.lstm.kernel``, in the order
     of the structure."""
     paths, structure = jax.tree_util.tree_flatten_with_path(tree)
     return {f"tree{jax.tree_util.keystr(path)}": leaf for path, leaf in paths}, structure
 
 
-def _describe_leaf(leaves: dict[str, Any], name: str) -> str:
+def _describe_leaf(leaves: Mapping[str, object], name: str) -> str:
     """Return dtype and shape."""
     if name not in leaves:
         return "missing"
-    return f"{np.asarray(leaves[name]).dtype} {np.shape(leaves[name])}"
+    array = np.asarray(leaves[name])
+    return f"{array.dtype} {array.shape}"
 
 
 def check_same(
     path: Path,
     before: object,
     now: object,
-    remedy: str = "give the same options, another --out, or --overwrite",
+    remedy: str = "use the same options, choose another --out, or use --overwrite",
 ) -> None:
-    """Raise ArtifactError unless the run at a path is the current one; both are described by nested
-    mappings."""
+    """Raise ArtifactError unless the run at a path is the current one; nested mappings describe
+    both."""
     if before != now:
         was = name_leaves(before)
         is_ = name_leaves(now)
@@ -241,11 +248,11 @@ def check_same(
         raise ArtifactError(f"{path}: belongs to another run ({differing}); {remedy}")
 
 
-def name_path(path: Any) -> str:
+def name_path(path: tuple[Hashable, ...]) -> str:
     """Return the name of a leaf of a pytree, such as ``posnet.3.kernel``."""
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 
-def name_leaves(tree: PyTree) -> dict[str, Any]:
+def name_leaves(tree: PyTree) -> dict[str, object]:
     """Return the leaves of a pytree by their names."""
     return {name_path(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}

@@ -1,12 +1,11 @@
-"""Moving references, by formula or from a file: one reference force for every tick of 10 ms.
+"""Moving references, from a formula or a file: one reference force for every tick of 10 ms.
 
-Tick k holds from time k * 10 ms on, for 10 ms. A controller reads the reference when it acts, three
-times a second, so it sees a change between two actions at the second one.
+Tick k starts at k * 10 ms and lasts 10 ms. A controller reads the reference when it acts, three
+times per second, so it sees a change between two actions at the second one.
 
 A file is a CSV or Parquet table with ``time_s``, ``force_x_n`` and ``force_y_n``; other columns are
-ignored. Each row holds from its time until the next one. Logs of softfin have these columns too;
-their times begin one tick after the start, at 0.01 s: a first row up to one tick late holds from 0
-on.
+ignored. Each row applies from its time until the next row. softfin's logs also have these columns,
+but start one tick late, at 0.01 s; a first row up to one tick late therefore applies from time 0.
 """
 
 from abc import abstractmethod
@@ -30,33 +29,33 @@ ReferenceForce = tuple[FiniteFloat, FiniteFloat]
 
 TickTimes = Float[np.ndarray, " ticks"]
 ReferenceSamples = Float[np.ndarray, "ticks 2"]
-"""(x, y) [N]; float32 where they leave this module."""
+"""Reference forces (x, y) [N]; float32 outside this module."""
 
 CLOCK_S = 1e-6
-"""Times this close to a tick belong to that tick, because sums of decimal fractions are rarely
-exact."""
+"""Distance from a tick within which a time belongs to that tick [s], because sums of decimal
+fractions are rarely exact."""
 
-REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newton", "force_y_n": "newton"}
-"""The columns of a file of references, and their units."""
+REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newtons", "force_y_n": "newtons"}
+"""Columns of a reference file, with their units."""
 
 MAX_SIGNAL_S = 3600.0
-"""Longest reference [s]; a longer one must be in another unit."""
+"""Maximum duration of a reference [s]; a longer one is probably in another unit."""
 
 MAX_REFERENCE_ROWS = 360_000
-"""An hour at 100 Hz, the rate of readings."""
+"""Maximum number of rows: an hour at 100 Hz, the rate of readings."""
 
 
 class Signal(Configuration):
-    """Base of all signals; `kind` names one in files."""
+    """Base class of all signals; `kind` identifies the class in files."""
 
     kind: str
 
     @abstractmethod
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
-        """The reference (x, y) [N] at each time."""
+        """Return the reference (x, y) [N] at each time."""
 
     def sample(self, ticks: int) -> ReferenceSamples:
-        """The reference at 100 Hz from time 0."""
+        """Return the reference at 100 Hz, starting at time 0."""
         return np.asarray(self._at(np.arange(ticks) / RATE_HZ), np.float32)
 
 
@@ -67,9 +66,9 @@ class Step(Signal):
     start_n: ReferenceForce
     """Force before the step (x, y) [N]."""
     to_n: ReferenceForce
-    """Force from the step on (x, y) [N]."""
+    """Force after the step (x, y) [N]."""
     at_s: NonNegativeFloat = 10.0
-    """Time of the step [s]; a whole second is a moment at which controllers act."""
+    """Time of the step [s]; controllers act at every whole second."""
 
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
         return np.where(time_s[:, None] >= self.at_s - CLOCK_S, self.to_n, self.start_n)
@@ -96,11 +95,12 @@ class Ramp(Signal):
     def _ordered(self) -> "Ramp":
         if self.end_s <= self.begin_s:
             raise ValueError(
-                f"a ramp from {self.begin_s:g} s to {self.end_s:g} s; end_s must be after begin_s"
+                f"ramp from {self.begin_s:g} s to {self.end_s:g} s; end_s must be after begin_s"
             )
         return self
 
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
+        # (1 - s) start + s to, with s from 0 to 1 over the ramp
         part = np.clip((time_s[:, None] - self.begin_s) / (self.end_s - self.begin_s), 0, 1)
         return np.asarray((1 - part) * self.start_n + part * np.asarray(self.to_n))
 
@@ -116,9 +116,9 @@ class Sinusoid(Signal):
     centre_n: ReferenceForce
     """Force at time 0 and after half a period (x, y) [N]."""
     amplitude_n: ReferenceForce
-    """Amplitude of each axis (x, y) [N]; a negative one starts downwards."""
+    """Amplitude of each axis (x, y) [N]; if negative, the force decreases first."""
     period_s: PositiveFloat = 10.0
-    """Period [s]; ten are five windows of the moving average."""
+    """Period [s]; 10 s are five windows of the moving average."""
 
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
         turn = np.sin(2 * np.pi * time_s[:, None] / self.period_s)
@@ -130,12 +130,12 @@ class Sinusoid(Signal):
 
 
 class Recorded(Signal):
-    """Forces from given times on, each held until the next one, the last one for ever; nothing is
-    interpolated."""
+    """Forces that start at given times, each held until the next one; the last one is held forever.
+    Nothing is interpolated."""
 
     kind: Literal["recorded"] = "recorded"
     time_s: tuple[FiniteFloat, ...] = Field(min_length=1)
-    """Times [s] from which each force holds; the first is 0, and they increase."""
+    """Times at which each force starts [s], increasing from 0."""
     force_n: tuple[ReferenceForce, ...] = Field(min_length=1)
     """Forces (x, y) at those times [N]."""
 
@@ -144,11 +144,11 @@ class Recorded(Signal):
         times = np.asarray(self.time_s)
         if len(times) != len(self.force_n):
             raise ValueError(
-                f"{len(times)} times and {len(self.force_n)} forces; give one force for each time"
+                f"{len(times)} times and {len(self.force_n)} forces; use one force per time"
             )
         if abs(times[0]) > CLOCK_S:
             raise ValueError(
-                f"the first time is {times[0]:g} s; begin at 0, as the reference before it is "
+                f"the first time is {times[0]:g} s; start at 0, because the reference before it is "
                 "unknown"
             )
         if late := np.flatnonzero(np.diff(times) <= 0).tolist():
@@ -159,9 +159,10 @@ class Recorded(Signal):
 
     @property
     def seconds(self) -> int:
-        """Duration in whole seconds, if the last force holds as long as the one before it."""
+        """Duration in whole seconds, if the last force lasts as long as the one before it."""
         last = self.time_s[-1]
         before = self.time_s[-2] if len(self.time_s) > 1 else 0.0
+        # last + (last - before), rounded up
         return int(np.ceil(2 * last - before - CLOCK_S))
 
     def _at(self, time_s: TickTimes) -> ReferenceSamples:
@@ -176,8 +177,8 @@ class Recorded(Signal):
 
 
 def read_reference_file(path: Path) -> Recorded:
-    """The reference over time; raises ConfigurationError that names the row, what is wrong with it
-    and how to fix it."""
+    """Read a reference over time; raises ConfigurationError with the row, the problem and the
+    fix."""
     check_reference_file(path)
     source = f"--reference-file {path}"
     try:
@@ -189,9 +190,9 @@ def read_reference_file(path: Path) -> Recorded:
         for name, unit in REFERENCE_COLUMNS.items():
             if table.column_names.count(name) != 1:
                 raise ConfigurationError(
-                    f"{source}: no column {name}, or several, among "
-                    f"{', '.join(table.column_names)}; it needs one in "
-                    f"{unit}: convert it, and name it {name}"
+                    f"{source}: must have exactly one column {name}, got "
+                    f"{', '.join(table.column_names)}; convert a column to {unit}, and rename it "
+                    f"to {name}"
                 )
         values = np.stack(
             [table.column(name).cast(pa.float64()).to_numpy() for name in REFERENCE_COLUMNS], axis=1
@@ -199,12 +200,12 @@ def read_reference_file(path: Path) -> Recorded:
     except (OSError, LogError, UnicodeDecodeError, pa.ArrowException) as error:
         reason = one_line(error)
         raise ConfigurationError(
-            f"{source}: not a table of numbers ({reason}); repair it, or write it again"
+            f"{source}: not a table of numbers ({reason}); repair the file, or write it again"
         ) from None
     if not 0 < len(values) <= MAX_REFERENCE_ROWS:
         raise ConfigurationError(
-            f"{source}: has {len(values):,} rows; 1 to {MAX_REFERENCE_ROWS:,} are followed, from 0 "
-            "s on"
+            f"{source}: has {len(values):,} rows; it must have 1 to {MAX_REFERENCE_ROWS:,}, "
+            "starting at 0 s"
         )
     for row, column in np.argwhere(~np.isfinite(values)).tolist():
         met = (
@@ -212,8 +213,9 @@ def read_reference_file(path: Path) -> Recorded:
             "is not a finite number"
         )
         raise ConfigurationError(
-            f"{source}: {met}; write one, or leave that row out, and the force before it is held"
+            f"{source}: {met}; correct it, or remove the row, and the previous force is held"
         )
+    # softfin's own logs start one tick late; see the top of this module.
     if -CLOCK_S <= values[0, 0] <= TICK_S + CLOCK_S:
         values[0, 0] = 0.0
     recorded = Recorded.build(
@@ -221,9 +223,8 @@ def read_reference_file(path: Path) -> Recorded:
     )
     if recorded.seconds > MAX_SIGNAL_S:
         raise ConfigurationError(
-            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s; at "
-            f"most {MAX_SIGNAL_S:g} s are allowed: are these milliseconds? Then divide them by "
-            "1000; "
-            "otherwise cut the file"
+            f"{source}: time_s up to {values[-1, 0]:g} makes {recorded.seconds} s, but at most "
+            f"{MAX_SIGNAL_S:g} s are allowed; divide by 1000 if time_s is in milliseconds, or "
+            "shorten the file"
         )
     return recorded

@@ -1,13 +1,13 @@
-"""Force tracking as pure functions over any plant (paper Sec. III-C2): action in, plant moved,
-reward and state out.
+"""Force tracking as pure functions over any plant (paper Sec. III-C2): an action goes in, the plant
+moves, and a reward and a state come out.
 
     action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
     observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k,
                    and optionally sin, cos of the clock's phase]
 
-Actions follow one another on the 33/33/34 clock. The duration of an action is a traced value, so
-that a program contains the task only once: all actions have 34 rows, and a shorter action ignores
-the last one.
+Actions follow each other on the 33/33/34 clock. The duration of an action is a traced value, so
+that a compiled program contains the task only once: all actions have 34 rows, and a shorter action
+ignores the last one.
 """
 
 from dataclasses import dataclass
@@ -28,18 +28,18 @@ from softfin.core.window import sobolev, window_error, window_mean
 from softfin.task.references import ForceBatch, ForcePoint, References
 
 Action = Float[Array, "2"]
-"""(angle, velocity) normalised to [-1, 1], the plant's limits."""
+"""(angle, velocity), with the plant's limits normalised to [-1, 1]."""
 
 PastActions = Float[Array, "remembered 2"]
 ForceWindow = Float[Array, "window 2"]
 
 FORCE_BLOCKS = 8
-"""Number of parts of the window whose mean forces the critic observes; they show which forces are
-about to leave the window."""
+"""Number of blocks of the window whose mean forces the critic observes; they reveal which forces
+are about to leave the window."""
 
 
 class RewardTerms(NamedTuple):
-    """Terms of the reward for each axis [N]."""
+    """Terms of the reward, per axis [N]."""
 
     error: ForceBatch
     """|F_e|: distance of the window's mean force from its target."""
@@ -48,33 +48,33 @@ class RewardTerms(NamedTuple):
 
 
 class RewardConfig(Configuration):
-    """Weights of the reward (paper Sec. III-C2): mean force against its reference, and smoothness.
+    """Weights of the reward (paper Sec. III-C2): error of the mean force, and smoothness.
 
-    The paper names them without values. A new term is a new field of `RewardTerms`, with its weight
+    The paper does not state their values. A new term needs a field in `RewardTerms` and a weight
     here.
     """
 
     weight: tuple[NonNegativeFloat, NonNegativeFloat] = (1.0, 1.0)
-    """Weights w of x and y."""
+    """Weights w for x and y."""
     smoothness: tuple[NonNegativeFloat, NonNegativeFloat] = (0.01, 0.01)
-    """Weights lambda of x and y; for a full window 0.01 in the form `sum` weighs as much as 0.14 in
-    the form `mean`."""
+    """Weights lambda for x and y. For a full window, 0.01 with `sobolev` = sum is equivalent to
+    0.14 with mean."""
     sobolev: Literal["sum", "mean"] = "sum"
-    """Form of the Sobolev term: the root of the sum of squared steps, as in the paper, or of their
-    mean."""
+    """Form of the Sobolev term: the square root of the sum of squared steps, as in the paper, or of
+    their mean."""
     target: Literal["now", "window"] = "now"
     """Target of the window's mean force: the current reference, as in the paper, or the mean of the
     references over the window, which does not reward compensation for earlier ones."""
 
     def value(self, terms: RewardTerms) -> Float[Array, "*batch"]:
-        """The reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
+        """Return the reward r = -sum_d w_d (|F_e^d| + lambda_d S_d) [N]."""
         weight = jnp.asarray(self.weight)
         smoothness = jnp.asarray(self.smoothness)
         return -jnp.sum(weight * (terms.error + smoothness * terms.smoothness), axis=-1)
 
 
 class SensingConfig(Configuration):
-    """Noise and delay between the shaft's angle and the policy, which a simulator lacks."""
+    """Noise and delay of the measured angle, which a simulator lacks."""
 
     noise_rad: NonNegativeFloat = 0.0
     """Standard deviation of the angle's noise [rad]."""
@@ -86,22 +86,23 @@ class TaskConfig(Configuration):
     """The force-tracking task."""
 
     past_actions: int = Field(default=3, ge=0)
-    """Number k of actions before the last one that are observed; 3 makes 11 observations. The paper
-    gives no k."""
+    """Number k of observed actions before the last one; 3 results in 11 observations. The paper
+    does not state k."""
     window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
     episode_actions: int = Field(default=90, ge=3, multiple_of=3)
-    """Actions until the episode is truncated, a multiple of three; 90 are the paper's 30 s."""
+    """Number of actions until the episode is truncated, a multiple of three; 90 are the paper's 30
+    s."""
     reference_actions: PositiveInt = 90
-    """Actions until a new reference is drawn."""
+    """Number of actions until a new reference is drawn."""
     ramps: float = Field(default=0.0, ge=0, le=1)
-    """Fraction of the references that are ramps, which end when the next one is due; the others are
-    steps."""
+    """Fraction of references that are ramps, which end when the next reference is due; the others
+    are steps."""
     force_scale_n: PositiveFloat = 3.0
-    """Unit in which references are observed [N], so that observations have about unit size."""
+    """Unit of observed references [N], chosen so that observations have about unit size."""
     phase: bool = False
-    """Whether the phase of the six actions that fill the window is observed, as a sine and a
-    cosine; the paper's state lacks it, and a policy must then invent its own gait."""
+    """Whether the phase of the six actions in the window is observed, as a sine and a cosine. The
+    paper's state lacks it, so a policy must then find its own rhythm."""
     reward: RewardConfig = RewardConfig()
     sensing: SensingConfig = SensingConfig()
 
@@ -123,15 +124,15 @@ class TaskState(NamedTuple):
     references: References
     """Distribution of references."""
     actions: PastActions
-    """Past actions, the last one first."""
+    """Past actions, most recent first."""
     forces: ForceWindow
-    """The last readings, the newest at the end; only the last `samples` of them were recorded since
-    the reset."""
+    """Last force readings [N], newest last; only the last `samples` of them were recorded since the
+    reset."""
     past_references: ForceWindow
-    """The reference at each of these [N]."""
+    """Reference at each of these readings [N]."""
     samples: Int[Array, ""]
     age: Int[Array, ""]
-    """Actions since the reset."""
+    """Number of actions since the reset."""
     key: PRNGKeyArray
 
 
@@ -140,23 +141,23 @@ class Outcome(NamedTuple):
 
     reward: Float[Array, ""]
     terms: RewardTerms
-    """Terms that the reward was computed from."""
+    """Terms of the reward."""
     force_error: ForcePoint
     """F_e: the window's mean force minus its target [N]."""
     forces: Float[Array, "ticks 2"]
-    """Forces while the action was held [N]; the last of the 34 rows is valid only for an action of
-    34 ticks."""
+    """Forces during the action [N]; the last of the 34 rows is valid only for an action of 34
+    ticks."""
 
 
 @dataclass(frozen=True)
 class ForceTracking:
-    """The task on one plant; no batch axes (`jax.vmap` adds them)."""
+    """The task on one plant, without batch axes (`jax.vmap` adds them)."""
 
     plant: Plant
     config: TaskConfig
 
     def reset(self, key: PRNGKeyArray, references: References) -> TaskState:
-        """The fin at rest, an empty window, a new reference."""
+        """Return a state with the fin at rest, an empty window and a new reference."""
         plant_key, reference_key, key = jax.random.split(key, 3)
         return TaskState(
             plant=self.plant.init(plant_key),
@@ -173,13 +174,15 @@ class ForceTracking:
         )
 
     def observe(self, state: TaskState) -> Float[Array, "observations"]:
-        """The paper's state."""
+        """Return the observation (the paper's state)."""
         return observation(self.config, state.angle, state.reference, state.actions, state.age)
 
     def privileged_observation(self, state: TaskState) -> Float[Array, "privileged"]:
-        """The observation, and what only a simulator knows: the window's forces, how many are
-        valid, and the clock."""
+        """Return the observation with privileged information: the window's forces, the fraction of
+        it that is valid, and the clock."""
         scale = self.config.force_scale_n
+        # Means per block, scaled so that their mean is the mean over the valid samples: in a window
+        # that is not yet full, the zeros must not count.
         window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
         mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
         full = state.samples / self.config.window_samples
@@ -196,6 +199,7 @@ class ForceTracking:
         past_references = _last(
             state.past_references, jnp.tile(state.reference, (MAX_ACTION_TICKS, 1)), ticks
         )
+        # The window moves by the valid ticks of this action only.
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
         samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
         target = (
@@ -203,12 +207,12 @@ class ForceTracking:
         )
         force_error = window_error(forces, samples, target)
         terms = RewardTerms(jnp.abs(force_error), sobolev(forces, samples, config.sobolev))
-        # A chain of keys: each is used once, so neither another action nor the next episode draws
-        # the same numbers.
+        # A chain of keys: each is used once, so that no other action or episode draws the same
+        # numbers.
         key, noise_key, reference_key = jax.random.split(state.key, 3)
         noise = sensing.noise_rad * jax.random.normal(noise_key)
         age = state.age + 1
-        # The next reference, where one is due: a step or a ramp. One draw only: each takes a
+        # The next reference, if one is due: a step or a ramp. A single draw, because each takes a
         # quarter of a second to compile.
         is_due = age % self.config.reference_actions == 0
         chance = jax.random.uniform(reference_key, (3,))
@@ -218,6 +222,7 @@ class ForceTracking:
         drift = jnp.where(is_due, jnp.where(ramp, towards, 0), state.drift)
         return TaskState(
             plant=plant,
+            # The last valid tick is row ticks - 1; a delay looks further back within the action.
             angle=jnp.asarray(reading.angle)[ticks - 1 - sensing.delay_ticks] + noise,
             reference=jnp.where(is_due & ~ramp, sampled, state.reference + drift),
             drift=drift,
@@ -233,17 +238,20 @@ class ForceTracking:
     def shifted(
         self, observation: Float[Array, "*batch n"], shift: ForceBatch
     ) -> Float[Array, "*batch n"]:
-        """Return observations, privileged or not, as if the references were shifted by `shift`
+        """Return observations, privileged or not, as if the reference were shifted by `shift`
         [N]."""
+        # Both kinds of observations start with angle, reference x, reference y.
         return observation.at[..., 1:3].add(shift / self.config.force_scale_n)
 
     def truncated(self, state: TaskState) -> Bool[Array, ""]:
-        """Whether the episode is over: truncated, not terminated, since the fin could go on."""
+        """Whether the episode is over: truncated, not terminated, because the fin could
+        continue."""
         return state.age >= self.config.episode_actions
 
 
 def _last(before: ForceWindow, rows: Float[Array, "34 2"], ticks: Ticks) -> ForceWindow:
-    """Return the window with `ticks` more rows."""
+    """Append the first `ticks` rows to a window and drop as many old ones."""
+    # A traced start with a static length keeps one program for 33 and 34 ticks.
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
 
@@ -254,11 +262,11 @@ def observation(
     actions: PastActions,
     age: Int[Array, ""],
 ) -> Float[Array, "observations"]:
-    """[angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and
+    """Return [angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and
     `force_scale_n`.
 
-    With `config.phase`, sine and cosine of the phase follow, which is 0 at every sixth action,
-    `age` counted from 0.
+    With `config.phase`, the sine and cosine of the phase follow; the phase is 0 at every sixth
+    action, with `age` counted from 0.
     """
     part = PolicyObservation(
         past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n
@@ -268,7 +276,7 @@ def observation(
 
 
 def command_to_action(limits: Limits, command: Command) -> Action:
-    """Return the action of a command: maps the plant's limits onto [-1, 1]^2."""
+    """Return the action of a command: map the plant's limits to [-1, 1]^2."""
     angle = (command.angle - limits.angle_min) / (limits.angle_max - limits.angle_min)
     velocity = (command.velocity - limits.velocity_min) / (
         limits.velocity_max - limits.velocity_min
@@ -277,10 +285,10 @@ def command_to_action(limits: Limits, command: Command) -> Action:
 
 
 def rest_actions(config: TaskConfig, limits: Limits) -> PastActions:
-    """The past actions of a fin that has been at rest for long."""
+    """Return the past actions of a fin that has long been at rest."""
     return jnp.tile(command_to_action(limits, rest_command(limits)), (config.past_actions + 1, 1))
 
 
 def remember(actions: PastActions, action: Action) -> PastActions:
-    """The past actions with a new one in front, without the oldest."""
+    """Prepend an action to the past actions and drop the oldest."""
     return jnp.concatenate([action[None], actions[:-1]])

@@ -135,15 +135,18 @@ def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--out", "fin.avi"], "--out fin.avi: a view is written as .gif, .html, .png; name it so"),
-        (["--out", "fin"], "a view is written as .gif"),
+        (
+            ["--out", "fin.avi"],
+            "--out fin.avi: unsupported file type; a view must be one of .gif, .html, .png",
+        ),
+        (["--out", "fin"], "a view must be one of .gif"),
         (
             ["--out", "there.html"],
-            "there.html: exists already; give another --out, or --overwrite to replace it",
+            "there.html: already exists; choose another --out, or use --overwrite to replace it",
         ),
         (
             ["--out", "folder.gif", "--overwrite"],
-            "folder.gif: exists and is not a file; give another --out",
+            "folder.gif: already exists and is not a file; choose another --out",
         ),
         (["--out", "fin.gif", "--plant", "pool"], "plant pool: unknown (does not exist)"),
         (
@@ -154,21 +157,21 @@ def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
         (["--out", "fin.gif", "--set", "dots_per_inch=75"], "Input should be a multiple of 10"),
         (
             ["--out", "fin.gif", "--centre", "1.4"],
-            "command angle = 1.9 rad: the plant takes -1.5708 to 1.5708 rad",
+            "command angle = 1.9 rad: the plant accepts -1.5708 to 1.5708 rad",
         ),
-        (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
+        (["--out", "fin.gif", "--reference=1,1"], "a controller needs a reference, and vice versa"),
         (
             ["--out", "fin.gif", "--next-reference=1,1"],
             "no first one; give a controller and a reference",
         ),
         (
             ["--out", "fin.gif", "--next-reference=1"],
-            "--next-reference 1: not a force; write X,Y in newton",
+            "--next-reference 1: not a force; use X,Y in newtons",
         ),
         (["--out", "fin.gif", "--reference=1;1"], "--reference 1;1: not a force"),
         (
             ["--out", "fin.gif", "--controller", "none"],
-            "none: no such folder; it should be a controller",
+            "none: no such folder; it must be a controller",
         ),
     ],
 )
@@ -196,7 +199,7 @@ def test_overwrite_replaces_a_file(tmp_path):
 def test_a_controller_and_random_commands_at_once_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("softfin.stages.evaluation.load_controller", lambda path: Flapper())
     with pytest.raises(
-        ConfigurationError, match="random commands and a controller at once; give one of them"
+        ConfigurationError, match="random commands and a controller cannot be combined; use one"
     ):
         softfin.view(
             BendingFin(),
@@ -250,10 +253,10 @@ def test_the_velocity_fills_two_thirds_of_an_action_where_the_plant_is_fast_enou
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"centre_rad": 1.3}, "command angle = 1.8 rad: the plant takes -1.5708 to 1.5708 rad"),
+        ({"centre_rad": 1.3}, "command angle = 1.8 rad: the plant accepts -1.5708 to 1.5708 rad"),
         (
             {"velocity_rad_s": 30.0},
-            "command velocity = 30 rad/s: the plant takes 1 to 3.14159 rad/s",
+            "command velocity = 30 rad/s: the plant accepts 1 to 3.14159 rad/s",
         ),
     ],
 )

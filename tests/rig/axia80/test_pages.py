@@ -103,7 +103,7 @@ def test_the_serial_number_may_be_missing():
 def test_a_missing_field_is_named(name):
     with pytest.raises(
         RigError,
-        match=rf"sensor: {name}: is required, and missing; correct it on the sensor's "
+        match=rf"sensor: {name}: missing required key; correct it on the sensor's "
         r"configuration page",
     ):
         parse_settings(page(**{name: None}), None, "sensor")

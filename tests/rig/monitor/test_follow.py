@@ -262,7 +262,7 @@ def test_a_file_that_is_replaced_is_read_anew_and_one_that_goes_is_waited_for(ba
 
 
 def test_what_is_no_bag_is_said(tmp_path):
-    with pytest.raises(LogError, match="no such file or folder; give a bag"):
+    with pytest.raises(LogError, match="no such file or folder; use a bag"):
         Follower(tmp_path / "none.mcap")
     other = tmp_path / "text.mcap"
     other.write_text("SQLite format 3")

@@ -205,7 +205,7 @@ def test_messages_of_which_nothing_says_the_topic_are_counted(several, tmp_path)
     path, data, places = several(CompressionType.ZSTD)
     data[places[0][1] - 5] ^= 0xFF
     path.write_bytes(data[: places[4][0]])
-    with pytest.raises(LogError, match="no message in it can be read"):
+    with pytest.raises(LogError, match="contains no readable messages"):
         recover(path, tmp_path / "saved.mcap")
 
 
@@ -229,7 +229,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
         assert str(error.value).startswith(str(tmp_path / name))
         assert "\n" not in str(error.value)
     with pytest.raises(
-        LogError, match=r"cannot be read .Is a directory.; give the path of a \.mcap file"
+        LogError, match=r"cannot be read .Is a directory.; use the path of a \.mcap file"
     ):
         recover(tmp_path, tmp_path / "saved.mcap")
     assert not (tmp_path / "saved.mcap").exists()
@@ -240,10 +240,10 @@ def test_nothing_is_overwritten_unless_it_is_said_and_never_the_original(damaged
     out = recovered_path(path)
     assert out.name == "harmed.recovered.mcap"
     recover(path, out)
-    with pytest.raises(ArtifactError, match="exists already"):
+    with pytest.raises(ArtifactError, match="already exists"):
         recover(path, out)
     recover(path, out, overwrite=True)
-    with pytest.raises(ArtifactError, match="exists already"):
+    with pytest.raises(ArtifactError, match="already exists"):
         recover(path, path, overwrite=True)
     assert sorted(file.name for file in tmp_path.iterdir()) == [
         "harmed.mcap",

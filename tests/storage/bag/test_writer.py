@@ -96,7 +96,7 @@ def test_rows_are_in_the_file_before_it_is_closed(tmp_path):
 def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
     with contextlib.closing(BagRecorder(tmp_path / "new" / "run.mcap")) as recorder:
         with pytest.raises(
-            LogError, match="exists already, recordings are never overwritten"
+            LogError, match="already exists, and recordings are never overwritten"
         ) as error:
             BagRecorder(recorder.path)
         assert "\n" not in str(error.value)
@@ -106,7 +106,9 @@ def test_nothing_is_overwritten_and_a_second_recorder_is_refused(tmp_path):
 
 
 def test_a_disk_without_room_is_known_before_anything_moves(tmp_path):
-    with pytest.raises(RunError, match="of the disk are free; the rows so far are kept; make room"):
+    with pytest.raises(
+        RunError, match="of disk space left; the rows so far are kept; free disk space"
+    ):
         BagRecorder(tmp_path / "run.mcap", reserve_bytes=10**18)
     assert not list(tmp_path.iterdir())
 
@@ -208,7 +210,7 @@ def test_a_row_that_cannot_be_written_spoils_no_other(tmp_path):
     recorder.wrench(1.0, (1.0, 2.0))
     recorder.event(2.0, "still here")
     recorder.close()
-    assert "/fin/wrench cannot be (1.0, 2.0)" in recorder.failure
+    assert "/fin/wrench : invalid values (1.0, 2.0)" in recorder.failure
     assert list(by_rosbags(recorder.path)) == [EVENTS]
 
 

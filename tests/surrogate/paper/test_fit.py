@@ -111,7 +111,9 @@ def test_a_killed_fit_resumes_to_the_same_weights(tmp_path, whole):
 def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
     run_directory = RunDirectory(tmp_path / "s", {"seed": 0})
     run_directory.save({"x": np.zeros(2)}, {"epoch": 1})
-    with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
+    with pytest.raises(
+        ArtifactError, match=r"continue with --resume, or discard it with --overwrite"
+    ):
         RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(ArtifactError, match=r"belongs to another run .seed was 0 and is 1"):
         RunDirectory(tmp_path / "s", {"seed": 1}, resume=True)
@@ -122,7 +124,9 @@ def test_unfinished_work_is_neither_lost_nor_mixed_up(tmp_path):
 
 def test_unfinished_work_of_a_part_is_neither_lost_nor_mixed_up(tmp_path):
     RunDirectory(tmp_path / "s", {"seed": 0}).part("1").save({"x": np.arange(2)}, {"epoch": 1})
-    with pytest.raises(ArtifactError, match=r"go on with --resume, or drop it with --overwrite"):
+    with pytest.raises(
+        ArtifactError, match=r"continue with --resume, or discard it with --overwrite"
+    ):
         RunDirectory(tmp_path / "s", {"seed": 0})
     with pytest.raises(
         ArtifactError,
@@ -218,7 +222,7 @@ def test_truncated_weights_are_refused_by_name(tmp_path, cut):
 
 
 def test_a_folder_that_is_no_surrogate_is_refused(tmp_path):
-    with pytest.raises(ArtifactError, match=r"not a surrogate: it holds no surrogate\.json"):
+    with pytest.raises(ArtifactError, match=r"not a surrogate: it contains no surrogate\.json"):
         load_surrogate(tmp_path)
     (tmp_path / "surrogate.json").write_text('{"rate_hz": 50}')
     (tmp_path / artifacts.WEIGHTS).write_bytes((8).to_bytes(8, "little") + b"{}      ")

@@ -203,7 +203,7 @@ def test_a_convolution_with_stride_is_refused(files):
             lambda s: s["angle_rad"].update(scale=-1),
             "angle_rad.scale = -1: Input should be greater than 0",
         ),
-        (lambda s: s["angle_rad"].pop("offset"), "angle_rad.offset: is required, and missing"),
+        (lambda s: s["angle_rad"].pop("offset"), "angle_rad.offset: missing required key"),
         (
             lambda s: s["command_angle_rad"].update(data_max=100.0),
             r"scalers\.json: limits: angle_max_rad is 100",

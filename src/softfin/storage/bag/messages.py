@@ -1,14 +1,14 @@
-"""Content of softfin's bags: topics, their messages as CDR, and definitions with which any reader
-can decode them.
+"""Contents of softfin's bags: topics, messages as CDR, and the definitions that any reader needs to
+decode them.
 
-Times are nanoseconds since 1970. Names of types are full, as ``sensor_msgs/msg/JointState``:
-readers refuse others.
+Times are nanoseconds since 1970. Type names are complete, such as ``sensor_msgs/msg/JointState``;
+readers reject shorter ones.
 """
 
 import importlib.metadata
 import struct
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -28,7 +28,7 @@ CURRENT = "/fin/current"
 EVENTS = "/fin/events"
 
 DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
-"""Topics that become a log, by the role that `softfin.data.importing` gives them."""
+"""Topics that become a log, by their role in `softfin.data.importing`."""
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
@@ -56,14 +56,16 @@ FIELDS = {
     ),
     FLOAT: ("data",),
 }
-"""Paths of the values in the messages: angle and velocity [rad, rad/s], force and torque [N, N m],
-a current [A]."""
+"""Paths of the values in each message: angle and velocity [rad, rad/s], force and torque [N, N m],
+current [A]."""
 
 FRAME = "fin"
 """Frame of the force and name of the joint."""
 
 SECOND_NS = 1_000_000_000
 
+# After CDR's encapsulation header of 4 bytes, a message with a header starts with its stamp:
+# seconds as int32 and nanoseconds as uint32, little-endian.
 _STAMP = struct.Struct("<iI")
 _STAMP_BYTE = 4
 _NUMBER = struct.Struct("<d")
@@ -71,17 +73,18 @@ _NUMBER = struct.Struct("<d")
 
 @cache
 def type_store() -> Typestore:
-    """ROS 2's own definitions of messages, which serialise and deserialise CDR."""
+    """Return ROS 2's own message definitions, which serialise and deserialise CDR."""
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
 def cdr(
     kind: str, stamp_ns: int, values: Sequence[float] | str, frame: str = FRAME, joint: str = FRAME
 ) -> bytes:
-    """The bytes of a message, in OMG's CDR as ROS 2 uses it; the stamp is the time since 1970 [ns].
+    """Return the bytes of a message, in OMG's CDR as used by ROS 2; the stamp is the time since
+    1970 [ns].
 
     rosbags serialises each kind once; the numbers are then written into a copy, which is seven
-    times as fast. Speed matters because the recorder holds Python's lock while the control loop
+    times faster. Speed matters because the recorder blocks Python's lock while the control loop
     waits.
     """
     if isinstance(values, str):
@@ -97,8 +100,8 @@ def cdr(
 
 @cache
 def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]]:
-    """A message as rosbags serialises it, and the offsets of its values."""
-    # Each value has its own mark, 1, 2 and so on, whose bytes are then found in the message.
+    """Return a message as serialised by rosbags, and the byte offsets of its values."""
+    # Each value gets its own marker, 1, 2 and so on; searching for its bytes finds the offset.
     marks = range(1, 1 + len(FIELDS[kind]))
     values: dict[str, object] = dict(zip(FIELDS[kind], marks, strict=True))
     if kind != FLOAT:
@@ -110,38 +113,31 @@ def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]
 
 
 def serialized(kind: str, values: Mapping[str, object], types: Typestore | None = None) -> bytes:
-    """The bytes of a message of any type, by the general serialiser; `values` as for
+    """Return the bytes of a message of any type, from the general serialiser; `values` as for
     `build_message`."""
     types = types or type_store()
     return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, kind), values), kind))
 
 
 def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """A field, as rosbags describes it, with values by their paths within it; all other numbers are
-    0, all other fields empty.
+    """Build a field, as described by rosbags, from values by their paths within it; all other
+    numbers are 0, and all other fields are empty.
 
-    Sequences are as long as the paths require. Raises ValueError if there is no such field or it
-    has another type.
+    Sequences are as long as the paths require. Raises ValueError for unknown fields and values of
+    the wrong type.
     """
     node, detail = descriptor
     if node is Nodetype.BASE:
         blank = "" if detail[0] == "string" else 0
         value = values.get("", blank)
         if values.keys() - {""} or isinstance(value, str) != isinstance(blank, str):
-            raise ValueError(f"no field that takes {values}")
+            raise ValueError(f"no field that accepts {values}")
         return value
     inner: dict[str, dict[str, Any]] = defaultdict(dict)
     for path, value in values.items():
         first, _, rest = path.partition(".")
         inner[first][rest] = value
-    if node is Nodetype.NAME:
-        fields = dict(types.fielddefs[detail][1])
-    else:
-        element, count = detail
-        count = (
-            count if node is Nodetype.ARRAY else max((int(index) + 1 for index in inner), default=0)
-        )
-        fields = {str(index): element for index in range(count)}
+    fields = _inner_fields(types, descriptor, inner)
     if not inner.keys() <= fields.keys():
         raise ValueError(
             f"no field {', '.join(inner.keys() - fields.keys())!r}; it has "
@@ -150,16 +146,32 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
     items = [build_message(types, field, inner[name]) for name, field in fields.items()]
     if node is Nodetype.NAME:
         return types.types[detail](*items)
-    if element[0] is Nodetype.BASE and element[1][0] != "string":
-        return np.array(items, {"byte": "int8", "char": "uint8"}.get(element[1][0], element[1][0]))
-    return items
+    (kind, base), _ = detail
+    if kind is not Nodetype.BASE or base[0] == "string":
+        return items
+    # rosbags serialises sequences of numbers from NumPy arrays; ROS's byte and char have no NumPy
+    # type of that name.
+    return np.array(items, {"byte": "int8", "char": "uint8"}.get(base[0], base[0]))
+
+
+def _inner_fields(types: Typestore, descriptor: Any, inner: Collection[str]) -> dict[str, Any]:
+    """Return the descriptors of the fields of a message, or of the elements of a sequence by
+    index."""
+    node, detail = descriptor
+    if node is Nodetype.NAME:
+        return dict(types.fielddefs[detail][1])
+    element, count = detail
+    if node is not Nodetype.ARRAY:
+        # A sequence without a fixed length is as long as the paths require.
+        count = max((int(index) + 1 for index in inner), default=0)
+    return {str(index): element for index in range(count)}
 
 
 class BagWriter:
     """Writes an MCAP file to a stream, message by message.
 
-    Chunks are not compressed: if a power cut leaves one half-written, every complete message in it
-    can be read.
+    Chunks are not compressed: if a power cut truncates a chunk, every complete message in it can
+    still be read.
     """
 
     def __init__(self, stream: object) -> None:
@@ -171,8 +183,8 @@ class BagWriter:
             )
             for kind in dict.fromkeys(TYPES.values())
         }
-        # MCAP's profile for ROS 2 requires the entry; empty means ROS 2's default quality of
-        # service.
+        # MCAP's profile for ROS 2 requires this entry; if empty, ROS 2's default quality of service
+        # applies.
         quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
@@ -180,10 +192,10 @@ class BagWriter:
         }
         self.flush = self._writer.flush
         self.finish = self._writer.finish
-        """End the chunk; write the index and the end."""
+        """Close the chunk and write the index and the footer."""
 
     def write(self, topic: str, stamp_ns: int, values: Sequence[float] | str) -> None:
-        """Add a message to the chunk: its values, or its text."""
+        """Add a message with the given values or text to the chunk."""
         data = cdr(TYPES[topic], stamp_ns, values)
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
 

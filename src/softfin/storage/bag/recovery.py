@@ -1,8 +1,8 @@
-"""Reads bags that are complete, still growing, cut off or damaged: bytes in, records of the mcap
-library or a complete bag out.
+"""Reads bags that are complete, still growing, truncated or damaged. Bytes in; records of the mcap
+library, or a complete bag, out.
 
-The library's own readers need a file with a proper end. Here a record counts as soon as it is
-complete in the file, a chunk only if its length and its checksum are right.
+The library's own readers need a properly closed file. Here, a record is read as soon as it is
+complete in the file, and a chunk only if its length and checksum are correct.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ HEAD = struct.Struct("<BQ")
 """Header of each record: opcode and length."""
 
 MAX_RECORD_BYTES = 64 * 2**20
-"""Largest record, or unpacked chunk, that is read; ROS 2 closes its chunks below one megabyte."""
+"""Largest record or unpacked chunk that is read. ROS 2 closes its chunks below one megabyte."""
 
 BagRecord: TypeAlias = Schema | Channel | Message | Footer
 
@@ -68,12 +68,14 @@ def read_records(file: io.BufferedIOBase, start: int, size: int) -> Iterator[Raw
         file.seek(start)
         head = file.read(HEAD.size)
         if len(head) < HEAD.size or not any(head):
-            # Over a network, and after a power cut, a file can have its final length before its
-            # bytes.
+            # On a network share, or after a power cut, a file can have its final length but not yet
+            # its bytes.
             return
         opcode, length = HEAD.unpack(head)
         if not opcode or (opcode != Opcode.ATTACHMENT and length > MAX_RECORD_BYTES):
-            raise LogError(f"a record of kind {opcode} and {length:,} bytes at byte {start:,}")
+            raise LogError(
+                f"invalid record of kind {opcode} with {length:,} bytes at byte {start:,}"
+            )
         end = start + HEAD.size + length
         if end > size:
             return
@@ -94,7 +96,7 @@ def decode_bag_record(record: RawRecord) -> list[BagRecord]:
         chunk = Chunk.read(stream)
         if chunk.uncompressed_size > MAX_RECORD_BYTES:
             raise ValueError(
-                f"{chunk.uncompressed_size:,} bytes unpacked, allowed are {MAX_RECORD_BYTES:,}"
+                f"{chunk.uncompressed_size:,} bytes unpacked, limit {MAX_RECORD_BYTES:,}"
             )
         return cast(list[BagRecord], breakup_chunk(chunk, validate_crc=True))
     except (
@@ -107,46 +109,46 @@ def decode_bag_record(record: RawRecord) -> list[BagRecord]:
         struct.error,
     ) as error:
         what = "chunk" if record.opcode == Opcode.CHUNK else "record"
-        raise LogError(f"a {what} that cannot be decoded ({one_line(error)})") from None
+        raise LogError(f"{what} cannot be decoded ({one_line(error)})") from None
 
 
 def scan(path: Path) -> Iterator[BagRecord | Damage]:
-    """Yield the records of a file in order, including those in chunks, and each damaged part where
-    it occurs."""
+    """Yield the records of a file in order, including those in chunks, and damaged parts where they
+    occur."""
     try:
         with path.open("rb") as file:
             yield from _scan(file, os.fstat(file.fileno()).st_size)
     except OSError as error:
         raise LogError(
-            f"{path}: cannot be read ({error.strerror}); give the path of a .mcap file"
+            f"{path}: cannot be read ({error.strerror}); use the path of a .mcap file"
         ) from None
 
 
 def check_bag(path: Path) -> None:
-    """Raise LogError unless the file is complete and not of a newer softfin."""
+    """Raise LogError unless the file is complete and in a format that this version reads."""
     for item in scan(path):
         if isinstance(item, Channel):
             check_file_format("recording", item.metadata, str(path))
         elif isinstance(item, Damage):
             raise LogError(
                 f"{path}: truncated, or not a ROS 2 bag (at byte {item.start:,}: {item.reason}); "
-                f"what it holds is saved by: softfin bag recover {path}"
+                f"to save its readable contents, run softfin bag recover {path}"
             )
 
 
 def _scan(file: io.BufferedIOBase, size: int) -> Iterator[BagRecord | Damage]:
     if file.read(len(MAGIC)) != MAGIC:
-        yield Damage(0, size, "it does not begin as MCAP")
+        yield Damage(0, size, "it does not start with the MCAP signature")
         return
     at = len(MAGIC)
-    reason = "a record that is not whole"
+    reason = "incomplete record"
     try:
         for record in read_records(file, at, size):
             at = record.end
             if record.opcode == Opcode.FOOTER:
                 if not _is_end(file, record):
                     yield Damage(
-                        record.start, size - record.start, "the index or the end is damaged"
+                        record.start, size - record.start, "the index or the footer is damaged"
                     )
                 return
             yield from _decode(record)
@@ -156,7 +158,7 @@ def _scan(file: io.BufferedIOBase, size: int) -> Iterator[BagRecord | Damage]:
     for record in _records_of_cut_chunk(file, at, size):
         yield from _decode(record)
         saved += record.end - record.start
-    yield Damage(at, size - at - saved, reason if at < size else "it has no end")
+    yield Damage(at, size - at - saved, reason if at < size else "the footer is missing")
 
 
 def _decode(record: RawRecord) -> list[BagRecord] | list[Damage]:
@@ -167,13 +169,13 @@ def _decode(record: RawRecord) -> list[BagRecord] | list[Damage]:
 
 
 def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterator[RawRecord]:
-    """Yield the complete records of a last, uncompressed chunk."""
+    """Yield the complete records of a final, uncompressed chunk."""
     file.seek(at)
     # Opcode, length and the fields of an uncompressed chunk: the name of its compression is empty.
     head = file.read(49)
     if head[:1] == bytes([Opcode.CHUNK]) and head[37:41] == bytes(4):
-        # A file system shows zeros where bytes never reached the disk, so a message must not extend
-        # into them.
+        # File systems return zeros for bytes that never reached the disk, so a message must not
+        # extend into them.
         beginning = file.read(min(size - at, MAX_RECORD_BYTES)).rstrip(b"\0")
         # After the first bytes that are not a record, nothing can be saved.
         with contextlib.suppress(LogError):
@@ -181,16 +183,17 @@ def _records_of_cut_chunk(file: io.BufferedIOBase, at: int, size: int) -> Iterat
 
 
 def _is_end(file: io.BufferedIOBase, record: RawRecord) -> bool:
-    """Whether the footer is followed by the closing bytes, and the checksum of the index is
-    right."""
+    """Whether the closing bytes follow the footer, and the checksum of the index is correct."""
     file.seek(record.end)
     if file.read() != MAGIC or len(record.content) < 20:
         return False
+    # Footer: start of the summary, start of the summary's offsets, CRC-32 of the summary.
     start, _, checksum = struct.unpack_from("<QQI", record.content)
     if start > record.start:
         return False
     # The checksum covers the index and the footer, except for the checksum itself.
     file.seek(start)
+    # In MCAP, 0 means that there is no summary, or no checksum.
     return not (start and checksum) or zlib.crc32(file.read(record.end - 4 - start)) == checksum
 
 
@@ -198,19 +201,19 @@ class Recovery(NamedTuple):
     """Result of a recovery."""
 
     whole: bool
-    """Whether the bag was complete, so that nothing was written."""
+    """Whether the bag was complete; nothing is written in that case."""
     messages: dict[str, int]
-    """Number of messages saved, or present, by topic."""
+    """Number of saved or present messages by topic."""
     seconds: float
     """Time from the first to the last message [s]."""
     orphans: int
-    """Number of messages whose topic is unknown because its definition was lost: they are not
+    """Number of messages whose topic is unknown because its definition was lost; these are not
     saved."""
     damages: tuple[Damage, ...]
     """Parts of the file that could not be read."""
 
     def to_dict(self) -> JsonObject:
-        """Recovery for JSON."""
+        """Convert for JSON."""
         return self._asdict() | {
             "damages": [
                 {"byte": at, "bytes": length, "reason": reason}
@@ -220,7 +223,7 @@ class Recovery(NamedTuple):
 
 
 def recovered_path(path: Path) -> Path:
-    """Default path of the output: ``run.recovered.mcap`` beside ``run.mcap``."""
+    """Return the default output path: ``run.recovered.mcap`` next to ``run.mcap``."""
     return path.with_name(f"{path.stem}.recovered.mcap")
 
 
@@ -236,8 +239,8 @@ class _Contents:
         self.damages = list[Damage]()
         self._first = 2**64
         self._last = 0
-        # If the first chunk is lost, definitions may come after their messages: the index repeats
-        # them.
+        # If the first chunk is lost, definitions may follow their messages, because the index
+        # repeats them.
         for item in scan(path):
             match item:
                 case Damage():
@@ -266,6 +269,7 @@ class _Contents:
     def copy(self, file: BinaryIO) -> None:
         """Write everything readable as a new bag."""
         writer = start_writer(file)
+        # In MCAP, schema id 0 means "no schema".
         registered = {0: 0}
         written = {}
         for number, schema in self.schemas.items():
@@ -285,18 +289,19 @@ class _Contents:
 
 
 def recover(path: Path, out: Path, overwrite: bool = False) -> Recovery:
-    """Save what can be read; raises LogError if nothing can, and ArtifactError if `out` exists."""
+    """Save all readable messages; raises LogError if there are none, and ArtifactError if `out`
+    exists."""
     artifacts.check_file(out, overwrite and out.resolve() != path.resolve())
     contents = _Contents(path)
     messages = contents.messages()
     damages = contents.damages
     orphans = contents.counts.total() - messages.total()
     if orphans:
-        damages.append(Damage(0, 0, f"{orphans:,} messages whose topic is not known"))
+        damages.append(Damage(0, 0, f"{orphans:,} messages of unknown topics"))
     if damages and not messages:
         raise LogError(
-            f"{path}: no message in it can be read ({damages[0].reason}); copy it again from where "
-            "it was recorded"
+            f"{path}: contains no readable messages ({damages[0].reason}); copy it again from "
+            "where it was recorded"
         )
     if damages:
         artifacts.write_file(out, contents.copy)

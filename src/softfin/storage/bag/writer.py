@@ -1,8 +1,8 @@
-"""Live recording as a ROS 2 bag in MCAP: the control loop hands in rows and never waits; a thread
+"""Live recording as a ROS 2 bag in MCAP: the control loop queues rows and never waits; a thread
 writes them.
 
-Every `flush_s` the rows so far are closed as a chunk, written and synchronised to the disk; a kill
-or a power cut loses only what came later. At any time the file is the beginning of a valid bag,
+Every `flush_s` seconds, the rows so far are closed as a chunk, written and synchronised to disk, so
+a crash or a power cut loses only later rows. At any time the file is the start of a valid bag,
 which `softfin bag recover` completes.
 """
 
@@ -29,24 +29,24 @@ from softfin.storage.bag.messages import (
 )
 
 POLL_S = 0.05
-"""Period at which the queue is emptied [s]; so few rows at a time delay the loop by a few tenths of
-a millisecond at most."""
+"""Period at which the queue is emptied [s]. With so few rows at a time, the loop is delayed by at
+most a few tenths of a millisecond."""
 
 STALL_S = 5.0
-"""Longest time without a flush, while rows come, before the recording counts as failed [s]."""
+"""Time without a flush, while rows arrive, after which the recording has failed [s]."""
 
 BACKLOG = 50_000
-"""Largest number of rows that wait for a slow disk: two minutes at 400 per second, about 20 MB."""
+"""Maximum number of rows that wait for a slow disk: two minutes at 400 per second, about 20 MB."""
 
 CLOSE_S = 10.0
-"""Longest time that `close` waits for the thread [s]."""
+"""Maximum time that `close` waits for the thread [s]."""
 
 
 class BagRecorder:
-    """A bag that grows while the fin moves; one thread hands in rows, with times of `clock`.
+    """A bag that grows while the fin moves; one thread adds rows, with times of `clock`.
 
-    Stamps are `clock` plus its offset from the wall clock at the start, so that a jump of the wall
-    clock does no harm.
+    Stamps are the time of `clock` plus its initial offset from the wall clock, so that jumps of the
+    wall clock have no effect.
     """
 
     def __init__(
@@ -68,15 +68,15 @@ class BagRecorder:
             queue.SimpleQueue()
         )
         self.failure: str | None = None
-        """Reason why this recording is incomplete, in one line with what to do; None as long as all
-        is well."""
+        """One-line reason why this recording is incomplete, with a fix; None if there is no
+        failure."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # The buffer has room for 25 minutes while the disk is full.
+            # 50 MB buffer 25 minutes of rows while the disk is full.
             self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
             raise LogError(
-                f"{path}: exists already, recordings are never overwritten; give another name"
+                f"{path}: already exists, and recordings are never overwritten; choose another name"
             ) from None
         except OSError as error:
             raise RunError(
@@ -87,8 +87,8 @@ class BagRecorder:
         self._flushed = clock()
         self._commanded = -float("inf")
         self._closing = clock.event()
-        # The file is a bag before the first row comes, and a full disk is noticed before anything
-        # moves.
+        # Flush now: the file is a bag before the first row arrives, and a full disk is noticed
+        # before anything moves.
         self._flush()
         if self.failure is not None:
             with contextlib.suppress(OSError):
@@ -99,7 +99,7 @@ class BagRecorder:
 
     def command(self, time: float, angle: float, velocity: float) -> None:
         """Record a command [rad, rad/s]."""
-        # In simulated time two may have the same time, and their order must be kept.
+        # In simulated time two commands may have the same time, but their order must be kept.
         self._commanded = max(time, self._commanded + 1e-6)
         self._hand_in(COMMAND, self._commanded, (angle, velocity))
 
@@ -123,22 +123,23 @@ class BagRecorder:
         self._hand_in(EVENTS, time, text)
 
     def close(self) -> None:
-        """Write the remaining rows, the index and the end. May be called again and never raises;
-        `failure` describes any error."""
+        """Write the remaining rows, the index and the footer. May be called repeatedly and never
+        raises; `failure` describes any error."""
         if self._closing.is_set():
             return
         self._closing.set()
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():
             self._fail(
-                f"the disk did not end the file within {CLOSE_S:g} s",
-                f"softfin bag recover {self.path}",
+                f"the file was not completed within {CLOSE_S:g} s",
+                f"run softfin bag recover {self.path}",
             )
 
     def _hand_in(self, topic: str, time: float, values: Sequence[float] | str) -> None:
         if self._closing.is_set():
             return
         waiting = self._queue.qsize()
+        # The loop must not wait: rows beyond the backlog are dropped, and the recording has failed.
         if waiting >= BACKLOG or self._clock() - self._flushed > STALL_S:
             self._fail(f"{waiting:,} rows wait for the disk", "record on a faster disk")
         if waiting < BACKLOG:
@@ -153,9 +154,10 @@ class BagRecorder:
             self._take()
             self._flush(end=True)
         except Exception as error:
-            # Whatever the error is, the loop must learn of it and stop the fin.
+            # Whatever the error is, the loop must see it and stop the fin.
             self._fail(
-                f"{type(error).__name__}: {one_line(error)}", f"softfin bag recover {self.path}"
+                f"{type(error).__name__}: {one_line(error)}",
+                f"run softfin bag recover {self.path}",
             )
         finally:
             with contextlib.suppress(OSError):
@@ -168,27 +170,26 @@ class BagRecorder:
                 self._bag.write(topic, self._offset_ns + round(seconds * SECOND_NS), values)
             except Exception as error:
                 self._fail(
-                    f"{topic} cannot be {values!r:.100} ({error})",
-                    "report this, it is a defect of softfin",
+                    f"{topic}: invalid values {values!r:.100} ({error})",
+                    "report this bug in softfin",
                 )
 
     def _flush(self, end: bool = False) -> None:
         try:
             (self._bag.finish if end else self._bag.flush)()
             if shutil.disk_usage(self.path.parent).free < self._reserve:
-                # Reported while there is still room for the stop, the events and the end of the
-                # file.
+                # Reported while there is still space for the stop, the events and the footer.
                 self._fail(
-                    f"less than {self._reserve / 1e6:g} MB of the disk are free", "make room"
+                    f"less than {self._reserve / 1e6:g} MB of disk space left", "free disk space"
                 )
             self._file.flush()
             os.fsync(self._file.fileno())
         except OSError as error:
-            # What could not be written stays in the buffer: the next flush continues from there if
-            # there is room again.
+            # Unwritten bytes stay in the buffer: the next flush continues there if space is free
+            # again.
             self._fail(
                 error.strerror or str(error),
-                f"make room on its disk; softfin bag recover {self.path}",
+                f"free disk space, then run softfin bag recover {self.path}",
             )
         self._flushed = self._clock()
 

@@ -1,7 +1,7 @@
-"""Zero of the force in a bag: a session measures the force at rest and records it as an event; the
+"""Force zero in a bag: a session measures the force at rest and records it as an event; the
 recorded wrench stays raw.
 
-Events go in as text; out comes the zero at any moment, to be subtracted from the readings.
+Parses the events and returns the zero at any time, which is to be subtracted from the readings.
 """
 
 import re
@@ -31,10 +31,10 @@ def parse_zero(text: str) -> RestForce | None:
 def zeros_at(
     zeros: Sequence[tuple[float, RestForce]], time: Float[np.ndarray, "rows"]
 ) -> Float[np.ndarray, "rows 2"]:
-    """Return the zero [N] of each time: the last one measured before it; before the first
-    measurement, the first one.
+    """Return the zero [N] for each time: the last one measured by then, or the first one for
+    earlier times.
 
-    `zeros` are sorted by their times, on the clock of `time`; without any, all zeros are 0.
+    `zeros` are sorted by time, on the clock of `time`; if there are none, the result is 0.
     """
     if not zeros:
         return np.zeros((len(time), 2))
