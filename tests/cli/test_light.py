@@ -47,7 +47,7 @@ SLIPS: list[tuple[list[str], str]] = [
     (["inspect", "log.csv", "--rate", "-1"], "rate_hz = -1.0: Input should be greater than 0"),
     (
         ["inspect", "log.csv"],
-        "log.csv: empty: it has no header; the first line must name the columns",
+        "log.csv: no header; the first line must contain the column names",
     ),
     (["import-logs", "full", *OUT], "full: holds no recordings; they are .csv, "),
     (["fit", "log.csv", *OUT, "--epochs", "3"], "only --model paper counts in epochs"),
