@@ -1,4 +1,4 @@
-"""The outcome of a whole run in one sentence: does the controller hold the target forces?"""
+"""Summarize a run in one sentence: does the controller reach the target forces?"""
 
 import math
 from collections.abc import Sequence
@@ -13,23 +13,23 @@ NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight",
 
 
 class Headline(NamedTuple):
-    """The controller of a run with the smallest mean error in the plant, and the outcome."""
+    """Best controller of a run, by mean error in the plant, and its outcome."""
 
     controller: str
-    """Kind of the controller."""
+    """Kind of controller."""
     sentence: str
-    """Whether it holds the references."""
+    """Outcome: whether the controller holds the references."""
     caption: str
-    """Caption of its figure."""
+    """Caption of the figure."""
     holds: bool
-    """Whether its error at every reference is at most `SETTLED_N` on both axes."""
+    """Whether the error at every reference is at most `SETTLED_N` on both axes."""
 
 
 def headline(results: RunResults) -> Headline | None:
-    """Choose the best controller of a run's ``results.json``, with force feedback if evaluated;
-    None if there is none.
+    """Choose the best controller in a run's ``results.json``, with force feedback if evaluated;
+    None without controllers.
 
-    A controller under which the fin stands still comes last, no matter how small its error is.
+    A controller with which the fin stands still ranks last, no matter how small its error is.
     """
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
@@ -55,7 +55,7 @@ def headline(results: RunResults) -> Headline | None:
             sentence += f"; without force feedback, within {within(before)} N"
     elif still:
         sentence = (
-            "The fin stands still at some of the target forces: this controller does not work"
+            "The fin stands still at some of the target forces, so this controller does not work"
         )
     else:
         worst = max(too_far, key=lambda reference: too_far[reference])
@@ -68,8 +68,8 @@ def headline(results: RunResults) -> Headline | None:
     window = summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
     caption = (
-        f"The mean force over the last {window / rate:g} s (lines) and the target force (dashed, "
-        f"with {SETTLED_N:g} N on both sides), from rest for {seconds} s: controller "
+        f"Mean force over the last {window / rate:g} s (lines) and target force (dashed, with a "
+        f"band of ±{SETTLED_N:g} N), starting from rest, for {seconds} s: controller "
         f"{name}{', with force feedback' if plain is not None else ''}, the first of "
         f"{summary['conditions']['seeds']} runs."
     )
@@ -77,19 +77,19 @@ def headline(results: RunResults) -> Headline | None:
 
 
 def greatest_error(row: MeanScores) -> float:
-    """Return the larger of both axes' errors [N]."""
+    """Return the larger of the two axes' errors [N]."""
     return max(row[axis]["error_n"] for axis in AXES)
 
 
 def within(error_n: float) -> str:
-    """Return a bound with two decimals that the error does not exceed."""
-    # Rounded first, so that 0.07 N, which is 7.000000000000001 hundredths, does not become 0.08.
+    """Return the error rounded up to two decimals, so that it is a valid upper bound."""
+    # Round first: 100 * 0.07 is 7.000000000000001, which would become 0.08.
     return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
 
 
 def over_seeds(interval: list[float] | None, values: Sequence[float]) -> str:
-    """Return the text after a mean over seeds: half its interval, the range of the values of two
-    seeds, or nothing for one seed."""
+    """Return the text that follows a mean over seeds: half the interval, the range of the values if
+    there are two seeds, or nothing for one seed."""
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.2f}"
     return f"({min(values):.3f} to {max(values):.3f})" if len(set(values)) > 1 else ""

@@ -159,7 +159,7 @@ def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
         (["--out", "fin.gif", "--reference=1,1"], "a controller and a reference belong together"),
         (
             ["--out", "fin.gif", "--next-reference=1,1"],
-            "no first one; give a controller and a reference",
+            "without a first one; set a controller and a reference",
         ),
         (
             ["--out", "fin.gif", "--next-reference=1"],
