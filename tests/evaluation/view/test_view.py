@@ -222,7 +222,7 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
         controller=tmp_path,
         reference=(2.0, 0.0),
     )
-    assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot make it")
+    assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot produce it")
     assert metadata["title"].endswith("target (1, 0), then (0.5, 0) N")
 
 

@@ -124,7 +124,7 @@ def develop(
     return Footage(
         command=command,
         reading=reading,
-        true_force=true_force,
+        true_force=None if true_force is None else np.asarray(true_force),
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
         shape=points,
         length_m=length,

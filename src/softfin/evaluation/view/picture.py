@@ -6,7 +6,7 @@ draws an episode of the Gymnasium environment while it runs.
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -83,7 +83,7 @@ class Picture:
             self.figure = new_figure(9.6, 5.2)
             self.figure.set_dpi(dots_per_inch)
             # Matplotlib's canvas has no type annotations.
-            self._canvas: Any = FigureCanvasAgg(self.figure)
+            self._canvas = cast(Any, FigureCanvasAgg(self.figure))
             grid = self.figure.add_gridspec(3, 2, width_ratios=(1.05, 1))
             self._draw_tank(self.figure.add_subplot(grid[:, 0]), title)
             self._draw_traces([self.figure.add_subplot(grid[row, 1]) for row in range(3)])
@@ -338,7 +338,10 @@ class EpisodeFilm:
 
     def frame(self) -> Image:
         """Return the image at the end of the last action."""
-        parts = self._actions or [self._rest]
+        parts = self._actions
+        if not parts:
+            assert self._rest is not None
+            parts = [self._rest]
         command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
         footage = develop(self._plant, command, shots, reference)
         greatest = max_sizes(footage)
