@@ -169,6 +169,7 @@ class DisturbanceObserver:
         reference = xp.asarray(reference)
         forces = xp.concatenate([force[None], state.forces[:-1]])
         weights = ops.row(ops.constant(WINDOW_WEIGHTS), state.age % len(ACTION_TICKS))
+        # The oldest six tracked references are the window shifted by `lag_actions`.
         error = ops.dot(weights, forces - state.tracked[-CYCLE_ACTIONS:])
         bias, drift, covariance = self._estimate(ops, state, error, reference)
         tracked = self._trackable(ops, reference, reference - bias)
@@ -251,6 +252,7 @@ class DisturbanceObserver:
         low, high = map(ops.constant, self._corners)
         within = ((low <= corrected) & (corrected <= high)).all(axis=1).any()
         beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0.0)
+        # The reference's own cell is the one nearest to the uncorrected reference.
         own = (beyond**2).sum(axis=1).argmin()
         clipped = xp.maximum(xp.minimum(corrected, ops.row(high, own)), ops.row(low, own))
         return xp.where(within, corrected, clipped)

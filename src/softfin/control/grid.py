@@ -132,6 +132,7 @@ class GridStep:
         )
         blend = self._blend(ops, state, switched, reference)
         own = network.action(ops, memory, self.gaits, reference, state.age)
+        # Actions are pairs, newest first, so this is the action one full cycle ago.
         before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
         action = (1 - blend) * own + blend * before
         less = blend - 1 / max(1, self.switching.fade_actions)
@@ -153,6 +154,7 @@ class GridStep:
         low = ops.constant(self.low)
         high = ops.constant(self.high)
         beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0 * low)
+        # Distance of the reference from each cell; 0 inside a cell.
         distance = xp.sqrt(beyond[:, 0] * beyond[:, 0] + beyond[:, 1] * beyond[:, 1])
         nearest = ops.whole(xp.argmin(distance))
         reach = ops.row(distance, nearest) + np.float32(self.switching.margin_n)

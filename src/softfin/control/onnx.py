@@ -138,6 +138,7 @@ def _difference(data: bytes, controller: LoadedController) -> float:
     worst = 0.0
     reference = (low + high) / 2
     for index in range(EPISODE):
+        # A step every 5 s, and a random walk in between.
         if index % 15 == 0:
             reference = numbers.uniform(low - 0.2, high + 0.2)
         reference = reference + numbers.uniform(-0.1, 0.1, 2)

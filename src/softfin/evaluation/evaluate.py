@@ -149,7 +149,9 @@ class Evaluation:
             "warning": "; ".join(filter(None, (*self.warnings, uncertain))) or None,
         }
         if self.moving:
-            summary["moving"] = [row for moving in self.moving for row in moving.rows]
+            summary["moving"] = []
+            for moving in self.moving:
+                summary["moving"] += moving.rows
         if self.error_map is not None:
             summary["error_map"] = self.error_map.to_dict()
         if self.random is not None:
@@ -246,19 +248,33 @@ def score_experiments(
 def together(each: Sequence[Evaluation]) -> Evaluation:
     """Combine evaluations into one, in which each becomes a repetition, averaged over its own
     repetitions; recordings are those of the first."""
-    means = [jax.tree.map(lambda field: field.mean(axis=1), e.scores) for e in each]
+    means = []
+    moving = []
+    estimates = []
+    warnings: dict[str, None] = {}
+    for evaluation in each:
+        # Average over its own repetitions first, so that all evaluations have equal weight.
+        means.append(jax.tree.map(lambda field: field.mean(axis=1), evaluation.scores))
+        moving.append(evaluation.moving)
+        if evaluation.uncertainty is not None:
+            estimates.append(evaluation.uncertainty)
+        # The keys of a dictionary: each warning once, in order.
+        warnings |= dict.fromkeys(evaluation.warnings)
     scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
-    estimates = [e.uncertainty for e in each if e.uncertainty is not None]
     uncertainty = None
     if estimates:
         outside, furthest, half_width = map(np.stack, zip(*estimates, strict=True))
         uncertainty = SurrogateUncertainty(
             outside.mean(axis=0), furthest.max(axis=0), half_width.mean(axis=0)
         )
-    warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
-    moving = tuple(map(moving_together, zip(*(e.moving for e in each), strict=True)))
     return Evaluation(
-        each[0].config, scores, len(each), each[0].recording, uncertainty, warnings, moving
+        config=each[0].config,
+        scores=scores,
+        repetitions=len(each),
+        recording=each[0].recording,
+        uncertainty=uncertainty,
+        warnings=tuple(warnings),
+        moving=tuple(map(moving_together, zip(*moving, strict=True))),
     )
 
 

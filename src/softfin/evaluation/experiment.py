@@ -151,7 +151,8 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     if bad.size:
         index, seed, tick = bad[0]
         name = next(name for name, is_finite in finite.items() if not is_finite[index, seed, tick])
-        commanded, velocity = (float(part[index, seed, tick]) for part in recording.command)
+        commanded = float(recording.command.angle[index, seed, tick])
+        velocity = float(recording.command.velocity[index, seed, tick])
         asked = np.asarray(recording.reference)[index]
         x, y = asked if asked.ndim == 1 else asked[tick]
         raise PlantError(
@@ -184,6 +185,8 @@ def _program(
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
+        # Readings are padded to the longest action, so pick the last valid angle and average only
+        # over the valid forces.
         measured = Measured(
             jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
         )
@@ -191,11 +194,13 @@ def _program(
         return (memory, state, measured), (held, reading, true_force)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
+        # The first action is computed before the first reading, as if angle and force were 0.
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
         _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(action_ticks(actions))))
         recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions), kept)
         return recorded
 
+    # Keys are the inner axis and references the outer one: (references, seeds, ticks).
     each: RecordedTicks = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
         references, keys
     )

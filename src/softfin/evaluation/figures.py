@@ -195,6 +195,7 @@ def error_map_figure(errors: ErrorMap) -> Figure:
     # Rows are y and columns are x; NaN where no reference is tracked.
     lattice = np.full((errors.points, errors.points, 2), np.nan)
     places = (errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points
+    # Each reference is the centre of its part, so rounding down gives the index of the part.
     column, row = np.floor(places).astype(int).T
     lattice[row, column] = errors.error
     greatest = float(errors.error.max())

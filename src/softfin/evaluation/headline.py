@@ -5,7 +5,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from softfin.core.quantities import AXES
-from softfin.evaluation.results import EvaluationSummary, MeanScores, RunResults
+from softfin.evaluation.results import (
+    EvaluationSummary,
+    MeanScores,
+    ReferenceScores,
+    RunResults,
+)
 from softfin.evaluation.scores import SETTLED_N
 from softfin.storage.figures import with_minus_signs
 
@@ -41,29 +46,27 @@ def headline(results: RunResults) -> Headline | None:
     name, summary = min(evaluated.items(), key=still_or_error)
     (still, _) = still_or_error((name, summary))
     rows = summary["references"]
-    errors = {tuple(row["reference_n"]): greatest_error(row) for row in rows}
-    too_far = {reference: error for reference, error in errors.items() if error > SETTLED_N}
     plain = results["controllers"][name] if results.get("trimmed") else None
-    held, count = (
-        NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows))
-    )
-    each = f"each of {count} forces" if len(rows) > 1 else "the force"
-    if not too_far and not still:
-        sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
-        if plain is not None:
-            before = max(map(greatest_error, plain["references"]))
-            sentence += f"; without force feedback, within {within(before)} N"
-    elif still:
+    too_far = _missed_references(rows)
+    if still:
         sentence = (
             "The fin stands still at some of the target forces, so this controller does not work"
         )
-    else:
+    elif too_far:
         worst = max(too_far, key=lambda reference: too_far[reference])
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
+        held = _number_word(len(rows) - len(too_far))
         sentence = (
-            f"The fin holds {held} of {count} forces within {SETTLED_N:g} N on average; it "
-            f"misses {force} N by {too_far[worst]:.2f} N"
+            f"The fin holds {held} of {_number_word(len(rows))} forces within {SETTLED_N:g} N on "
+            f"average; it misses {force} N by {too_far[worst]:.2f} N"
         )
+    else:
+        forces = f"each of {_number_word(len(rows))} forces" if len(rows) > 1 else "the force"
+        error = max(map(greatest_error, rows))
+        sentence = f"The fin holds {forces} within {within(error)} N on average"
+        if plain is not None:
+            before = max(map(greatest_error, plain["references"]))
+            sentence += f"; without force feedback, within {within(before)} N"
     seconds = summary["conditions"]["duration_s"]
     window = summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
@@ -74,6 +77,20 @@ def headline(results: RunResults) -> Headline | None:
         f"{summary['conditions']['seeds']} runs."
     )
     return Headline(name, f"{sentence}.", caption, not too_far and not still)
+
+
+def _missed_references(rows: Sequence[ReferenceScores]) -> dict[tuple[float, ...], float]:
+    """Return the references with an error above `SETTLED_N`, with the error [N]."""
+    errors = {}
+    for row in rows:
+        error = greatest_error(row)
+        if error > SETTLED_N:
+            errors[tuple(row["reference_n"])] = error
+    return errors
+
+
+def _number_word(number: int) -> str:
+    return NUMBERS[number] if number < len(NUMBERS) else str(number)
 
 
 def greatest_error(row: MeanScores) -> float:

@@ -151,6 +151,7 @@ def _row(
     x, y = errors
     times = [step["settling_s"] for step in chain(*responses)]
     settled = [time for time in times if time is not None]
+    # Without any step there is nothing to settle.
     settles = len(settled) == len(times) if times else None
     # The rows of a recorded signal are left out, because there may be many; they are in its file.
     left_out = {"kind", "time_s", "force_n"} if isinstance(signal, Recorded) else {"kind"}
@@ -164,22 +165,23 @@ def _row(
         "y": y,
         "settles": settles,
         "longest_settling_s": max(settled) if settles else None,
-        "steps": [list(step) for step in zip(*responses, strict=True)],
+        "steps": list(map(list, zip(*responses, strict=True))),
     }
 
 
 def moving_together(each: Sequence[MovingScores]) -> MovingScores:
     """Combine scores of the same signals at one seed each; the recording is the first one."""
-    return MovingScores(
-        each[0].recording,
-        [_row_together(rows) for rows in zip(*(e.rows for e in each), strict=True)],
-    )
+    # Regroup the rows by signal; each group has one row per seed.
+    by_signal = zip(*(scores.rows for scores in each), strict=True)
+    return MovingScores(each[0].recording, list(map(_row_together, by_signal)))
 
 
 def _row_together(rows: Sequence[MovingRow]) -> MovingRow:
     settles = None if rows[0]["settles"] is None else all(row["settles"] for row in rows)
     times = [time for row in rows if (time := row["longest_settling_s"]) is not None]
-    steps = [list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)]
+    # Regroup the responses by step, over all seeds.
+    by_step = zip(*(row["steps"] for row in rows), strict=True)
+    steps = [list(chain(*responses)) for responses in by_step]
     return {
         **rows[0],
         "x": _errors_together([row["x"] for row in rows]),

@@ -144,7 +144,8 @@ def random_errors(
         cells, reachable_set(controller), count, named_generator(seed, "evaluate/random")
     )
     errors = errors_at(controller, plant, references, seconds, key)
-    x, y = (_random_errors(references, error) for error in errors.T)
+    x = _random_errors(references, errors[:, 0])
+    y = _random_errors(references, errors[:, 1])
     return {"count": count, "seeds": 1, "x": x, "y": y}
 
 

@@ -71,7 +71,13 @@ def write_report(
     )
     environment.filters["number"] = _number
     environment.filters["capitalize_first"] = lambda text: text[:1].upper() + text[1:]
-    first = next((summary["references"][0] for summary in controllers.values()), None)
+    conditions = None
+    has_intervals = False
+    if controllers:
+        # All controllers of a run are evaluated under the same conditions.
+        summary = next(iter(controllers.values()))
+        conditions = summary["conditions"]
+        has_intervals = summary["references"][0]["x"]["error_interval_n"] is not None
     template = (
         importlib.resources.files("softfin.evaluation")
         .joinpath("report.html.jinja")
@@ -84,11 +90,11 @@ def write_report(
         stages=results.get("stages") or [],
         overview=_overview(results),
         settled=SETTLED_N,
-        intervals=first is not None and first["x"]["error_interval_n"] is not None,
+        intervals=has_intervals,
         table_one=_table_one(scores),
         tables_two=_tables_two(controllers),
         in_surrogate=_tables_two(results.get("in_surrogate") or {}),
-        conditions=next((summary["conditions"] for summary in controllers.values()), None),
+        conditions=conditions,
         table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"]
         if controllers
         else None,
@@ -113,7 +119,7 @@ class Cell(NamedTuple):
     mean: float
     over_seeds: str
     reading: float | None = None
-    """The same score, computed from the sensor readings [N]."""
+    """Mean of the same score, computed from the sensor readings [N]."""
     paper: float | None = None
 
 
@@ -177,6 +183,7 @@ def _table_two(name: str, summary: EvaluationSummary) -> Table:
 def _table_row(
     label: str, row: MeanScores, paper: Sequence[float] | None, still: bool = False
 ) -> TableRow:
+    # In the order of the paper's columns: x error, x std, y error, y std.
     cells = []
     for axis in AXES:
         cells += [_error_cell(row[axis]), _std_cell(row[axis])]
@@ -298,6 +305,7 @@ def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
                     groups.append(
                         Bars(f"{name}, paper (real fin)", errors, bars.colour, is_paper=True)
                     )
+            # The bars of a reference are centred at its place and leave a gap to the next.
             width = min(0.25, 0.8 / len(groups))
             for k, bars in enumerate(groups):
                 bars.draw(axes, places + (k - (len(groups) - 1) / 2) * width, 0.92 * width)

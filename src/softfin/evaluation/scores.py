@@ -76,6 +76,7 @@ def score(recording: ExperimentRecording) -> Scores:
     """Score every experiment in a recording, which must contain at least one window."""
     force = np.asarray(recording.force, np.float64)
     asked = np.asarray(recording.reference, np.float64)
+    # (references, 1, 1, 2), or (references, 1, windows, 2) if it moves; broadcast over the seeds.
     reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
     # Start the second half at a full second, so that it contains whole cycles of the action clock.
@@ -148,7 +149,8 @@ def _response(
     for i in np.flatnonzero(start != to).tolist():
         # 0 at the old reference and 1 at the new one, for steps in either direction.
         part = (after[:, i] - start[i]) / (to[i] - start[i])
-        low, high = (np.flatnonzero(part >= level) for level in (0.1, 0.9))
+        low = np.flatnonzero(part >= 0.1)
+        high = np.flatnonzero(part >= 0.9)
         rise_s[i] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
         overshoot[i] = 100 * max(float(part.max()) - 1, 0.0)
     # after[k] ends k + 1 ticks after the step; the first settled one follows the last one outside.
@@ -203,7 +205,8 @@ def score_uncertainty(
     not estimate it."""
     if not isinstance(plant, EnsemblePlant):
         return None
-    commands = Command(*(jnp.asarray(field[:, 0]) for field in recording.command))
+    angle, velocity = recording.command
+    commands = Command(jnp.asarray(angle[:, 0]), jnp.asarray(velocity[:, 0]))
     ensemble = cast(EnsemblePlant, jit_argument(plant))
     distance, force = map(np.asarray, _run_members(ensemble, commands))
     # (members, references, windows, 2): the interval is on the mean force over one window.

@@ -168,6 +168,7 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
             cause = "the command differs from it"
         values = getattr(columns, channel)
         runs = []
+        total = 0
         for start, last in true_runs(np.diff(values) == 0):
             rows = last + 1 - start
             # The first 0.2 s are dead time. More than half a second of the run must be driven,
@@ -175,10 +176,10 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
             num_driven = driven[start + round(0.2 * RATE_HZ) : last + 1].sum()
             if rows >= STUCK_S * RATE_HZ and num_driven > 0.5 * STUCK_S * RATE_HZ:
                 runs.append((rows, -start))
+                total += rows
         if runs:
             # The first of the longest runs: starts are negated for max().
             longest, start = max(runs)
-            total = sum(rows for rows, _ in runs)
             message = (
                 f"stuck at {values[-start]:.4g} {unit} for {longest * TICK_S:.2f} s while {cause}; "
                 f"{counted(len(runs), 'such run')}, {total * TICK_S:.2f} s in total"
@@ -193,8 +194,12 @@ def check_saturation(log: CheckedLog) -> Iterator[Issue]:
         values = getattr(log.columns, channel)
         # Any series has an extreme; only a clipped one stays there for several samples, repeatedly.
         for extreme in sorted({float(values.min()), float(values.max())}):
-            runs = [(start, end) for start, end in true_runs(values == extreme) if end - start >= 3]
-            rows = sum(end - start for start, end in runs)
+            runs = []
+            rows = 0
+            for start, end in true_runs(values == extreme):
+                if end - start >= 3:
+                    runs.append((start, end))
+                    rows += end - start
             if len(runs) >= 2 and 10 <= rows < len(values):
                 message = (
                     f"clipped at {extreme:.4g} N: {rows:,} samples, in {len(runs):,} runs of at "

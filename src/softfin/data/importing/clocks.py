@@ -87,8 +87,12 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
     issues = list(recording.issues)
     for name, run in _split_at_restarts(recording):
         # Subtract the first time of any track: near Unix times, doubles only resolve 0.24 us.
-        times = [track.time[np.isfinite(track.time)] for track in run]
-        start = min((float(time[0]) for time in times if len(time)), default=0.0)
+        starts = []
+        for track in run:
+            times = track.time[np.isfinite(track.time)]
+            if len(times):
+                starts.append(float(times[0]))
+        start = min(starts, default=0.0)
         tracks = []
         for track in run:
             valid, found = _valid_rows(track._replace(time=track.time - start), name, config)

@@ -98,9 +98,8 @@ def _read_topic(
         raise _missing_topic_error(topic, role, types, path)
     where = f"{path}: {topic}"
     kind = connections[-1].msgtype
-    if kind not in READABLE_TYPES[role] or any(
-        connection.msgtype != kind for connection in connections
-    ):
+    kinds = {connection.msgtype for connection in connections}
+    if kind not in READABLE_TYPES[role] or len(kinds) > 1:
         raise LogError(
             f"{where}: type {_plain(kind)}; the messages of a {role} must all be "
             f"{' or '.join(READABLE_TYPES[role])}"

@@ -135,9 +135,10 @@ def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -
     controller."""
     recorded = open_loop.run_commands(jit_argument(plant), commands, config.keys())
     reading, true_force = jax.tree.map(np.asarray, recorded)
-    issued = Command(
-        *(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands)
-    )
+    # A recording has the commands of every seed, which are the same here.
+    angle = np.repeat(np.asarray(commands.angle)[:, None], config.seeds, axis=1)
+    velocity = np.repeat(np.asarray(commands.velocity)[:, None], config.seeds, axis=1)
+    issued = Command(angle, velocity)
     recording = ExperimentRecording(
         np.asarray(config.references, np.float32), issued, reading, true_force
     )
@@ -148,6 +149,8 @@ def shared_limits(one: Limits, other: Limits) -> Limits:
     """Return the commands that both plants accept; raises PlantError if there are none."""
     low = np.maximum(one, other).tolist()
     high = np.minimum(one, other).tolist()
+    # Limits are (angle_min, angle_max, velocity_min, velocity_max): the higher minima and the lower
+    # maxima.
     limits = Limits(low[0], high[1], low[2], high[3])
     if limits.problem() is not None:
         raise PlantError(

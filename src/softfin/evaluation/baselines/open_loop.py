@@ -259,7 +259,7 @@ class OpenLoopSearch(NamedTuple):
         best = force_errors(self.forces(repeated(gaits, self.config.seconds)), references).argmin(
             axis=0
         )
-        return Command(*(part[best] for part in gaits))
+        return Command(gaits.angle[best], gaits.velocity[best])
 
     def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
         """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError if

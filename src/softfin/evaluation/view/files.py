@@ -36,6 +36,7 @@ def shown_ticks(ticks: int, frames_per_second: int) -> range:
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: ReportPart) -> None:
     """Write all frames as a loop; they share a palette, so that static parts take no space."""
     ticks = shown_ticks(len(picture.footage.shape), frames_per_second)
+    # By the last frame, all traces are drawn, so it contains all colours.
     palette = PIL.Image.fromarray(picture.frame(-1)).quantize(method=PIL.Image.Quantize.MAXCOVERAGE)
 
     def quantized_frames() -> Iterator[PIL.Image.Image]:
@@ -67,10 +68,9 @@ def write_png(path: Path, picture: Picture) -> None:
 
 def write_page(path: Path, footage: Footage, title: str) -> None:
     """Write a page with a canvas and plain JavaScript; it needs no network."""
-    template, script = (
-        importlib.resources.files("softfin.evaluation.view").joinpath(name).read_text("utf-8")
-        for name in ("page.html.jinja", "page.js")
-    )
+    folder = importlib.resources.files("softfin.evaluation.view")
+    template = folder.joinpath("page.html.jinja").read_text("utf-8")
+    script = folder.joinpath("page.js").read_text("utf-8")
     page = (
         jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
         .from_string(template)

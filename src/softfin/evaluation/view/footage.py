@@ -71,7 +71,8 @@ def film(
 ) -> Footage:
     """Simulate the plant from rest, with one command per tick ``(ticks,)``; `reference` is the one
     that the commands track."""
-    issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
+    angle, velocity = commands
+    issued = Command(jnp.asarray(angle, jnp.float32), jnp.asarray(velocity, jnp.float32))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
     command, seen = jax.tree.map(np.asarray, (issued, shots))
     return develop(plant, command, seen, reference)
@@ -163,7 +164,9 @@ def max_sizes(footage: Footage) -> Float[np.ndarray, "2"]:
     means = np.concatenate(
         [footage.average, NONE if footage.reference is None else footage.reference]
     )
-    return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.force, means)], float)
+    force_n = np.linalg.norm(footage.force, axis=1).max()
+    mean_n = np.linalg.norm(means, axis=1).max()
+    return np.array([force_n, mean_n], float)
 
 
 def choose_scale(

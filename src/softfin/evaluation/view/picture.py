@@ -331,7 +331,9 @@ class EpisodeFilm:
     ) -> EpisodePart:
         # Always simulate the longest action, so that one compiled program suffices; a tick does not
         # depend on later ones, which are cut off.
-        commands = Command(*(jnp.full(MAX_ACTION_TICKS, field, jnp.float32) for field in command))
+        angle = jnp.full(MAX_ACTION_TICKS, command.angle, jnp.float32)
+        velocity = jnp.full(MAX_ACTION_TICKS, command.velocity, jnp.float32)
+        commands = Command(angle, velocity)
         recorded = (commands, self._shoot(state, commands))
         command, shots = jax.tree.map(lambda x: np.asarray(x)[:ticks], recorded)
         return command, shots, np.tile(np.asarray(reference, np.float32), (ticks, 1))

@@ -97,6 +97,7 @@ def record_footage(
             controller.check(following)
         references = (reference, *config.next_references)
         times = tuple(config.seconds * part / len(references) for part in range(len(references)))
+        # Experiments last whole seconds, so round up; the extra ticks are cut off below.
         seconds = -(-ticks // RATE_HZ)
         asked = Recorded(time_s=times, force_n=references).sample(seconds * RATE_HZ)
         recording = experiment.run(controller, plant, asked[None], seconds, key[None])
