@@ -114,7 +114,7 @@ def test_errors_that_an_import_ignored_do_not_stop_the_fit(capsys, tmp_path, ask
         if accepted:
             main(words)
         else:
-            assert "--ignore-errors uses these logs anyway" in fails(capsys, *words)
+            assert "use --ignore-errors to use these logs anyway" in fails(capsys, *words)
     assert len(asked) == 1
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "softfin inspect" in line]
     assert line.startswith(f"{tmp_path / 'd'}: 1 error")

@@ -50,7 +50,7 @@ SLIPS: list[tuple[list[str], str]] = [
     (["inspect", "log.csv", "--rate", "-1"], "rate_hz = -1.0: Input should be greater than 0"),
     (
         ["inspect", "log.csv"],
-        "log.csv: empty: it has no header; the first line must name the columns",
+        "log.csv: no header; the first line must contain the column names",
     ),
     (["import-logs", "full", *OUT], "full: contains no recordings; supported are .csv, "),
     (["fit", "log.csv", *OUT, "--epochs", "3"], "--epochs: applies only to --model paper"),

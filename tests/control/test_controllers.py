@@ -186,12 +186,12 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
         ),
         (
             lambda f: _edit(f, task={"past_actions": 5}),
-            r"net.lstm.kernel has shape .*; its configuration needs \(15",
+            r"net.lstm.kernel has shape .*; the configuration requires \(15",
         ),
-        (lambda f: _edit(f, cells=[]), "cells: there are 0; a single controller has one"),
+        (lambda f: _edit(f, cells=[]), "cells: got 0; a single controller must have one"),
         (
             lambda f: _edit(f, controller="neither"),
-            "controller is 'neither'; it must be one of single, grid, gaits",
+            "controller is 'neither', must be one of single, grid, gaits",
         ),
         (lambda f: _edit(f, format=None), "format is .None.; it must be a whole number"),
         (
@@ -200,13 +200,13 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
         ),
         (
             lambda f: _drop(f, "action_rate_hz"),
-            "action_rate_hz is .missing.; this softfin reads 3.0",
+            "action_rate_hz is .missing., must be 3.0 for this",
         ),
         (
             lambda f: _drop(f, "cells"),
             "controller.json: cells is missing; copy the folder again, or train it again",
         ),
-        (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0; this softfin reads 3.0"),
+        (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0, must be 3.0 for this"),
     ],
 )
 def test_a_damaged_folder_is_refused(

@@ -88,11 +88,11 @@ def weigh(folder: Path, **changes: Any) -> None:
             lambda f: edit(f, lattice={"low_n": [0, 0], "high_n": [1, 1], "nodes": [9999, 9999]}),
             "do not fit a lattice of .9999",
         ),
-        ("single", lambda f: edit(f, cells=[]), "cells: there are 0; a single controller has one"),
+        ("single", lambda f: edit(f, cells=[]), "cells: got 0; a single controller must have one"),
         (
             "single",
             lambda f: edit(f, controller="neither"),
-            "'neither'; it must be one of single, grid, gaits",
+            "'neither', must be one of single, grid, gaits",
         ),
         (
             "single",
@@ -102,12 +102,12 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "single",
             lambda f: edit(f, action_rate_hz=5.0),
-            "action_rate_hz is 5.0; this softfin reads 3.0",
+            "action_rate_hz is 5.0, must be 3.0 for this",
         ),
         (
             "single",
             lambda f: weigh(f, more=np.zeros(2, np.float32)),
-            "weights more are missing or unknown",
+            "missing or unknown weights: more",
         ),
         (
             "single",

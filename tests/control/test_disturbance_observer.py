@@ -298,7 +298,7 @@ def test_it_covers_and_reaches_what_the_inner_controller_does() -> None:
 def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
     with pytest.raises(
         ConfigurationError,
-        match=r"settle_actions = 8 with lag_actions = 4: .*give settle_actions 10",
+        match=r"settle_actions = 8 with lag_actions = 4: .*set settle_actions to 10",
     ):
         DisturbanceObserverConfig.build({"lag_actions": 4})
     assert (

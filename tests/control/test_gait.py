@@ -54,7 +54,8 @@ def test_it_covers_its_lattice_and_no_more() -> None:
     CONTROLLER.check((0.5, 2.0))
     assert CONTROLLER.cells[0].high == (2.5, 2.0)
     with pytest.raises(
-        CoverageError, match=r"\(3, 0\) N: 0.5 N outside what this controller was trained for"
+        CoverageError,
+        match=r"\(3, 0\) N: 0.5 N outside the range that this controller was trained for",
     ):
         CONTROLLER.check((3.0, 0.0))
 

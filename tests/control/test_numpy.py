@@ -175,7 +175,7 @@ def test_what_is_no_measurement_is_refused(number: float, folders: dict[str, Pat
         (0.0, (0.0, 0.0), (number, 0.0)),
     ):
         with pytest.raises(
-            RunError, match="a controller needs finite numbers; check drive and sensor"
+            RunError, match="inputs must be finite numbers; check the drive and the sensor"
         ):
             controller.act(controller.init(), Measured(angle, force), reference)
 

@@ -41,27 +41,30 @@ def test_beyond_reach_the_nearest_force_is_held_and_both_are_named():
     assert (x, y) == pytest.approx((2.5, 0), abs=1e-3)
     assert warning is not None
     assert warning.startswith(
-        "reference (3, 0) N: this fin cannot make it; "
-        "the nearest that it can make in this controller's range is (2.500, "
+        "reference (3, 0) N: this fin cannot produce it; "
+        "the nearest reachable force in this controller's range is (2.500, "
     )
-    assert warning.endswith("which is held instead")
+    assert warning.endswith("which is tracked instead")
     assert "\n" not in warning
 
 
 def test_strictly_it_is_refused_with_the_way_out():
     with pytest.raises(
         CoverageError,
-        match=r"\(3, 0\) N: this fin cannot .* \(2\.500, .*ask for that, or leave out",
+        match=r"\(3, 0\) N: this fin cannot .* \(2\.500, .*use that force, or remove --strict",
     ):
         resolve_reference(Holder(DISC), (3, 0), True)
 
 
 def test_what_a_controller_was_not_trained_for_is_refused_whatever_the_fin_can_do():
     with pytest.raises(
-        CoverageError, match=r"reference \(-0\.3, 0\) N: 0\.3 N outside what this controller was"
+        CoverageError,
+        match=r"reference \(-0\.3, 0\) N: 0\.3 N outside the range that this controller was",
     ):
         resolve_reference(Holder(DISC), (-0.3, 0), False)
-    with pytest.raises(CoverageError, match="outside what this controller was trained for"):
+    with pytest.raises(
+        CoverageError, match="outside the range that this controller was trained for"
+    ):
         resolve_reference(Holder(None), (5, 0), False)
 
 
@@ -82,7 +85,7 @@ def test_an_edge_in_single_precision_is_still_the_edge():
     cell = Cell(low=(0.1, -0.3), high=(2.3, 0.7))
     for x, y in np.float32([cell.low, cell.high]).tolist():
         check_within((cell,), (x, y))
-    with pytest.raises(CoverageError, match="outside what this controller"):
+    with pytest.raises(CoverageError, match="outside the range that this controller"):
         check_within((cell,), (2.301, 0))
 
 
@@ -99,7 +102,7 @@ def test_cells_that_the_reach_does_not_meet_are_named_with_the_force_asked_for()
     for reference in ((1, -1), (2, 0), (2, 1)):
         with pytest.raises(
             CoverageError,
-            match=rf"\({reference[0]}, {reference[1]}\) N: .* nor any other .*softfin map",
+            match=rf"\({reference[0]}, {reference[1]}\) N: .* can produce neither this force nor any other .*softfin map",
         ):
             resolve_reference(small, reference, False)
 
@@ -111,5 +114,5 @@ def test_a_cell_that_is_a_line_has_its_nearest_force_on_the_line():
 
 
 def test_what_is_not_a_force_is_refused():
-    with pytest.raises(CoverageError, match=r"\(nan, 0\) N: give two finite numbers"):
+    with pytest.raises(CoverageError, match=r"\(nan, 0\) N: must be two finite numbers"):
         resolve_reference(Holder(None), (float("nan"), 0.0), False)

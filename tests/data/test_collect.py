@@ -166,7 +166,7 @@ def test_a_plant_that_gives_nan_is_named_with_the_row(tmp_path):
 
 
 def test_a_plant_whose_clock_is_wrong_is_refused(tmp_path):
-    with pytest.raises(PlantError, match=r"row 0: the plant's time is 0.0033 s, must be 0.01 s"):
+    with pytest.raises(PlantError, match=r"row 0: the plant's time is 0.0033 s, expected 0.01 s"):
         collect_logs(Late(), CollectConfig(logs=1, test_logs=0, rows=500), tmp_path / "data")
 
 

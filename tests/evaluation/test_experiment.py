@@ -110,7 +110,7 @@ def test_a_reference_that_moves_is_seen_as_it_is_when_the_controller_acts():
 
 def test_a_moving_reference_of_another_length_is_refused():
     moving = np.repeat(REFERENCES[:1, None], 150, axis=1)
-    with pytest.raises(ValueError, match="150 references are not one per tick of 2 s"):
+    with pytest.raises(ValueError, match="got 150 references; must be one per tick of 2 s"):
         run(Echo(), AnalyticFin(), moving, 2, KEYS[:1])
 
 

@@ -161,8 +161,8 @@ def test_a_moving_reference_beyond_reach_is_brought_to_it_and_told():
     summary = score_controller(Weak(), AnalyticFin(), config).summary()
     assert summary["moving"][0]["replaced_s"] == 3.0
     assert (
-        "step (1, 0) to (3, 0) N at 3 s: this fin cannot make what is asked in 3 of 6 s, from 3 s"
-        in summary["warning"]
+        "step (1, 0) to (3, 0) N at 3 s: this fin cannot produce the target force during 3 of 6 s, "
+        "starting at 3 s" in summary["warning"]
     )
     (plan,) = plan_moving(Weak(), [], recorded)
     np.testing.assert_allclose(plan.tracked[0, [0, 299, 300, 599], 0], [1, 1, 2, 2], atol=2e-3)
@@ -172,7 +172,7 @@ def test_strictly_it_is_refused_with_time_and_force():
     recorded = Recorded(time_s=(0, 3), force_n=((1, 0), (3, 0)))
     with pytest.raises(
         CoverageError,
-        match=r"this fin cannot .* from 3 s on, by up to 1\.000 N; .* --strict is left out",
+        match=r"this fin cannot .* starting at 3 s, and misses it by up to 1\.000 N; remove --strict",
     ):
         score_controller(
             Weak(),

@@ -40,7 +40,7 @@ def test_the_seed_says_which():
 
 def test_cells_beyond_reach_are_refused():
     with pytest.raises(
-        CoverageError, match=r"random = 3: of 300 references .* this fin can make 0; train"
+        CoverageError, match=r"random = 3: this fin can reach only 0 of 300 references .*; train"
     ):
         draw_references((Cell(low=(5, 5), high=(6, 6)),), DISC, 3, named_generator(0, "test"))
 
@@ -121,5 +121,5 @@ def test_a_range_without_area_has_no_map():
     class Single(Covering):
         cells: tuple[Cell, ...] = (Cell(low=(1, 0), high=(2, 0)),)
 
-    with pytest.raises(CoverageError, match="range has no area; train it for a wider cell"):
+    with pytest.raises(CoverageError, match="range has no area; train it for a larger cell"):
         map_errors(Single(), AnalyticFin(), 6, 3, KEY)

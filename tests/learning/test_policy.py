@@ -122,15 +122,15 @@ def test_a_stored_policy_with_gaits_acts_the_same_on_a_robot(with_gaits: Policy)
 
 def test_damaged_gaits_of_a_policy_are_refused(with_gaits: Policy) -> None:
     broken = weights(with_gaits) | {"gaits.actions": np.zeros((2, 2, 5, 2), np.float32)}
-    with pytest.raises(ValueError, match=r"gaits of shape \(2, 2, 5, 2\)"):
+    with pytest.raises(ValueError, match=r"gaits: got actions of shape \(2, 2, 5, 2\)"):
         fold(broken, OBSERVATION)
-    with pytest.raises(ValueError, match=r"their actions are not within \[-1, 1\]"):
+    with pytest.raises(ValueError, match=r"2 x 2 nodes and actions within \[-1, 1\]"):
         fold(weights(with_gaits) | {"gaits.actions": 2 * np.ones((2, 2, 6, 2))}, OBSERVATION)
     missing = {name: array for name, array in weights(with_gaits).items() if name != "gaits.high"}
-    with pytest.raises(ValueError, match=r"a table of gaits is not gaits\.actions, gaits\.low"):
+    with pytest.raises(ValueError, match=r"gaits: got gaits\.actions, gaits\.low; must be"):
         fold(missing, OBSERVATION)
     with pytest.raises(
-        ValueError, match=r"task\.phase is false; a policy with gaits observes the phase"
+        ValueError, match=r"task\.phase is false; must be true for a policy with gaits"
     ):
         fold(weights(with_gaits), PolicyObservation())
 

@@ -1,2 +1,4 @@
-"""Controllers: they turn a reference force into a command three times a second; one implementation
-for NumPy, JAX and ONNX."""
+"""Controllers, which turn a reference force into a command three times per second.
+
+One implementation serves NumPy, JAX and ONNX.
+"""

@@ -1,7 +1,7 @@
-"""Controllers: a reference force in, a command out, three times a second.
+"""The controller contract: a reference force in, a command out, three times per second.
 
-The same controller runs everywhere: with NumPy on a robot, where JAX is not imported, and as a
-pytree in JAX programs.
+The same controller runs with NumPy on a robot, where JAX is not imported, and as a pytree in JAX
+programs.
 """
 
 import dataclasses
@@ -24,11 +24,11 @@ ControllerState: TypeAlias = Any
 Pair: TypeAlias = tuple[float, float]
 
 MAX_MEASUREMENT = 1e6
-"""Magnitude above which a measurement must be an error [rad, N]."""
+"""Magnitude above which a measurement must be wrong [rad, N]."""
 
 
 class Measured(NamedTuple):
-    """Measurements that a controller gets when it acts."""
+    """Measurements available to a controller when it acts."""
 
     angle: Array
     """Last reading of the shaft's angle [rad]; 0 before the first."""
@@ -38,11 +38,10 @@ class Measured(NamedTuple):
 
 @runtime_checkable
 class Controller(Protocol):
-    """Holds a reference force by commanding one fin; deterministic, no batch axes (`jax.vmap` adds
-    them).
+    """Contract of a controller, which holds a reference force by commanding one fin.
 
-    It may have `cells` that it was trained for and a `reachable` region, which tell which
-    references it can hold.
+    It is deterministic and has no batch axes; `jax.vmap` adds them. Two optional attributes define
+    which references it can hold: the `cells` that it was trained for, and the `reachable` forces.
     """
 
     def init(self) -> ControllerState:
@@ -63,7 +62,7 @@ class Controller(Protocol):
 
 @runtime_checkable
 class ControllerStep(Protocol):
-    """One action of one kind of controller, written with `Operations`."""
+    """Contract of the step of one kind of controller, implemented with `Operations`."""
 
     kind: str
 
@@ -78,7 +77,7 @@ class ControllerStep(Protocol):
 
 
 class TrainingRange(NamedTuple):
-    """Smallest and largest reading in the data of a controller's surrogate; None if unknown."""
+    """Range of the readings in the training data of a controller's surrogate; None if unknown."""
 
     angle_rad: Pair | None
     velocity_rad_s: Pair | None
@@ -94,32 +93,32 @@ class Artifact:
     """Name of the folder."""
     training_range: TrainingRange | None = None
     fin: str | None = None
-    """Name of the fin for which it was trained, if its data contain one."""
+    """Name of the fin for which it was trained, if known."""
     description: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Content of ``controller.json``."""
     weights_sha256: str = ""
 
 
 STATIC: Mapping[str, bool] = MappingProxyType({"static": True})
-"""Metadata of a field without arrays: compiled programs contain it as a constant."""
+"""Metadata of a field without arrays, which is a constant in compiled programs."""
 
 DROPPED: Mapping[str, bool] = MappingProxyType({"dropped": True})
-"""Metadata of a field that JAX does not see; a copy that JAX makes has the default."""
+"""Metadata of a field that JAX ignores; copies made by JAX have its default value."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LoadedController:
-    """A controller of any kind; meets the Controller contract."""
+    """A controller of any kind, as loaded from a folder; implements `Controller`."""
 
     step: ControllerStep
     limits: Limits = dataclasses.field(metadata=STATIC)
-    """Limits of the plant in which it was trained; its commands stay within them."""
+    """Limits of the plant in which it was trained; its commands never exceed them."""
     cells: Cells = dataclasses.field(metadata=STATIC)
     """References for which it was trained [N]."""
     reachable: Reachable | None = None
-    """Mean forces that the fin can make, if known."""
-    # If it were static, each origin would need its own compiled program, and a program that returns
-    # a controller would return the origin of the first one.
+    """Reachable mean forces of the fin, if known."""
+    # Not static: otherwise, each origin would need its own compiled program. A program that returns
+    # a controller would even return the origin with which it was compiled.
     artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
 
     def __post_init__(self) -> None:
@@ -135,12 +134,10 @@ class LoadedController:
         return self.step.init()
 
     def act(self, state: Any, measured: Measured, reference: Any) -> tuple[Any, Command]:
-        """Compute the next state and command; for numbers and NumPy arrays it returns numbers, for
-        JAX arrays JAX arrays.
+        """Compute the next state and command: JAX arrays for JAX inputs, otherwise numbers.
 
         Raises:
-            RunError: outside of JAX, a measurement or the reference is not a finite number; the
-                state is unchanged.
+            RunError: a measurement or the reference is not finite (not checked under JAX).
         """
         angle, force = measured
         ops = select_operations(angle, reference, state[0])
@@ -150,32 +147,31 @@ class LoadedController:
             now = now.astype(np.float32)
             state, action = self.step.act(ops, state, now)
             return state, action_to_command(self.limits, action)
-        if not all(
-            abs(measurement) <= MAX_MEASUREMENT for measurement in (angle, *force, *reference)
-        ):
+        inputs = (angle, *force, *reference)
+        # NaN fails the comparison as well.
+        if not all(abs(number) <= MAX_MEASUREMENT for number in inputs):
             raise RunError(
                 f"{self.artifact.name}: angle {angle:g} rad, force {format_force(force)} N, "
-                f"reference {format_force(reference)} N: a controller needs finite numbers; check "
-                "drive and sensor"
+                f"reference {format_force(reference)} N: inputs must be finite numbers; check the "
+                "drive and the sensor"
             )
         state, action = self.step.act(ops, state, np.array((angle, *reference), np.float32))
         command: Any = action_to_command(self.limits, action.tolist())
         limits = self.limits
-        # Rounding must not leave the limits.
+        # The conversion from [-1, 1] may round to just outside the limits.
         angle = ops.clip(command.angle, limits.angle_min, limits.angle_max)
         velocity = ops.clip(command.velocity, limits.velocity_min, limits.velocity_max)
         return state, Command(angle, velocity)
 
     def check(self, reference: ForceVector) -> None:
-        """Raise CoverageError if the reference is outside every cell."""
+        """Raise CoverageError if the reference [N] is outside every cell."""
         check_within(self.cells, reference)
 
 
 def register_pytrees(*classes: type) -> None:
-    """Make dataclasses pytrees of JAX: fields are leaves unless they are `STATIC` or `DROPPED`.
+    """Register dataclasses as JAX pytrees; fields are leaves unless they are `STATIC` or `DROPPED`.
 
-    Controllers may be loaded before JAX is imported, so a class is registered as soon as that
-    happens.
+    Controllers may be loaded before JAX is imported; registration then waits for that import.
     """
     for each in classes:
         if each not in _REGISTERED and dataclasses.is_dataclass(each):
@@ -184,7 +180,7 @@ def register_pytrees(*classes: type) -> None:
 
 
 _REGISTERED: set[type] = set()
-"""Classes that are registered, or will be when JAX is imported."""
+"""Classes that are registered with JAX, or will be once JAX is imported."""
 
 
 def _register_pytree(dataclass: type) -> None:

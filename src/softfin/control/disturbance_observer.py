@@ -1,27 +1,27 @@
 """Force feedback around any controller: estimate its steady-state force error and subtract it from
 the reference.
 
-A bias of the surrogate, a softer fin or colder water shows as a difference e between the mean force
-over the window and the mean of the references that the inner controller got over the same window.
-Subtracting the estimated difference makes this a disturbance observer (Ohnishi 1987; Sariyildiz,
-Oboe and Ohnishi 2020): integral action that knows its own output, so the window's delay does not
+A biased surrogate, a softer fin or colder water causes a difference e between the mean force over
+the window and the mean of the inner controller's references over the same window. Subtracting the
+estimated difference is a disturbance observer (Ohnishi 1987; Sariyildiz, Oboe and Ohnishi 2020). It
+acts like an integrator that accounts for its own output, so the delay of the window does not
 destabilise it.
 
-The sensor measures the bias b of the controller and its own drift d together, e = b + d. Only b may
-be corrected: a correction of d would move the true force away from the reference. The two differ in
-time. The sensor is zeroed at rest, so d starts at 0 and then wanders; b is there from the start,
-and changes with the reference. A Kalman filter with the states b and d, on each axis, therefore
-attributes an early error to the controller and a late, slow one to the sensor:
+The sensor measures the sum of the controller's bias b and its own drift d: e = b + d. Only b may be
+corrected; a correction of d would move the true force away from the reference. Their time courses
+differ. The sensor is zeroed at rest, so d starts at 0 and then wanders, while b exists from the
+start and changes with the reference. A Kalman filter with the states b and d on each axis therefore
+attributes an early error to the controller and a late, slow error to the sensor:
 
     b: random walk over the distance that the reference moves
     d: Ornstein-Uhlenbeck process from 0, with the standard deviation sqrt(2) drift_n and the
        time constant 2 drift_s
 
-A sensor whose drift w(t) has the standard deviation drift_n and the time constant drift_s reads
-w(t) - w(0) after it was zeroed. The variance of that is 2 drift_n^2 (1 - exp(-t / drift_s)), which
-is the variance of d.
+After zeroing, a sensor whose drift w(t) has the standard deviation drift_n and the time constant
+drift_s reads w(t) - w(0). The variance of this is 2 drift_n^2 (1 - exp(-t / drift_s)), which is the
+variance of d.
 
-An error that drift cannot explain is a change of the fin, and reopens the estimate of b. The inner
+An error that drift cannot explain is a change of the fin and reopens the estimate of b. The inner
 reference stays within the controller's cells and the reachable forces, so the observer does not
 wind up at their edge.
 """
@@ -42,39 +42,39 @@ from softfin.core.operations import NUMPY, Array, Number, Operations, select_ope
 from softfin.core.quantities import Command, Limits
 from softfin.gaits.reachable import Cells, ForceVector, Reachable, cell_corners
 
+# Actions last 33, 33 and 34 ticks in turn, so their weights depend on the phase of the clock.
 WINDOW_WEIGHTS = np.array(
     [
         [ACTION_TICKS[(age - 1 - ago) % 3] / WINDOW for ago in range(CYCLE_ACTIONS)]
         for age in range(3)
     ]
 )
-"""Weights of the last six actions in the window, the newest first, for an age of 0, 1 or 2 modulo
-3."""
+"""Weights of the last six actions in the window, newest first, by age modulo 3."""
 
 
 class DisturbanceObserverConfig(Configuration):
     """Configuration of the force feedback."""
 
     bias_n: PositiveFloat = 0.2
-    """Standard deviation of the controller's force error before anything is measured [N]."""
+    """Prior standard deviation of the controller's force error [N]."""
     bias_per_n: NonNegativeFloat = 0.03
-    """Standard deviation of the change of that error when the reference changes by 1 N [N]; the
+    """Standard deviation of the change in that error when the reference moves by 1 N [N]; the
     variance is proportional to the distance, so a slow movement adds as much as a step."""
     drift_n: NonNegativeFloat = 0.05
-    """Standard deviation of the drift of a force sensor that is never zeroed [N]; 0 attributes
-    every error to the controller."""
+    """Standard deviation of the drift of a force sensor without zeroing [N]; 0 attributes every
+    error to the controller."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
     noise_n: PositiveFloat = 0.04
     """Standard deviation of the mean force over a window at a constant reference [N]."""
     lag_actions: int = Field(default=1, ge=0, le=6)
-    """Actions until the force follows the reference; the window of references is that much
-    older."""
+    """Number of actions until the force follows the reference; the window of references is shifted
+    by it."""
     settle_actions: int = Field(default=8, ge=6)
-    """Actions from rest during which nothing is estimated, because the fin is still starting."""
+    """Number of actions after rest without any estimation, because the fin is still starting."""
     still_n: PositiveFloat = 0.05
-    """The reference counts as constant while it moves by less than this within the window [N];
-    beyond that, the variance of the noise grows with the fourth power of the movement."""
+    """Movement within the window up to which the reference is treated as constant [N]; above it,
+    the variance of the noise grows with the fourth power of the movement."""
     limit_n: PositiveFloat = 1.0
     """Limit of the correction of each axis [N]."""
 
@@ -84,40 +84,39 @@ class DisturbanceObserverConfig(Configuration):
         if self.settle_actions < least:
             raise ValueError(
                 f"settle_actions = {self.settle_actions} with lag_actions = {self.lag_actions}: "
-                f"before {least} actions the window of references is not full; give settle_actions "
-                f"{least} or more"
+                f"the window of references is only full after {least} actions; set settle_actions "
+                f"to {least} or more"
             )
         return self
 
 
 class DisturbanceObserverState(NamedTuple):
-    """State of the observer and of the controller inside; series have the newest first."""
+    """State of the observer and of the inner controller; series start with the newest value."""
 
     bias: Array
     """Estimated steady-state force error of the controller (x, y) [N]."""
     drift: Array
     """Estimated drift of the sensor since it was zeroed (x, y) [N]."""
     covariance: Array
-    """Variance of the bias, covariance, variance of the drift [N2]; the same on both axes."""
+    """Variance of the bias, covariance, and variance of the drift [N2]; the same on both axes."""
     inner: Any
-    """State of the controller inside."""
+    """State of the inner controller."""
     forces: Array
-    """Mean force while each of the last six actions was held ``(6, 2)`` [N]."""
+    """Mean force during each of the last six actions ``(6, 2)`` [N]."""
     tracked: Array
     """Corrected references of the last actions [N]."""
     references: Array
-    """References of the last actions before the correction [N]."""
+    """Uncorrected references of the last actions [N]."""
     age: Number
-    """Actions since the start."""
+    """Number of actions since the start."""
 
 
 @dataclass(frozen=True)
 class DisturbanceObserver:
-    """A controller with force feedback around it; meets the Controller contract, as the one inside
-    does."""
+    """A controller with force feedback around it; implements `Controller`, like the inner one."""
 
     controller: Any
-    """The Controller inside."""
+    """The inner controller, a `Controller`."""
     config: DisturbanceObserverConfig = field(default=DisturbanceObserverConfig(), metadata=STATIC)
 
     def __post_init__(self) -> None:
@@ -125,18 +124,18 @@ class DisturbanceObserver:
 
     @property
     def limits(self) -> Limits:
-        """Limits of the controller inside."""
+        """Limits of the inner controller."""
         limits: Limits = self.controller.limits
         return limits
 
     @property
     def cells(self) -> Cells:
-        """Cells of the controller inside."""
+        """Cells of the inner controller."""
         return controller_cells(self.controller)
 
     @property
     def reachable(self) -> Reachable | None:
-        """Reachable forces that the controller inside knows."""
+        """Reachable forces of the inner controller, if known."""
         return reachable_set(self.controller)
 
     @cached_property
@@ -146,7 +145,7 @@ class DisturbanceObserver:
         return cell_corners(self.cells) if self.cells else None
 
     def init(self) -> DisturbanceObserverState:
-        """Return the state of a fin at rest with a sensor that was just zeroed."""
+        """Return the state for a fin at rest with a freshly zeroed sensor."""
         controller: Controller = self.controller
         series = np.zeros((CYCLE_ACTIONS + self.config.lag_actions, 2))
         return DisturbanceObserverState(
@@ -163,13 +162,14 @@ class DisturbanceObserver:
     def act(
         self, state: DisturbanceObserverState, measured: Measured, reference: Any
     ) -> tuple[DisturbanceObserverState, Command]:
-        """Act with the controller inside on the reference minus the bias."""
+        """Let the inner controller act on the reference minus the estimated bias."""
         ops = select_operations(*measured, reference, state.bias)
         xp = ops.xp
         force = xp.asarray(measured.force)
         reference = xp.asarray(reference)
         forces = xp.concatenate([force[None], state.forces[:-1]])
         weights = ops.row(ops.constant(WINDOW_WEIGHTS), state.age % len(ACTION_TICKS))
+        # The oldest six tracked references are the window shifted by `lag_actions`.
         error = ops.dot(weights, forces - state.tracked[-CYCLE_ACTIONS:])
         bias, drift, covariance = self._estimate(ops, state, error, reference)
         tracked = self._trackable(ops, reference, reference - bias)
@@ -190,11 +190,11 @@ class DisturbanceObserver:
     def _estimate(
         self, ops: Operations, state: DisturbanceObserverState, error: Array, reference: Array
     ) -> tuple[Array, Array, Array]:
-        """Return bias, drift and their covariance after one action of the Kalman filter."""
+        """Return bias, drift and their covariance after one step of the Kalman filter."""
         config = self.config
         xp = ops.xp
-        # Predict. The bias may change where the reference changes; before the first action there is
-        # no change yet.
+        # Predict. The bias may change when the reference changes. The first reference is not a
+        # change.
         distance = abs(reference - state.references[0]).max()
         change = ops.choose(
             state.age > 0, lambda: config.bias_per_n**2 * distance, lambda: 0.0 * distance
@@ -204,23 +204,24 @@ class DisturbanceObserver:
         bias_variance = state.covariance[0] + change
         cross = kept * state.covariance[1]
         drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * config.drift_n**2
-        # While the reference moves, the fin's lag looks like an error that lasts as long as the
-        # movement, so averaging neighbouring windows does not remove it. The slow motion of the
-        # correction itself is excluded; otherwise it would block its own update.
+        # While the reference moves, the fin's lag looks like an error for the entire movement, so
+        # averaging neighbouring windows does not remove it, and the noise is raised instead. Only
+        # the uncorrected references count as movement; otherwise, the correction's own motion would
+        # block its updates.
         highest = xp.maximum(state.references.max(axis=0), reference)
         lowest = xp.minimum(state.references.min(axis=0), reference)
         movement = xp.maximum((highest - lowest).max(), config.still_n)
         noise_variance = (config.noise_n * (movement / config.still_n) ** 2) ** 2
         innovation = error - state.bias - drift
-        # An error beyond three standard deviations cannot be drift: the fin or the water has
-        # changed.
+        # If the error exceeds three standard deviations, the fin or the water must have changed, so
+        # raise the variance of the bias until the error is within them.
         expected = bias_variance + 2 * cross + drift_variance + noise_variance
         learns = ops.choose(state.age >= config.settle_actions, lambda: 1.0, lambda: 0.0)
         bias_variance = bias_variance + learns * xp.maximum(
             (innovation**2).max() - 9 * expected, 0.0
         )
-        # Update. Neighbouring windows share all actions but one, so a window counts as one sixth of
-        # a measurement.
+        # Update. Neighbouring windows share five of six actions, so each window counts as one sixth
+        # of an independent measurement: its noise variance is multiplied by six.
         total = bias_variance + 2 * cross + drift_variance + CYCLE_ACTIONS * noise_variance
         bias_gain = learns * (bias_variance + cross) / total
         drift_gain = learns * (cross + drift_variance) / total
@@ -237,12 +238,11 @@ class DisturbanceObserver:
         return bias, drift, covariance
 
     def _trackable(self, ops: Operations, reference: Array, corrected: Array) -> Array:
-        """Return the corrected reference, moved into the controller's cells and the reachable
-        forces.
+        """Move the corrected reference into the reachable forces and the controller's cells.
 
-        A correction may lead into another cell. If it leads between cells, it ends at the edge of
-        the reference's own cell. Cells are applied last: outside them the controller's command is
-        meaningless, while outside the reachable forces the fin only falls short.
+        A correction may lead into another cell. If it leads between cells, it stops at the edge of
+        the reference's own cell. Cells are applied last: outside the cells, the controller's
+        commands are meaningless, while outside the reachable forces, the fin only falls short.
         """
         if self.reachable is not None:
             corrected = self.reachable.project(corrected)
@@ -252,11 +252,12 @@ class DisturbanceObserver:
         low, high = map(ops.constant, self._corners)
         within = ((low <= corrected) & (corrected <= high)).all(axis=1).any()
         beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0.0)
+        # The reference's own cell is the one nearest to the uncorrected reference.
         own = (beyond**2).sum(axis=1).argmin()
         clipped = xp.maximum(xp.minimum(corrected, ops.row(high, own)), ops.row(low, own))
         return xp.where(within, corrected, clipped)
 
     def check(self, reference: ForceVector) -> None:
-        """Raise CoverageError if the controller inside does."""
+        """Raise CoverageError if the inner controller does."""
         controller: Controller = self.controller
         controller.check(reference)

@@ -1,8 +1,8 @@
-"""Gaits as a controller: no network, but a table of six actions for each node of a lattice of
-references, interpolated in between.
+"""Gaits as a controller, without a network: a table with six actions for each node of a lattice of
+references, and interpolation between the nodes.
 
-It is the benchmark for the policies, their starting point, and a good choice if the controller must
-be small.
+Gaits are the benchmark and the starting point of the policies, and a good choice if the controller
+must be small.
 """
 
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ class GaitState(NamedTuple):
     """State of a gait controller."""
 
     age: Number
-    """Actions since the start. The count continues when the reference moves, so that the gait keeps
-    its phase."""
+    """Number of actions since the start; it is not reset when the reference moves, so that the gait
+    keeps its phase."""
 
 
 @dataclass(frozen=True)
 class GaitStep:
-    """Step of a gait controller; open loop, so the angle is not used."""
+    """Step of a gait controller; it is open loop and ignores the angle."""
 
     kind: ClassVar[str] = "gaits"
     table: GaitTable
@@ -39,8 +39,8 @@ class GaitStep:
         limits: Limits,
         cells: Cells,
     ) -> tuple["GaitStep", Cells]:
-        """Build it from a controller's description and arrays; returns it with its lattice's
-        box."""
+        """Build the step from a controller's description and arrays; return it with the bounding
+        box of its lattice."""
         table = ForceMap.from_dict(description, arrays).gaits.table
         box = Cell(low=tuple(table.low.tolist()), high=tuple(table.high.tolist()))
         return cls(table), (box,)
@@ -50,7 +50,7 @@ class GaitStep:
         return GaitState(0)
 
     def act(self, ops: Operations, state: GaitState, now: Array) -> tuple[GaitState, Array]:
-        """Take the next action of the gait for the reference."""
+        """Return the next action of the gait for the reference."""
         return GaitState(state.age + 1), ops.row(
             self.table.gait(now[1:], ops), state.age % CYCLE_ACTIONS
         )

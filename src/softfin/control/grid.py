@@ -1,10 +1,9 @@
-"""Grid-switching (paper Sec. III-C3, second design): a policy for each cell of reference forces,
-switched on demand.
+"""Grid-switching (paper Sec. III-C3, second design): one policy per cell of reference forces.
 
-A switch should be visible only in the requested force. The active policy therefore keeps its cell
-slightly beyond the border (hysteresis); the next policy first replays the observations of the last
-six actions, one cycle of the clock; and its actions are blended with those of the previous cycle
-(bumpless transfer).
+The policy is switched when the reference enters another cell. The switch should not disturb the
+force. Therefore, the active policy stays active slightly beyond the border of its cell
+(hysteresis). The next policy first replays the observations of the last six actions, one cycle of
+the clock, and its actions are blended with those of the previous cycle (bumpless transfer).
 """
 
 from dataclasses import dataclass, field
@@ -26,45 +25,45 @@ from softfin.gaits.reachable import Cells, cell_corners
 
 
 class SwitchingConfig(Configuration):
-    """Configuration of the switch from one policy to another."""
+    """Configuration of the switch between policies."""
 
     margin_n: NonNegativeFloat = 0.1
-    """The active policy stays until another cell is nearer to the reference by more than this [N],
-    so that a reference on the border does not switch all the time; the policies can still hold a
-    reference this far outside their cell."""
+    """Hysteresis [N]: the active policy stays active until another cell is nearer to the reference
+    by more than this, so that a reference on the border does not cause constant switching. Policies
+    can still hold a reference this far outside their cell."""
     fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
-    """Number of actions over which the new policy's actions are blended in; 0 switches at once."""
+    """Number of actions over which the new policy is blended in; 0 switches immediately."""
     step_n: PositiveFloat = 0.5
-    """A reference that moves by this or more between two actions [N] is a step, after which nothing
-    is blended; after smaller moves the blending is partial."""
+    """Movement of the reference between two actions from which it is a step [N]. After a step
+    nothing is blended; after smaller movements, blending is partial."""
     replay: bool = True
-    """Whether the new policy replays the last six actions as if it had been active, or starts with
-    an empty memory."""
+    """Whether the new policy replays the last six actions to fill its memory; otherwise, it starts
+    with an empty memory."""
 
 
 class GridState(NamedTuple):
-    """Memory of the active policy, and what another policy needs to take over."""
+    """Memory of the active policy, and the data that another policy needs to take over."""
 
     hidden: Array
     cell: Array
     actions: Array
-    """Past actions in [-1, 1], the last one first: one cycle, and those observed at its first
-    action."""
+    """Past actions in [-1, 1], newest first: one cycle, and the earlier actions observed at its
+    start."""
     angles: Array
-    """Angle of the shaft at each action of the last cycle, the last one first [rad]."""
+    """Angle of the shaft at each action of the last cycle, newest first [rad]."""
     last_reference: Array
     """Reference at the last action [N]."""
     age: Number
-    """Actions since the start."""
+    """Number of actions since the start."""
     active_cell: Number
     """Index of the cell whose policy is active."""
     blend: Number
-    """Weight of the action one cycle ago in the next action; 0 if nothing is blended."""
+    """Weight of the action one cycle ago in the next action; 0 without blending."""
 
 
 @dataclass(frozen=True)
 class GridStep:
-    """Step of a grid of policies."""
+    """Step of a controller with a grid of policies."""
 
     kind: ClassVar[str] = "grid"
     networks: PolicyNetwork
@@ -73,11 +72,11 @@ class GridStep:
     """Lower corners of the cells ``(cells, 2)`` [N]."""
     high: Array
     rest: tuple[float, float] = field(metadata=STATIC)
-    """Action of a fin that stays where it is."""
+    """Action that keeps the fin at angle 0."""
     observation: PolicyObservation = field(metadata=STATIC)
     switching: SwitchingConfig = field(metadata=STATIC)
     gaits: GaitTable | None = None
-    """Gaits that the actions of all policies are added to."""
+    """Gaits to which all policies add their actions, if any."""
 
     @classmethod
     def load(
@@ -87,9 +86,9 @@ class GridStep:
         limits: Limits,
         cells: Cells,
     ) -> tuple["GridStep", Cells]:
-        """Build it from a controller's description and arrays; returns it with its cells."""
+        """Build the step from a controller's description and arrays; return it with its cells."""
         if not cells:
-            raise ValueError("cells: none given; a grid needs one or more")
+            raise ValueError("cells: empty; a grid needs at least one cell")
         observation = PolicyObservation.model_validate(description["task"])
         switching = SwitchingConfig.model_validate(description.get("switching") or {})
         networks, gaits = fold(arrays, observation, (len(cells),))
@@ -99,7 +98,7 @@ class GridStep:
         return step, cells
 
     def init(self) -> GridState:
-        """Return the state of a fin at rest."""
+        """Return the state for a fin at rest."""
         return GridState(
             *self.networks.empty(),
             actions=np.tile(
@@ -113,8 +112,7 @@ class GridStep:
         )
 
     def act(self, ops: Operations, state: GridState, now: Array) -> tuple[GridState, Array]:
-        """Compute the deterministic action of the active policy, blended in if it has just taken
-        over."""
+        """Compute the deterministic action of the active policy, blended in after a switch."""
         xp = ops.xp
         reference = now[1:]
         active_cell = self.active_cell(ops, state, reference)
@@ -134,6 +132,7 @@ class GridStep:
         )
         blend = self._blend(ops, state, switched, reference)
         own = network.action(ops, memory, self.gaits, reference, state.age)
+        # Actions are pairs, newest first, so this is the action one full cycle ago.
         before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
         action = (1 - blend) * own + blend * before
         less = blend - 1 / max(1, self.switching.fade_actions)
@@ -150,11 +149,12 @@ class GridStep:
 
     def active_cell(self, ops: Operations, state: GridState, reference: Array) -> Number:
         """Return the index of the cell whose policy acts: the last one, unless another cell is
-        nearer by the margin."""
+        nearer by more than the margin."""
         xp = ops.xp
         low = ops.constant(self.low)
         high = ops.constant(self.high)
         beyond = xp.maximum(xp.maximum(low - reference, reference - high), 0 * low)
+        # Distance of the reference from each cell; 0 inside a cell.
         distance = xp.sqrt(beyond[:, 0] * beyond[:, 0] + beyond[:, 1] * beyond[:, 1])
         nearest = ops.whole(xp.argmin(distance))
         reach = ops.row(distance, nearest) + np.float32(self.switching.margin_n)
@@ -164,8 +164,7 @@ class GridStep:
     def _warm_up_memory(
         self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
     ) -> PolicyMemory:
-        """Replay the last cycle, or as much of it as there was, as if the reference had been this
-        one for a long time."""
+        """Replay up to one cycle of past actions as if the present reference had been constant."""
 
         def replayed(memory: PolicyMemory, ago: int) -> PolicyMemory:
             now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
@@ -177,7 +176,7 @@ class GridStep:
         empty: PolicyMemory = ops.constant(network.empty())
         memory = empty
         if self.switching.replay:
-            # From the oldest action on; one before the start leaves the memory empty.
+            # Start with the oldest action; before the start of the episode, the memory stays empty.
             for ago in range(CYCLE_ACTIONS, 0, -1):
                 memory = PolicyMemory(
                     *ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty)
@@ -187,8 +186,8 @@ class GridStep:
     def _blend(
         self, ops: Operations, state: GridState, switched: Number, reference: Array
     ) -> Number:
-        """Return the weight of the action one cycle ago, which starts at 1 once there is a whole
-        cycle."""
+        """Return the weight of the action one cycle ago; it starts at 1 at a switch, if a full
+        cycle has passed since the start."""
         if not self.switching.fade_actions:
             return 0 * state.blend
         whole = ops.choose(state.age >= CYCLE_ACTIONS, lambda: np.float32(1), lambda: np.float32(0))

@@ -1,9 +1,8 @@
-"""A controller's step as ONNX: measurements, reference and state in, command and next state out,
-three times per second.
+"""Export a controller's step as ONNX: measurements, reference and state in, command and next state
+out, three times per second.
 
-The step is translated from the formulas that NumPy runs on the robot, traced by JAX. Before the
-file is written, onnxruntime and NumPy run an episode and their commands are compared. Needs the
-extra ``softfin[onnx]``.
+JAX traces the same formulas that NumPy runs on the robot. Before the file is written, the commands
+of onnxruntime and NumPy are compared over an episode. Requires the extra ``softfin[onnx]``.
 """
 
 from collections.abc import Callable
@@ -33,19 +32,19 @@ COMMAND_OUTPUTS = ("command_angle", "command_velocity")
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
-"""Largest difference from NumPy's commands with which a file is written [rad, rad/s]."""
+"""Maximum difference from NumPy's commands at which a file is written [rad, rad/s]."""
 
 EPISODE = 240
-"""Actions that are compared."""
+"""Number of actions in the comparison."""
 
 
 def export_onnx(controller: LoadedController, file: Path, overwrite: bool = False) -> Exported:
     """Write the step to a file, checked by onnx and run by onnxruntime.
 
     Raises:
-        ConfigurationError: the extra is missing.
-        ArtifactError: there is a file already.
-        RunError: the exported step gives other commands than NumPy; nothing is written.
+        ConfigurationError: the extra is not installed.
+        ArtifactError: the file already exists.
+        RunError: the exported step's commands differ from NumPy's; nothing is written.
     """
     check_file(file, overwrite, "--onnx")
     import_extra("spox", "onnx", "onnxruntime")
@@ -63,7 +62,7 @@ def _named_state(state: Any) -> dict[str, np.ndarray]:
 
 
 def _step_function(controller: LoadedController) -> Callable[..., dict[str, Array]]:
-    """Return the step as a JAX function of the file's inputs, which returns its outputs."""
+    """Return the step as a JAX function from the file's inputs to its outputs."""
     operations = jax_operations()
     jnp = operations.xp
     limits = controller.limits
@@ -85,7 +84,7 @@ def _step_function(controller: LoadedController) -> Callable[..., dict[str, Arra
 
 
 def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
-    """Return the range rounded inwards to float32."""
+    """Round the range inwards to float32, so that clipped commands never exceed the limits."""
     first = np.float32(low)
     last = np.float32(high)
     if first < low:
@@ -96,7 +95,7 @@ def _round_inwards(low: float, high: float) -> tuple[np.float32, np.float32]:
 
 
 def _metadata(controller: LoadedController) -> JsonObject:
-    """Return the facts that a user of the file must know."""
+    """Return the metadata that users of the file need."""
     artifact = controller.artifact
     return {
         "controller": artifact.name,
@@ -124,11 +123,10 @@ def _metadata(controller: LoadedController) -> JsonObject:
 
 
 def _difference(data: bytes, controller: LoadedController) -> float:
-    """Compare the commands over an episode of steps and drifts all over the cells and slightly
-    outside.
+    """Return the largest difference in commands over an episode.
 
-    Both carry on their own state, so errors that add up are visible. Returns the largest
-    difference.
+    The reference steps and drifts over all cells and slightly beyond. Each implementation continues
+    from its own state, so accumulating errors show up.
     """
     numbers = np.random.default_rng(0)
     session = open_session(data)
@@ -140,6 +138,7 @@ def _difference(data: bytes, controller: LoadedController) -> float:
     worst = 0.0
     reference = (low + high) / 2
     for index in range(EPISODE):
+        # A step every 5 s, and a random walk in between.
         if index % 15 == 0:
             reference = numbers.uniform(low - 0.2, high + 0.2)
         reference = reference + numbers.uniform(-0.1, 0.1, 2)
@@ -151,6 +150,6 @@ def _difference(data: bytes, controller: LoadedController) -> float:
         state = dict(zip(state, after, strict=True))
         native, command = controller.act(native, Measured(float(angle), force), reference)
         difference = np.abs(np.array(command) - (exported_angle, exported_velocity)).max()
-        # NaN also counts as a difference.
+        # NaN, which is not equal to itself, must not pass as no difference.
         worst = max(worst, float(difference)) if difference == difference else np.inf
     return worst

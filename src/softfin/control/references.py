@@ -1,5 +1,4 @@
-"""References that a controller can hold: those of its cells, and among them the forces that the fin
-can make."""
+"""References that a controller can hold: those within its cells that the fin can reach."""
 
 from collections.abc import Sequence
 from typing import Any, cast
@@ -11,67 +10,65 @@ from softfin.core.errors import CoverageError
 from softfin.gaits.reachable import Cell, Cells, ForceVector, Reachable, format_force
 
 EDGE_N = 1e-4
-"""References this near to a cell are on its edge: forces are float32, and their decimals seldom
-come out even."""
+"""Distance up to which a reference is treated as on the edge of a cell [N]; forces are float32, so
+decimals are rounded."""
 
 
 def controller_cells(controller: object) -> Cells:
-    """Return the cells that a controller was trained for; none of one that has no `cells` and
-    covers everything."""
+    """Return the cells that a controller was trained for; empty for a controller without `cells`,
+    which covers everything."""
     return cast(Cells, getattr(controller, "cells", None) or ())
 
 
 def reachable_set(controller: object) -> Reachable | None:
-    """Return the mean forces that the fin can make, where the controller knows them."""
+    """Return the reachable mean forces of the controller's fin, if known."""
     return cast(Reachable | None, getattr(controller, "reachable", None))
 
 
 def check_within(cells: Sequence[Cell], reference: ForceVector) -> None:
-    """Raise CoverageError where the reference is outside every cell."""
+    """Raise CoverageError if the reference [N] is outside every cell."""
     nearest = min(cells, key=lambda cell: cell.distance(reference))
     beyond = nearest.distance(reference)
     if beyond > EDGE_N:
-        which = (
-            f"the nearest of {len(cells)} cells"
-            if len(cells) > 1
-            else "what this controller was trained for"
-        )
+        which = "the range that this controller was trained for"
+        fix = "use a reference within this range, or train a controller with a larger cell"
+        if len(cells) > 1:
+            which = f"the nearest of {len(cells)} cells"
+            fix = "use a reference within a cell, or train a controller with a cell there"
         raise CoverageError(
-            f"reference {format_force(reference)} N: {beyond:.2g} N outside {which} "
-            f"({nearest}); ask within {'a cell' if len(cells) > 1 else 'it'}, or train with "
-            f"{'a' if len(cells) > 1 else 'a wider'} cell there"
+            f"reference {format_force(reference)} N: {beyond:.2g} N outside {which} ({nearest}); "
+            f"{fix}"
         )
 
 
 def resolve_reference(
     controller: object, reference: ForceVector, strict: bool
 ) -> tuple[ForceVector, str | None]:
-    """Return the reference to track, and a warning where that is another: the nearest force that
-    the fin can make.
+    """Return the reference to track, with a warning if it differs from the requested one.
 
-    That force lies in the controller's cells. Raises CoverageError where the fin cannot make the
-    reference and `strict`, or where the controller was not trained for it.
+    An unreachable reference is replaced by the nearest reachable force within the controller's
+    cells; with `strict`, it raises CoverageError instead. A reference for which the controller was
+    not trained always raises CoverageError.
     """
     if not np.isfinite(reference).all():
-        raise CoverageError(f"reference {format_force(reference)} N: give two finite numbers [N]")
+        raise CoverageError(f"reference {format_force(reference)} N: must be two finite numbers")
     x, y = nearest_trackable(controller, np.array([reference], float))[0].tolist()
-    # To the last bit it is what was asked for, unless it is another one.
+    # A reachable reference is returned unchanged to the last bit, so exact comparison is right.
     if (x, y) == tuple(reference):
         return reference, None
     problem = unreachable(reference, (x, y))
     if strict:
-        raise CoverageError(f"{problem}; ask for that, or leave out --strict")
-    return (x, y), f"{problem}, which is held instead"
+        raise CoverageError(f"{problem}; use that force, or remove --strict")
+    return (x, y), f"{problem}, which is tracked instead"
 
 
 def nearest_trackable(
     controller: Any, forces: Float[np.ndarray, "forces 2"]
 ) -> Float[np.ndarray, "forces 2"]:
-    """Return each force, or where the fin cannot make it the nearest one that it can make in the
-    controller's cells.
+    """Replace unreachable forces by the nearest reachable ones within the controller's cells.
 
-    Raises CoverageError for one that the fin can make but the controller was not trained for, and
-    where the fin can make nothing that it was trained for.
+    Raises CoverageError for a reachable force that the controller was not trained for, and if none
+    of the forces that it was trained for is reachable.
     """
     reachable = reachable_set(controller)
     beyond = np.zeros(len(forces), bool) if reachable is None else ~reachable.contains(forces)
@@ -88,10 +85,10 @@ def nearest_trackable(
         nearest_cell = min(cells, key=lambda cell: cell.distance(outside))
         x, y = reachable.nearest(outside).tolist()
         raise CoverageError(
-            f"reference {format_force(outside)} N: this fin cannot make it, nor any other force "
-            f"that this controller was trained for (nearest cell {nearest_cell}); the nearest that "
-            f"the fin can make is ({x:.3f}, {y:.3f}) N; train it there, within the fin's reach "
-            "(softfin map shows it)"
+            f"reference {format_force(outside)} N: this fin can produce neither this force nor any "
+            f"other that the controller was trained for (nearest cell {nearest_cell}); the nearest "
+            f"reachable force is ({x:.3f}, {y:.3f}) N; train the controller for reachable forces "
+            "(run softfin map to plot them)"
         )
     for x, y in near.tolist():
         controller.check((x, y))
@@ -101,8 +98,8 @@ def nearest_trackable(
 
 
 def unreachable(reference: ForceVector, near: ForceVector) -> str:
-    """Describe a reference that the fin cannot make, with the nearest one that it can."""
+    """Describe an unreachable reference and the nearest reachable one."""
     return (
-        f"reference {format_force(reference)} N: this fin cannot make it; the nearest "
-        f"that it can make in this controller's range is ({near[0]:.3f}, {near[1]:.3f}) N"
+        f"reference {format_force(reference)} N: this fin cannot produce it; the nearest reachable "
+        f"force in this controller's range is ({near[0]:.3f}, {near[1]:.3f}) N"
     )

@@ -1,4 +1,4 @@
-"""One policy for a whole range of references (paper Sec. III-C3, first design)."""
+"""A single policy for the entire range of references (paper Sec. III-C3, first design)."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
@@ -15,27 +15,27 @@ from softfin.gaits.reachable import Cells
 
 
 class SingleState(NamedTuple):
-    """State of a single policy."""
+    """State of a controller with a single policy."""
 
     hidden: Array
     cell: Array
     actions: Array
-    """Past actions in [-1, 1], the last one first, side by side."""
+    """Past actions in [-1, 1], newest first, concatenated."""
     age: Number
-    """Actions since the start."""
+    """Number of actions since the start."""
 
 
 @dataclass(frozen=True)
 class SingleStep:
-    """Step of a single policy."""
+    """Step of a controller with a single policy."""
 
     kind: ClassVar[str] = "single"
     network: PolicyNetwork
     rest: tuple[float, float] = field(metadata=STATIC)
-    """Action of a fin that stays where it is."""
+    """Action that keeps the fin at angle 0."""
     observation: PolicyObservation = field(metadata=STATIC)
     gaits: GaitTable | None = None
-    """Gaits that the policy's actions are added to."""
+    """Gaits to which the policy adds its actions, if any."""
 
     @classmethod
     def load(
@@ -45,15 +45,15 @@ class SingleStep:
         limits: Limits,
         cells: Cells,
     ) -> tuple["SingleStep", Cells]:
-        """Build it from a controller's description and arrays; returns it with its cell."""
+        """Build the step from a controller's description and arrays; return it with its cell."""
         if len(cells) != 1:
-            raise ValueError(f"cells: there are {len(cells)}; a single controller has one")
+            raise ValueError(f"cells: got {len(cells)}; a single controller must have one")
         observation = PolicyObservation.model_validate(description["task"])
         network, gaits = fold(arrays, observation)
         return cls(network, rest_action(limits), observation, gaits), cells
 
     def init(self) -> SingleState:
-        """Return the state of a fin at rest."""
+        """Return the state for a fin at rest."""
         return SingleState(
             *self.network.empty(),
             np.tile(np.asarray(self.rest, np.float32), self.observation.past_actions + 1),

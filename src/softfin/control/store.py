@@ -1,5 +1,8 @@
-"""A controller's folder: ``controller.json`` (kind, cells, task, limits, provenance) and
-``weights.safetensors``."""
+"""Read and write controller folders.
+
+A folder contains ``controller.json`` (kind, cells, task, limits, provenance) and
+``weights.safetensors``.
+"""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -24,24 +27,23 @@ from softfin.storage import artifact as artifacts
 
 CONTROLLER_KIND = "controller"
 AGAIN = "copy the folder again, or train it again"
-"""Remedy where a folder is damaged."""
+"""Fix for a damaged folder."""
 
 CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType(
     {step.kind: step for step in (SingleStep, GridStep, GaitStep)}
 )
-"""Kinds of controllers by name."""
+"""Step classes by kind of controller."""
 
 
 def load_controller(path: Path) -> LoadedController:
-    """Load the controller in a folder; raises ArtifactError where there is none, or it is
-    damaged."""
+    """Load the controller from a folder; raises ArtifactError if it is missing or damaged."""
     path = Path(path)
     description, arrays = artifacts.load(path, CONTROLLER_KIND)
     digest = hashlib.sha256((path / artifacts.WEIGHTS).read_bytes()).hexdigest()
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise ArtifactError(
-                f"{path / artifacts.WEIGHTS}: {name[:80]!r} holds numbers that are not finite; "
+                f"{path / artifacts.WEIGHTS}: {name[:80]!r} contains numbers that are not finite; "
                 f"{AGAIN}"
             )
     return build_controller(
@@ -56,22 +58,22 @@ def build_controller(
     name: str = CONTROLLER_KIND,
     digest: str = "",
 ) -> LoadedController:
-    """Build a controller from its description and arrays; errors name the `source`."""
+    """Build a controller from its description and arrays; error messages start with `source`."""
     if (rate := description.get("action_rate_hz", "missing")) != ACTION_RATE_HZ:
         raise ArtifactError(
-            f"{source}: action_rate_hz is {rate!r}; this softfin reads {ACTION_RATE_HZ}; train it "
-            "again"
+            f"{source}: action_rate_hz is {rate!r}, must be {ACTION_RATE_HZ} for this version of "
+            "softfin; train it again"
         )
     kind = str(description.get("controller"))
     if kind not in CONTROLLER_STEPS:
         raise ArtifactError(
-            f"{source}: controller is {kind[:80]!r}; it must be one of "
+            f"{source}: controller is {kind[:80]!r}, must be one of "
             f"{', '.join(CONTROLLER_STEPS)}; {AGAIN}"
         )
     try:
         limits = Limits.of(description["limits"])
         region = description.get("reachable")
-        # The cell of gaits is the box of their lattice.
+        # Gait controllers store no cells; theirs is the bounding box of their lattice.
         listed = [] if kind == GaitStep.kind else description["cells"]
         cells = tuple(map(Cell.model_validate, listed))
         weights = {name: np.array(array, np.float32) for name, array in arrays.items()}
@@ -104,8 +106,10 @@ def write_controller(
     extra_files: Callable[[Path], None] | None,
     overwrite: bool,
 ) -> None:
-    """Write a controller, whole or not at all: `keys` and `arrays` of its kind; `extra_files` adds
-    to the folder."""
+    """Write a controller completely or not at all.
+
+    `keys` and `arrays` depend on its kind; `extra_files` writes more files into the folder.
+    """
     description = {
         "controller": kind,
         "action_rate_hz": ACTION_RATE_HZ,
@@ -125,9 +129,10 @@ def save_gaits(
     learnt: Mapping[str, object] = MappingProxyType({"training_range": None, "fin": None}),
     overwrite: bool = False,
 ) -> None:
-    """Write a map's gaits as a controller, whole or not at all; `extra_files` adds to the folder.
+    """Write the gaits of a map as a controller, completely or not at all.
 
-    `learnt` tells what its plant has learnt from (`softfin.surrogate.channels.learnt_from`).
+    `extra_files` writes more files into the folder. `learnt` describes the training data of its
+    plant (`softfin.surrogate.channels.learnt_from`).
     """
     gaits = force_map.gaits
     error = gaits.force_error()

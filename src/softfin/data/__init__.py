@@ -1,1 +1,1 @@
-"""Logs: excitation and collection, import of recordings, checks."""
+"""Log data: excitation, collection, import of recordings, and checks."""

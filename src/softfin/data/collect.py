@@ -1,7 +1,8 @@
-"""Collect a dataset: random commands to a plant, many logs in one program (paper Sec. III-A).
+"""Collect a dataset from a plant under random commands (paper Sec. III-A).
 
-A plant goes in; a dataset folder comes out, complete or not at all. Log number i of a part draws
-everything from the key ``collect/PART/i``, so it does not depend on the logs simulated with it.
+Many logs run in one program. The dataset folder is written completely or not at all. Log i of a
+part draws all its random numbers from the key ``collect/PART/i``, so it does not depend on the logs
+that are simulated together with it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,21 +27,21 @@ from softfin.storage.paths import DATASET_PARTS
 
 
 class CollectConfig(Configuration):
-    """Number and length of logs, and the commands."""
+    """Configuration of a data collection: number and length of logs, and their commands."""
 
     logs: int = pydantic.Field(default=100, ge=1)
-    """Number of training logs; the paper's 100."""
+    """Number of training logs; the paper has 100."""
     test_logs: int = pydantic.Field(default=3, ge=0)
-    """Number of test logs; the paper's 3, in perturbed tanks."""
+    """Number of test logs; the paper has 3, in perturbed tanks."""
     rows: int = pydantic.Field(default=20_000, ge=2)
-    """Readings per log at 100 Hz; the paper's 20,000, which are 200 s."""
+    """Readings per log at 100 Hz; the paper has 20,000, i.e. 200 s."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """Seed of the commands and of everything random in the plant."""
+    """Seed of the commands and of all randomness in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)
-    """Largest number of logs simulated at the same time; more are faster, and each takes about 30
-    bytes per row."""
+    """Maximum number of logs simulated in parallel; more are faster, but each needs about 30 bytes
+    of memory per row."""
     excitation: ExcitationConfig = ExcitationConfig()
-    """The random commands."""
+    """Random commands."""
 
 
 def collect_logs(
@@ -54,8 +55,8 @@ def collect_logs(
 ) -> Dataset:
     """Record random motions of `plant` into the new dataset folder `out`.
 
-    `test_plants` are the plants of the test logs, by default `plant`. `metadata`, such as the
-    plant's name, goes into ``dataset.json``.
+    `test_plants` are the plants of the test logs (default: `plant` for all). `metadata`, such as
+    the plant's name, is added to ``dataset.json``.
     """
     plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
     keys = []
@@ -85,8 +86,8 @@ def collect_logs(
 
 
 def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
-    """Count the time in float64; raises PlantError if the plant's own time or readings are not
-    valid."""
+    """Replace the time with exact multiples of 10 ms in float64; raises PlantError if the plant's
+    time or readings are invalid."""
     for index, log in enumerate(logs):
         name = f"{part}/{index:0{DATASET_PARTS[part]}d}"
         for field, values in zip(log.reading._fields, log.reading, strict=True):
@@ -101,7 +102,7 @@ def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
         if late.size:
             row = late[0]
             raise PlantError(
-                f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, must "
-                f"be {time[row]:.2f} s; time starts at 0 and each tick is 10 ms"
+                f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, "
+                f"expected {time[row]:.2f} s; time must start at 0 and advance by 10 ms per tick"
             )
         yield Log(log.command, log.reading._replace(time=time))

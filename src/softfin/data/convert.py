@@ -1,7 +1,7 @@
-"""Converts recordings of any kind: each log becomes a Parquet file or a ROS 2 bag.
+"""Convert recordings of any kind to Parquet files or ROS 2 bags, one per log.
 
-Stamps and times are kept. A log has seven columns; the other contents of a bag (torque, current,
-references, events) stay in the bag.
+Time stamps are kept. Only the seven columns of a log are converted; the other contents of a bag
+(torque, current, references, events) are not.
 """
 
 import io
@@ -27,11 +27,13 @@ def convert(
     ignore_errors: bool = False,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write each log; several are numbered ``NAME-1``, ``NAME-2`` and so on. Raises LogError if
-    they have errors, unless these are ignored."""
+    """Write each log to `out`; several logs are numbered ``NAME-1``, ``NAME-2`` and so on.
+
+    Raises LogError if the logs have errors, unless `ignore_errors` is set.
+    """
     if out.suffix not in (".mcap", ".parquet"):
         raise ConfigurationError(
-            f"--out {out}: must end in .mcap or .parquet, which chooses what is written"
+            f"--out {out}: must end in .mcap or .parquet, which sets the file type"
         )
     artifacts.check_writable(out)
     opened = open_logs(source, config or ImportConfig())
@@ -43,7 +45,7 @@ def convert(
     for file in files:
         artifacts.check_file(file, overwrite)
     for one, file in zip(opened.logs, files, strict=True):
-        # On the clock of the recording, because opened logs begin at 0.
+        # Opened logs start at 0; write the time of the recording's clock.
         reading = one.log.reading
         log = one.log._replace(
             reading=reading._replace(time=one.start_s + np.asarray(reading.time, np.float64))
@@ -57,12 +59,12 @@ def convert(
 
 
 def encode_bag(log: Log, source: str) -> bytes:
-    """Return the bytes of a log's bag; raises LogError, with the name `source`, for a time before
-    1970."""
+    """Encode a log as a bag; raises LogError, which names `source`, for times before 1970."""
     time = np.asarray(log.reading.time, np.float64)
     if len(time) and time.min() < 0:
         raise LogError(
-            f"{source}: time_s: {time.min():g} s; a bag has none before 0: add a constant to time_s"
+            f"{source}: time_s starts at {time.min():g} s; a bag cannot store negative times; add "
+            "a constant to time_s"
         )
     sink = io.BytesIO()
     bag = BagWriter(sink)
@@ -70,7 +72,7 @@ def encode_bag(log: Log, source: str) -> bytes:
         stamp = round(seconds * SECOND_NS)
         bag.write(COMMAND, stamp, row[:2])
         bag.write(JOINT, stamp, row[2:4])
-        # No torque is known.
+        # A log has no z force and no torques.
         bag.write(WRENCH, stamp, (*row[4:], 0.0, 0.0, 0.0, 0.0))
     bag.finish()
     return sink.getvalue()

@@ -1,7 +1,7 @@
-"""Random commands that show a fin's whole dynamics: a target angle and velocity, held for a random
-time (Sec. III-A).
+"""Random commands that excite a fin's full dynamics: a target angle and velocity, held for a random
+time (paper Sec. III-A).
 
-A key goes in, one command a tick comes out; `collect` issues them to a plant.
+`collect` issues them to a plant, one command per tick.
 """
 
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits
 
 Commands = Callable[[PRNGKeyArray, int, Limits], Command]
-"""Function that makes the commands of a log from a key, their number and limits: one command per
-tick, traceable."""
+"""Function that generates the commands of a log, one per tick, from a key, the number of ticks and
+the limits; it must be traceable by JAX."""
 
 
 class ExcitationConfig(Configuration):
-    """How long each random command is held."""
+    """Range of the time for which each random command is held."""
 
     hold_min_s: float = pydantic.Field(default=0.2, gt=0, multiple_of=TICK_S)
-    """Shortest hold [s], on the 10 ms grid; below the 0.33 s of a 3 Hz controller, so that strokes
-    are cut as short."""
+    """Shortest hold [s], a multiple of 10 ms; below the 0.33 s of a 3 Hz controller, so that the
+    data contain strokes that are cut as short."""
     hold_max_s: float = pydantic.Field(default=1.5, gt=0, multiple_of=TICK_S)
-    """Longest hold [s], on the 10 ms grid; most strokes end within it, so that the fin at rest is
-    learnt too."""
+    """Longest hold [s], a multiple of 10 ms; most strokes end earlier, so the data also contain the
+    fin at rest."""
 
     @pydantic.model_validator(mode="after")
     def _in_order(self) -> "ExcitationConfig":
@@ -38,10 +38,10 @@ class ExcitationConfig(Configuration):
         return self
 
     def __call__(self, key: PRNGKeyArray, rows: int, limits: Limits) -> Command:
-        """Make one command per tick, fields ``(rows,)``: all three random quantities uniform."""
+        """Draw one command per tick, fields ``(rows,)``; angle, velocity and hold are uniform."""
         shortest = round(self.hold_min_s * RATE_HZ)
         longest = round(self.hold_max_s * RATE_HZ)
-        # Enough even if all holds are the shortest.
+        # Enough commands even if every hold is the shortest; the number must be static for JAX.
         holds = -(-rows // shortest)
         angle_key, velocity_key, hold_key = jax.random.split(key, 3)
         angle = jax.random.uniform(
@@ -51,6 +51,6 @@ class ExcitationConfig(Configuration):
             velocity_key, (holds,), minval=limits.velocity_min, maxval=limits.velocity_max
         )
         ends = jnp.cumsum(jax.random.randint(hold_key, (holds,), shortest, longest + 1))
-        # The hold of a row is the first that ends after it.
+        # Row k belongs to the first hold that ends after k.
         current = jnp.searchsorted(ends, jnp.arange(rows), side="right")
         return Command(angle[current], velocity[current])

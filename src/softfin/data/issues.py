@@ -1,37 +1,37 @@
-"""Issues of recordings: severity, place and fix."""
+"""Issues found in recordings: severity, place and fix."""
 
 import dataclasses
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Literal
 
 Severity = Literal["error", "warning", "note"]
 
 SEVERITIES: tuple[Severity, ...] = ("error", "warning", "note")
-"""Most severe first. An error stops training, unless errors are ignored; a note only tells what was
-done."""
+"""Severities, most severe first. An error stops training unless errors are ignored; a note only
+documents what was done."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Issue:
-    """One thing that is wrong with a log, or that was done to it."""
+    """A problem with a log, or a note on what was done to it."""
 
     severity: Severity
     name: str
     """Kind of issue, such as ``gap``; docs/reference/log-checks.md lists them."""
     log: str
-    """Name of the log: its file, and its rows where the file holds several."""
+    """Name of the log: its file, and its rows if the file contains several logs."""
     message: str
     fix: str = ""
-    """Fix, usually the option to use."""
+    """Suggested fix, usually an option."""
     column: str | None = None
     row: int | None = None
-    """First row, counted from 0 in the log."""
+    """First affected row, counted from 0 in the log."""
     logs: tuple[str, ...] = ()
-    """All logs that have the issue, once `merge_issues` has joined them."""
+    """All logs with this issue, set by `merge_issues`."""
 
     @property
     def place(self) -> str:
-        """Log, row and column, as messages name them."""
+        """Log, row and column, formatted for messages."""
         place = self.log
         if self.row is not None:
             place += f", row {self.row}"
@@ -41,18 +41,17 @@ class Issue:
 
 
 def counted(number: int, noun: str) -> str:
-    """``1 spike``, ``3 spikes``."""
+    """Return the number with its noun, e.g. ``1 spike`` or ``3 spikes``."""
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 def merge_issues(issues: Iterable[Issue]) -> list[Issue]:
-    """Join issues of one kind and column over all logs, most severe first; the first message is
-    kept.
+    """Merge issues of the same kind and column across logs, most severe first.
 
-    Notes are joined only if they are equal, because what was done to one log need not hold for
-    another.
+    The first message is kept. Notes are merged only if their messages are equal, because what was
+    done to one log may not apply to another.
     """
-    kinds: dict[Any, list[Issue]] = {}
+    kinds: dict[tuple[Severity, str, str | None, str], list[Issue]] = {}
     for issue in issues:
         message = issue.message if issue.severity == "note" else ""
         kinds.setdefault((issue.severity, issue.name, issue.column, message), []).append(issue)

@@ -1,6 +1,6 @@
-"""Recordings of any kind, a file or a folder of them, opened as logs at 100 Hz, with their issues.
+"""Open a recording of any kind, or a folder of recordings, as inspected logs at 100 Hz.
 
-`softfin inspect`, `softfin import-logs` and `softfin fit` share this.
+Shared by `softfin inspect`, `softfin import-logs` and `softfin fit`.
 """
 
 import dataclasses
@@ -17,7 +17,7 @@ from softfin.data.checks.inspection import Inspection, inspect
 from softfin.data.importing.clocks import NamedLog, Part, build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
-from softfin.data.issues import Issue
+from softfin.data.issues import Issue, counted
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.paths import find_recordings, is_bag
@@ -25,15 +25,15 @@ from softfin.storage.paths import find_recordings, is_bag
 
 @dataclasses.dataclass(frozen=True)
 class OpenedLogs:
-    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` raise an error if they
-    may not be used."""
+    """Logs at 100 Hz with their inspection; `check_train` and `check_issues` reject unusable
+    logs."""
 
     logs: tuple[NamedLog, ...]
     inspection: Inspection
     data_hash: str
-    """Hash of a dataset; for other recordings, SHA-256 over the files and their conversion."""
+    """Hash of the dataset; for other recordings, SHA-256 of the files and the import options."""
     metadata: JsonObject
-    """Files, options and issues, for ``dataset.json``."""
+    """Files, options and issues, to be written to ``dataset.json``."""
 
     @property
     def train(self) -> list[Log]:
@@ -49,13 +49,13 @@ class OpenedLogs:
         """Raise LogError if all logs are test logs."""
         if not self.train:
             raise LogError(
-                f"{source}: no training logs: all of its {len(self.logs)} logs are test logs; see "
-                "--test"
+                f"{source}: no training logs, only {counted(len(self.logs), 'test log')}; change "
+                "--test PATTERN, which selects the test logs"
             )
 
     def check_issues(self, source: str, ignore_errors: bool) -> None:
-        """Raise LogError with the first error and the count of the others, unless errors are
-        ignored."""
+        """Raise LogError with the first error and the number of others, unless `ignore_errors` is
+        set."""
         errors = [issue for issue in self.inspection.issues if issue.severity == "error"]
         if not errors or ignore_errors:
             return
@@ -63,17 +63,17 @@ class OpenedLogs:
         if errors[0].fix:
             text += f"; {errors[0].fix}"
         if len(errors) > 1:
-            text += f"; and {len(errors) - 1} more: softfin inspect lists them"
-        raise LogError(f"{source}: {text}; --ignore-errors uses these logs anyway")
+            text += f"; {counted(len(errors) - 1, 'more error')} (softfin inspect lists all)"
+        raise LogError(f"{source}: {text}; use --ignore-errors to use these logs anyway")
 
 
 def open_logs(
     path: Path, config: ImportConfig | None = None, progress: Progress | None = None
 ) -> OpenedLogs:
-    """Read and inspect everything at `path`; raises LogError or ArtifactError if it cannot be read
-    at all."""
+    """Read and inspect all recordings at `path`; raises LogError or ArtifactError if they cannot be
+    read."""
     config = config or ImportConfig()
-    # A dataset that changed since it was written is refused before anything is read.
+    # Reject a dataset that was changed after it was written before reading anything.
     dataset = Dataset.open(path) if artifacts.is_kind(path, "dataset") else None
     files = {file: _name(file, path) for file in find_recordings(path)}
     parts = _parts(list(files.values()), config.test)
@@ -81,7 +81,7 @@ def open_logs(
     issues: list[Issue] = []
     for index, (file, name) in enumerate(files.items()):
         if is_bag(file):
-            # Without bags, their reader need not be loaded.
+            # Imported late: the bag reader is only loaded if there are bags.
             from softfin.data.importing.rosbag import read_bag
 
             recordings = [read_bag(file, name, parts[name], config)]
@@ -96,7 +96,7 @@ def open_logs(
     if not logs:
         raise LogError(
             f"{path}: no logs: all pieces between gaps are shorter than {config.shortest_s:g} s; "
-            "--shortest 1 would keep more, --gap bridges longer gaps"
+            "use --shortest 1 to keep shorter pieces, or --gap SECONDS to bridge longer gaps"
         )
     inspection = inspect(logs, issues, config, progress)
     options = config.model_dump(mode="json", exclude_defaults=True)
@@ -114,6 +114,7 @@ def open_logs(
 
 
 def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
+    """Assign each file to training or test, by the pattern or by names that start with test."""
     parts: dict[str, Part] = {}
     for name in names:
         *folders, last = name.split("/")
@@ -124,7 +125,7 @@ def _parts(names: list[str], pattern: str | None) -> dict[str, Part]:
         parts[name] = "test" if is_test else "train"
     if pattern is not None and "test" not in parts.values():
         raise ConfigurationError(
-            f"--test {pattern}: matches none of the files: {', '.join(names[:6])}"
+            f"--test {pattern}: matches none of these files: {', '.join(names[:6])}"
         )
     return parts
 

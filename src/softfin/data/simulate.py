@@ -1,5 +1,7 @@
-"""Simulate many plants, each under its own commands: one compiled program for all, run piece by
-piece in time."""
+"""Simulate many plants, each under its own commands.
+
+One compiled program advances all plants by a chunk of rows at a time.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -18,10 +20,11 @@ from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
 
 CHUNK_ROWS = 1000
-"""Approximate number of rows between two reports: 10 s, much longer than the overhead of a call."""
+"""Approximate number of rows per call of the compiled program, after which progress is reported; at
+10 s of plant time, the overhead of a call is negligible."""
 
 ReportRows = Callable[[int], None]
-"""Function that is called with the number of rows done since the last call."""
+"""Function that is called with the number of rows finished since the last call."""
 
 
 def simulate(
@@ -32,43 +35,47 @@ def simulate(
     batch: int,
     report: ReportRows,
 ) -> Iterator[Log]:
-    """Yield one log of each plant and key, `rows` long, as NumPy arrays; at most `batch` run at
-    once.
+    """Yield one log of `rows` rows per plant and key, as NumPy arrays; at most `batch` run at once.
 
-    Plants whose pytrees differ only in their arrays run together, others one after another.
+    Plants whose pytrees differ only in array values run together, others one after another.
     """
     same = all(plant is plants[0] for plant in plants)
-    parts = [
-        eqx.partition(jit_argument(plant), eqx.is_array)
-        for plant in (plants[:1] if same else plants)
-    ]
-    kinds = [
-        jax.tree.flatten((static, jax.tree.map(lambda x: (x.shape, x.dtype), arrays)))
-        for arrays, static in parts
-    ]
+    parts = []
+    kinds = []
+    for plant in plants[:1] if same else plants:
+        arrays, static = eqx.partition(jit_argument(plant), eqx.is_array)
+        parts.append((arrays, static))
+        # Plants can share a program if all but the values of their arrays agree.
+        shapes = jax.tree.map(lambda x: (x.shape, x.dtype), arrays)
+        kinds.append(jax.tree.flatten((static, shapes)))
     if any(kind != kinds[0] for kind in kinds):
         for plant, key in zip(plants, keys, strict=True):
             yield from simulate([plant], [key], rows, commands, 1, report)
         return
     count = len(plants)
+    # Equal batches, so that as few logs as possible are padding.
     batch = math.ceil(count / math.ceil(count / batch)) if count else 0
     for start in range(0, count, batch or 1):
-        # The last batch is filled up with logs that are thrown away, so that one compiled program
-        # suffices.
+        # The last batch is padded with logs that are discarded, so that all batches have the same
+        # shape and share one compiled program.
         index = [i % count for i in range(start, start + batch)]
         (arrays, static) = parts[0]
         axis = None
         if not same:
             axis = 0
-            arrays = jax.tree.map(lambda *leaves: jnp.stack(leaves), *[parts[i][0] for i in index])
+            members = [parts[i][0] for i in index]
+            arrays = jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
         fleet = _Fleet(arrays, static, axis)
-        state, issued = _begin(fleet, jnp.stack([keys[i] for i in index]), rows + 1, commands)
+        batch_keys = jnp.stack([keys[i] for i in index])
+        state, issued = _begin(fleet, batch_keys, rows + 1, commands)
         yield from _logs(fleet, state, issued, rows, min(batch, count - start), report)
 
 
 class _Fleet(NamedTuple):
-    """Plants that share one program: what they have in common, and their arrays, stacked along
-    `axis` or shared (None)."""
+    """Plants that share one program, split into static parts and arrays.
+
+    The arrays are stacked along `axis`, or shared by all plants if it is None.
+    """
 
     arrays: PyTree
     static: PyTree
@@ -79,7 +86,7 @@ class _Fleet(NamedTuple):
 def _begin(
     fleet: _Fleet, keys: Key[Array, "logs"], rows: int, commands: Commands
 ) -> tuple[State, Command]:
-    """States and all commands of a batch."""
+    """Return the initial states and all commands of a batch."""
 
     def one(arrays: PyTree, key: PRNGKeyArray) -> tuple[State, Command]:
         plant = eqx.combine(arrays, fleet.static)
@@ -92,7 +99,7 @@ def _begin(
 
 @jit("low")
 def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
-    """One piece of a batch."""
+    """Advance a batch through one chunk of commands."""
 
     def one(arrays: PyTree, state: State, issued: Command) -> tuple[State, Reading]:
         return roll(eqx.combine(arrays, fleet.static), state, issued)
@@ -106,12 +113,12 @@ def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Readi
 def _logs(
     fleet: _Fleet, state: State, commands: Command, rows: int, wanted: int, report: ReportRows
 ) -> list[Log]:
-    """Roll a batch through its commands ``(batch, rows + 1)``; row k keeps reading k and the
-    command issued then."""
+    """Roll a batch through its commands ``(batch, rows + 1)``; row k has reading k and the command
+    issued at that time."""
     chunks = math.ceil(rows / CHUNK_ROWS)
     chunk = math.ceil(rows / chunks)
-    # Repeated past the end, so that all pieces have the same length and share one program; the
-    # extra rows are cut off.
+    # Commands are repeated past the end, so that all chunks have the same length and share one
+    # program; the extra rows are cut off below.
     issued = jax.tree.map(
         lambda x: jnp.pad(x, ((0, 0), (0, chunk * chunks - rows)), mode="edge"), commands
     )

@@ -1,10 +1,9 @@
-"""Evaluate a controller on a plant: experiment, scores over seeds, ``evaluation.json`` and figures
-as one folder."""
+"""Evaluate a controller on a plant and write ``evaluation.json`` and figures as a folder."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -59,66 +58,64 @@ from softfin.task.signals import Recorded
 
 
 class ExperimentsConfig(Configuration):
-    """Experiments at constant references."""
+    """Configuration of experiments at constant references."""
 
     references: tuple[tuple[pydantic.FiniteFloat, pydantic.FiniteFloat], ...] = pydantic.Field(
         default=PAPER_REFERENCES, min_length=1
     )
-    """Reference forces (x, y) [N]; the paper's six."""
+    """Reference forces (x, y) [N]; by default the paper's six."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
-    """Length of each experiment [s], whole, from rest; the paper's 30. The first 2 s only fill the
-    first window."""
+    """Duration of each experiment from rest [s], an integer; 30 in the paper. The first 2 s only
+    fill the first window."""
     seeds: int = pydantic.Field(default=5, ge=1)
-    """Repetitions, each with its own randomness of the plant; intervals need at least 3."""
+    """Number of repetitions with different randomness of the plant; intervals need at least 3."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """The run's seed, from which those of the repetitions, and everything else random, are
-    derived."""
+    """Seed of the run, from which the seeds of the repetitions and all other randomness derive."""
 
     def keys(self) -> Key[Array, "seeds"]:
-        """Return the keys with which the repetitions start a plant."""
+        """Return the keys of the repetitions, with which a plant is initialized."""
         return jnp.stack(
             [named_key(self.seed, f"evaluate/{repetition}") for repetition in range(self.seeds)]
         )
 
 
 class EvaluateConfig(ExperimentsConfig):
-    """Experiments by which a controller is scored."""
+    """Configuration of the experiments by which a controller is scored."""
 
     moving: tuple[MovingReference, ...] = ()
-    """Kinds of moving references: `evaluation.moving_references.SIGNALS`, placed in the
+    """Kinds of moving references (`evaluation.moving_references.SIGNALS`), scaled to the
     controller's range."""
     recorded: Recorded | None = None
-    """Another moving reference, as read from a file; its last force is held as long as the previous
-    one."""
+    """Another moving reference, read from a file; its last force is held for as long as the
+    previous one."""
     strict: bool = False
-    """Whether a reference that the fin cannot make is refused; otherwise the nearest one that it
-    can make is tracked."""
+    """Whether unreachable references are errors; otherwise, the nearest reachable force is
+    tracked."""
     trim: DisturbanceObserverConfig | None = None
-    """Force feedback around the controller, which subtracts its estimated steady-state error; None
-    for no feedback."""
+    """Force feedback, which subtracts the controller's estimated steady-state error; None for no
+    feedback."""
     error_map: int | None = pydantic.Field(default=None, ge=2, le=50)
-    """References along each side of a lattice over the controller's range, for a map of the error;
-    None draws none."""
+    """Number of references along each side of the error map, a lattice over the controller's range;
+    None for no map."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
-    """Number of references drawn at random over the forces for which the controller was trained and
-    that the fin can make, or None."""
+    """Number of random references, drawn from the reachable forces that the controller was trained
+    for; None for none."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Evaluation:
-    """Scores of all experiments and the recording of the first repetition."""
+    """Scores of all experiments, and the recording of the first repetition."""
 
     config: EvaluateConfig
     scores: Scores
     repetitions: int
-    """Number of independent repetitions: 1 for a plant without randomness, which is the same at
-    every seed."""
+    """Number of independent repetitions; 1 for a deterministic plant, which ignores the seed."""
     recording: ExperimentRecording
-    """Recording of the first seed only: fields ``(references, 1, ticks)``, as NumPy arrays."""
+    """Recording of the first seed: fields ``(references, 1, ticks)``, as NumPy arrays."""
     uncertainty: SurrogateUncertainty | None = None
-    """Uncertainty that a surrogate estimates; None for other plants."""
+    """Uncertainty estimated by a surrogate; None for other plants."""
     warnings: tuple[str, ...] = ()
-    """Sentences about references that were replaced by the nearest ones that the fin can make."""
+    """Warnings about references that were replaced by the nearest reachable forces."""
     moving: tuple[MovingScores, ...] = ()
     """Experiments with moving references, grouped by length."""
     error_map: ErrorMap | None = None
@@ -127,8 +124,8 @@ class Evaluation:
     """Errors over random references."""
 
     def summary(self) -> EvaluationSummary:
-        """Return conditions, scores by reference and their mean; the first part of what
-        `write_evaluation` writes."""
+        """Return the conditions, the scores by reference and their mean, as written by
+        `write_evaluation`."""
         uncertain = None if self.uncertainty is None else self.uncertainty.warning()
         summary = cast(EvaluationSummary, artifacts.head("evaluation"))
         summary |= {
@@ -152,7 +149,9 @@ class Evaluation:
             "warning": "; ".join(filter(None, (*self.warnings, uncertain))) or None,
         }
         if self.moving:
-            summary["moving"] = [row for moving in self.moving for row in moving.rows]
+            summary["moving"] = []
+            for moving in self.moving:
+                summary["moving"] += moving.rows
         if self.error_map is not None:
             summary["error_map"] = self.error_map.to_dict()
         if self.random is not None:
@@ -177,7 +176,8 @@ class Evaluation:
 
 
 def mean_scores(scores: Scores) -> MeanScores:
-    """Scores of one reference, or the mean of all: fields ``(seeds, 2)`` and ``(seeds,)``."""
+    """Return scores of one reference, or means over all, for JSON; their fields are ``(seeds, 2)``
+    and ``(seeds,)``."""
     return {
         "x": _axis_scores(scores, 0),
         "y": _axis_scores(scores, 1),
@@ -197,15 +197,20 @@ def _axis_scores(scores: Scores, axis: int) -> AxisScores:
 def score_controller(
     controller: Controller, plant: EvaluationTarget, config: EvaluateConfig
 ) -> Evaluation:
-    """Run and score all experiments; errors are those against the tracked reference.
+    """Run and score all experiments; errors are relative to the tracked reference.
 
-    Raises CoverageError for a reference for which the controller was not trained, or with
-    `config.strict` for one that the fin cannot make.
+    Raises CoverageError for references for which the controller was not trained, and with
+    `config.strict` also for unreachable references.
     """
-    resolved = [
-        resolve_reference(controller, reference, config.strict) for reference in config.references
-    ]
-    tracked = np.array([reference for reference, _ in resolved], np.float32)
+    references = []
+    warnings = []
+    for reference in config.references:
+        resolved, warning = resolve_reference(controller, reference, config.strict)
+        references.append(resolved)
+        if warning is not None:
+            warnings.append(warning)
+    tracked = np.array(references, np.float32)
+    # Only after the references are resolved: these are what the feedback has to reach.
     if config.trim is not None:
         controller = DisturbanceObserver(controller, config.trim)
     plans = plan_moving(controller, config.moving, config.recorded, config.strict)
@@ -214,7 +219,6 @@ def score_controller(
     experiments = [(tracked, seconds), *((plan.tracked, plan.seconds) for plan in plans)]
     constant, *moving = run_together(controller, plant, experiments, keys)
     evaluation = score_experiments(constant, plant, config)
-    warnings = [warning for _, warning in resolved if warning is not None]
     for plan in plans:
         warnings += plan.warnings
     error_map = random = None
@@ -234,7 +238,7 @@ def score_controller(
 def score_experiments(
     recording: ExperimentRecording, plant: EvaluationTarget, config: EvaluateConfig
 ) -> Evaluation:
-    """Score experiments of the configuration's references, no matter what commanded the plant."""
+    """Score experiments at the configured references, regardless of the source of the commands."""
     recording = independent(recording)
     first = recording.first()
     repetitions = recording.reading.angle.shape[1]
@@ -242,36 +246,50 @@ def score_experiments(
 
 
 def together(each: Sequence[Evaluation]) -> Evaluation:
-    """Return one evaluation whose repetitions are the given ones, each averaged over its own; the
-    recordings are those of the first."""
-    means = [jax.tree.map(lambda field: field.mean(axis=1), e.scores) for e in each]
+    """Combine evaluations into one, in which each becomes a repetition, averaged over its own
+    repetitions; recordings are those of the first."""
+    means = []
+    moving = []
+    estimates = []
+    warnings: dict[str, None] = {}
+    for evaluation in each:
+        # Average over its own repetitions first, so that all evaluations have equal weight.
+        means.append(jax.tree.map(lambda field: field.mean(axis=1), evaluation.scores))
+        moving.append(evaluation.moving)
+        if evaluation.uncertainty is not None:
+            estimates.append(evaluation.uncertainty)
+        # The keys of a dictionary: each warning once, in order.
+        warnings |= dict.fromkeys(evaluation.warnings)
     scores: Scores = jax.tree.map(lambda *fields: np.stack(fields, axis=1), *means)
-    estimates = [e.uncertainty for e in each if e.uncertainty is not None]
     uncertainty = None
     if estimates:
         outside, furthest, half_width = map(np.stack, zip(*estimates, strict=True))
         uncertainty = SurrogateUncertainty(
             outside.mean(axis=0), furthest.max(axis=0), half_width.mean(axis=0)
         )
-    warnings = tuple(dict.fromkeys(warning for e in each for warning in e.warnings))
-    moving = tuple(map(moving_together, zip(*(e.moving for e in each), strict=True)))
     return Evaluation(
-        each[0].config, scores, len(each), each[0].recording, uncertainty, warnings, moving
+        config=each[0].config,
+        scores=scores,
+        repetitions=len(each),
+        recording=each[0].recording,
+        uncertainty=uncertainty,
+        warnings=tuple(warnings),
+        moving=tuple(map(moving_together, zip(*moving, strict=True))),
     )
 
 
 def write_evaluation(
     evaluation: Evaluation,
     out: Path,
-    metadata: Mapping[str, Any] | None = None,
+    metadata: Mapping[str, object] | None = None,
     overwrite: bool = False,
 ) -> EvaluationSummary:
-    """Write ``evaluation.json`` and figures, each as ``.svg`` and ``.png``, as one folder; returns
-    the JSON.
+    """Write a folder with ``evaluation.json`` and the figures as ``.svg`` and ``.png``; return the
+    content of the JSON file.
 
-    It holds `Evaluation.summary`, with the caller's `metadata` in ``conditions``, such as the
-    controller and the plant; ``configuration``, of a recorded reference its ``rows`` and
-    ``seconds``; ``provenance``. docs/files.md has the keys.
+    It contains `Evaluation.summary`, the caller's `metadata` (e.g. controller and plant) in
+    ``conditions``, ``configuration`` (for a recorded reference, only ``rows`` and ``seconds``) and
+    ``provenance``. docs/files.md explains the keys.
     """
     summary = evaluation.summary()
     config = evaluation.config

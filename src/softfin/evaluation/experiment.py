@@ -1,8 +1,9 @@
-"""The paper's experiment: from rest, a controller tracks a reference force on a plant, 3 actions a
-second (Sec. IV).
+"""The paper's experiment: starting from rest, a controller tracks a reference force on a plant.
 
-Controller, plant and reference forces, constant or moving, go in, a recording of every 10 ms comes
-out; all references and seeds run side by side in one compiled program.
+The controller acts three times per second (paper Sec. IV).
+
+References may be constant or moving. All references and seeds run in parallel in one compiled
+program, which records every tick of 10 ms.
 """
 
 from collections.abc import Sequence
@@ -29,20 +30,20 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 MIN_SECONDS = 3
-"""Shortest length of an experiment [s]; the first window of the moving average takes 2 s."""
+"""Shortest experiment [s]; the first window of the moving average takes 2 s."""
 
 
 ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]
-"""Reference forces (x, y) [N]: one for the whole experiment, or one per tick, valid until that
-tick's reading."""
+"""Reference forces (x, y) [N]: one per experiment, or one per tick, valid until that tick's
+reading."""
 
 
 class ExperimentRecording(NamedTuple):
-    """Series of references, commands and readings of experiments, in ticks of 10 ms."""
+    """References, commands and readings of experiments, one per tick of 10 ms."""
 
     reference: ReferenceSeries
     command: Command
-    """Fields ``(references, seeds, ticks)``: the command in force before the reading of that
+    """Fields ``(references, seeds, ticks)``: the command that was active up to the reading of that
     tick."""
     reading: Reading
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
@@ -51,12 +52,12 @@ class ExperimentRecording(NamedTuple):
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
-        """Force by which a controller is judged [N]: the true one if it is known, otherwise the
+        """Force that controllers are scored by [N]: the true force if known, otherwise the
         reading."""
         return self.reading.force if self.true_force is None else self.true_force
 
     def first(self) -> "ExperimentRecording":
-        """Return the first seed only, with its axis kept, as NumPy arrays."""
+        """Return the first seed as NumPy arrays; the axis of seeds remains, with length 1."""
         series = jax.tree.map(
             lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
         )
@@ -65,22 +66,22 @@ class ExperimentRecording(NamedTuple):
 
 @runtime_checkable
 class RealTime(Protocol):
-    """A real fin with its controller, on which experiments take real time."""
+    """A real fin on which experiments run in real time."""
 
     @property
     def limits(self) -> Limits:
-        """The commands that it accepts."""
+        """Limits of the commands."""
         ...
 
     def experiments(
         self, references: Float[np.ndarray, "references *ticks 2"], seconds: int, repetitions: int
     ) -> ExperimentRecording:
-        """Run every reference `repetitions` times, one after the other, each from rest."""
+        """Run each reference `repetitions` times, one after another, from rest."""
         ...
 
 
 EvaluationTarget: TypeAlias = Plant | RealTime
-"""The fin on which a controller is evaluated, simulated or real."""
+"""Simulated or real fin on which a controller is evaluated."""
 
 
 def run(
@@ -90,10 +91,10 @@ def run(
     seconds: int,
     keys: Key[Array, "seeds"],
 ) -> ExperimentRecording:
-    """Run every reference with every key of the plant, each from rest, for whole seconds.
+    """Run every reference with every key of the plant, each from rest.
 
-    A reference is one force, or one per tick, of which the controller observes that of the tick at
-    which it acts.
+    A reference is one force, or one force per tick. The controller observes the force at the tick
+    at which it acts.
     """
     return run_together(controller, plant, [(references, seconds)], keys)[0]
 
@@ -104,26 +105,30 @@ def run_together(
     experiments: Sequence[tuple[AnyArray, int]],
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
-    """Run several sets of references, each with its own duration; in a simulated plant all in one
-    program."""
+    """Run several sets of references, each with its own duration [s]; on a simulated plant, all run
+    in one program."""
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
     actions = max(seconds for _, seconds in series) * len(ACTION_TICKS)
-    # Tick at which each action begins, and at which the controller observes the reference.
+    # Tick at which each action starts and the controller observes the reference.
     starts = np.cumsum([0, *action_ticks(actions)])[:-1]
     observed = []
     for asked, seconds in series:
         if asked.ndim == 3 and asked.shape[1] != seconds * RATE_HZ:
-            raise ValueError(f"{asked.shape[1]} references are not one per tick of {seconds} s")
+            raise ValueError(
+                f"got {asked.shape[1]} references; must be one per tick of {seconds} s, i.e. "
+                f"{seconds * RATE_HZ}"
+            )
         asked = asked[:, None] if asked.ndim == 2 else asked
-        # After its end the last force is held, and the result is left out below.
+        # Shorter experiments hold their last force to the end of the longest; these ticks are cut
+        # off below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     parties = (controller, jit_argument(plant))
     recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)
     if len(experiments) == 1:
         return [ExperimentRecording(experiments[0][0], *recorded)]
-    # Each set has its own rows of the references, and the ticks of its own seconds.
+    # Each set gets its own rows of the results, and the ticks of its own duration.
     first = 0
     recordings = []
     for references, seconds in experiments:
@@ -135,8 +140,8 @@ def run_together(
 
 
 def independent(recording: ExperimentRecording) -> ExperimentRecording:
-    """Drop identical repetitions, as of a plant without randomness; raise PlantError unless all is
-    finite."""
+    """Drop the repetitions of a deterministic plant, which are identical; raises PlantError for
+    values that are not finite."""
     force = np.asarray(recording.reading.force)
     angle = np.asarray(recording.reading.angle)
     finite = {"force": np.isfinite(force).all(axis=-1), "angle": np.isfinite(angle)}
@@ -146,7 +151,8 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
     if bad.size:
         index, seed, tick = bad[0]
         name = next(name for name, is_finite in finite.items() if not is_finite[index, seed, tick])
-        commanded, velocity = (float(part[index, seed, tick]) for part in recording.command)
+        commanded = float(recording.command.angle[index, seed, tick])
+        velocity = float(recording.command.velocity[index, seed, tick])
         asked = np.asarray(recording.reference)[index]
         x, y = asked if asked.ndim == 1 else asked[tick]
         raise PlantError(
@@ -158,7 +164,7 @@ def independent(recording: ExperimentRecording) -> ExperimentRecording:
 
 
 RecordedTicks: TypeAlias = tuple[Command, Reading, Array | None]
-"""Commands, readings and, if the plant knows it, the true force over a series of ticks."""
+"""Commands, readings and, if the plant computes it, the true force over a series of ticks."""
 
 
 @jit("low")
@@ -167,7 +173,7 @@ def _program(
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
 ) -> RecordedTicks:
-    """Run experiments; compiled once for controllers and plants that differ only in their
+    """Run experiments; compiled once for all controllers and plants that differ only in their
     arrays."""
     controller, plant = parties
     actions = references.shape[1]
@@ -179,6 +185,8 @@ def _program(
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
+        # Readings are padded to the longest action, so pick the last valid angle and average only
+        # over the valid forces.
         measured = Measured(
             jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
         )
@@ -186,11 +194,13 @@ def _program(
         return (memory, state, measured), (held, reading, true_force)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
+        # The first action is computed before the first reading, as if angle and force were 0.
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
         _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(action_ticks(actions))))
         recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions), kept)
         return recorded
 
+    # Keys are the inner axis and references the outer one: (references, seeds, ticks).
     each: RecordedTicks = jax.vmap(jax.vmap(one, in_axes=(None, 0)), in_axes=(0, None))(
         references, keys
     )

@@ -1,12 +1,13 @@
-"""Figures of experiments: recordings and errors go in, Matplotlib figures come out."""
+"""Draw Matplotlib figures of experiments and errors."""
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
@@ -24,17 +25,15 @@ from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, style
 
 TRAJECTORY_SECONDS = 5
 FORCE_SECONDS = 10
-"""Number of seconds from the start of an experiment that are drawn, as in the paper's evaluation
-figure."""
+"""Length of the plots from the start of an experiment [s], as in the paper's evaluation figure."""
 
 ERROR_COLOURS = "Blues"
-"""Colour map of the errors: light if they are small, also for colour-blind readers and in
-greyscale."""
+"""Colour map of the errors: darker means larger, also for colour-blind readers and in greyscale."""
 
 
 def experiments_figure(recording: ExperimentRecording) -> Figure:
-    """Draw every reference of a recording, at its first seed: the fin's trajectory, and the force
-    on both axes."""
+    """Draw the fin's trajectory and the force on both axes for every reference, at the first
+    seed."""
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)
@@ -56,8 +55,8 @@ def add_legend(
     place: Literal["outside lower center", "outside upper center"],
     columns: int | None = None,
 ) -> None:
-    """Add one legend for all panels: each label once, all in one row unless `columns` are given."""
-    shown: dict[str, Any] = {}
+    """Add one legend for all panels, with each label once; one row unless `columns` is set."""
+    shown: dict[str, Artist] = {}
     for axes in panels:
         handles, labels = axes.get_legend_handles_labels()
         shown |= dict(zip(labels, handles, strict=True))
@@ -95,11 +94,9 @@ def _draw_experiment(
             float(reference[axis]), color=ORANGE, linewidth=1.6, label="reference", zorder=1.9
         )
         low, high = limits[axis]
-        # A dead sensor, or a fin that stands still, gives a horizontal line.
-        axes.set(
-            ylabel=f"force {AXES[axis]} [N]",
-            ylim=(low, high) if high > low else (low - 1, high + 1),
-        )
+        # A dead sensor or a still fin may leave no range to draw.
+        ylim = (low, high) if high > low else (low - 1, high + 1)
+        axes.set(ylabel=f"force {AXES[axis]} [N]", ylim=ylim)
     above.set_title(
         with_minus_signs(f"reference ({reference[0]:g}, {reference[1]:g}) N"), weight="bold"
     )
@@ -109,10 +106,10 @@ def _draw_experiment(
 
 
 def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
-    """Draw the angle in the axes of the force: at angle 0 the fin points to the left (-x), at
-    positive angles up (+y)."""
+    """Draw the angle in the force's axes: at angle 0, the fin points left (-x), and at positive
+    angles up (+y)."""
     shown = angle[: TRAJECTORY_SECONDS * RATE_HZ]
-    # 90 degrees on both sides, or as much more as is shown, in sectors of 15 degrees.
+    # At least 90 degrees to both sides, more in steps of 15 degrees if the fin moves further.
     widest = max(90, 15 * math.ceil(math.degrees(float(np.abs(shown).max())) / 15))
     axes.set(theta_zero_location="W", theta_direction=-1, thetamin=-widest, thetamax=widest)
     axes.set_thetagrids(range(-90, 91, 30))
@@ -123,8 +120,8 @@ def _draw_trajectory(axes: PolarAxes, angle: Float[AnyArray, " ticks"]) -> None:
 
 
 def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
-    """Draw every moving reference, at its first seed: the moving average with it, the force, and
-    the fin's angle."""
+    """Draw the moving average, the force and the fin's angle for every moving reference, at the
+    first seed."""
     each = [(moving, index) for moving in experiments for index in range(len(moving.rows))]
     columns = min(len(each), 2)
     rows = math.ceil(len(each) / columns)
@@ -133,7 +130,7 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
         panels = figure.subfigures(rows, columns, squeeze=False).flat
         for panel, (moving, index) in zip(panels, each, strict=False):
             _draw_moving(panel, moving, index)
-        # As many columns as fit the width of one panel.
+        # Three columns of the legend fit the width of one panel.
         add_legend(figure, figure.get_axes()[:3], "outside lower center", 3 * columns)
     return figure
 
@@ -147,7 +144,7 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     late = time[WINDOW - 1 :]
     average = moving_average(force)
     asked = moving_average(reference)
-    # The limits leave out the force, whose peaks are several times the reference.
+    # The force has its own panel, because its peaks are several times the reference.
     for axis, axes in enumerate(averages):
         wanted = reference[:, axis]
         axes.fill_between(
@@ -191,13 +188,14 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
 
 
 def error_map_figure(errors: ErrorMap) -> Figure:
-    """Draw heat maps of the error in x and y, with the paper's references and the forces that the
-    fin can make."""
+    """Draw heat maps of the errors in x and y, with the paper's references and the outline of the
+    reachable forces."""
     (left, bottom) = errors.cell.low
     (right, top) = errors.cell.high
-    # In rows of y and columns of x; NaN where no reference is tracked.
+    # Rows are y and columns are x; NaN where no reference is tracked.
     lattice = np.full((errors.points, errors.points, 2), np.nan)
     places = (errors.references - (left, bottom)) / (right - left, top - bottom) * errors.points
+    # Each reference is the centre of its part, so rounding down gives the index of the part.
     column, row = np.floor(places).astype(int).T
     lattice[row, column] = errors.error
     greatest = float(errors.error.max())
@@ -206,8 +204,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for index, (axes, axis) in enumerate(zip(panels, AXES, strict=True)):
             axes.grid(visible=False)
-            # Where the controller does not cover the reference, or the fin cannot make it: drawn
-            # without a colour of the map.
+            # Hatched background where the controller does not cover the reference or the fin cannot
+            # reach it.
             axes.patch.set(facecolor="white", hatch="////", edgecolor="#CCCCCC")
             image = axes.imshow(
                 lattice[..., index],
@@ -219,10 +217,10 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                 interpolation="nearest",
             )
             error = errors.error[:, index]
-            # More numbers would be unreadable.
+            # On a finer lattice, the numbers would be unreadable.
             if errors.points <= 11:
                 for (x, y), value in zip(errors.references, error, strict=True):
-                    # Over a mark, on a patch of the map's colour.
+                    # A patch in the colour of the map keeps numbers readable over markers.
                     patch = {
                         "facecolor": colormaps[ERROR_COLOURS](value / greatest),
                         "edgecolor": "none",
@@ -256,7 +254,7 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                     color=BLACK,
                     linestyle="--",
                     linewidth=1.4,
-                    label="forces that the fin can make",
+                    label="reachable forces",
                     path_effects=[withStroke(linewidth=3, foreground="white")],
                 )
             axes.set_title(
@@ -272,7 +270,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
 
 
 def held_figure(recording: ExperimentRecording) -> Figure:
-    """Draw the moving average with each reference, at the first seed: both axes in one panel."""
+    """Draw the moving average and the reference of each experiment, at the first seed, with both
+    axes in one panel."""
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)

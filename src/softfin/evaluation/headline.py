@@ -1,11 +1,16 @@
-"""The outcome of a whole run in one sentence: does the controller hold the target forces?"""
+"""Summarize a run in one sentence: does the controller reach the target forces?"""
 
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from softfin.core.quantities import AXES
-from softfin.evaluation.results import EvaluationSummary, MeanScores, RunResults
+from softfin.evaluation.results import (
+    EvaluationSummary,
+    MeanScores,
+    ReferenceScores,
+    RunResults,
+)
 from softfin.evaluation.scores import SETTLED_N
 from softfin.storage.figures import with_minus_signs
 
@@ -13,23 +18,23 @@ NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight",
 
 
 class Headline(NamedTuple):
-    """The controller of a run with the smallest mean error in the plant, and the outcome."""
+    """Best controller of a run, by mean error in the plant, and its outcome."""
 
     controller: str
-    """Kind of the controller."""
+    """Kind of controller."""
     sentence: str
-    """Whether it holds the references."""
+    """Outcome: whether the controller holds the references."""
     caption: str
-    """Caption of its figure."""
+    """Caption of the figure."""
     holds: bool
-    """Whether its error at every reference is at most `SETTLED_N` on both axes."""
+    """Whether the error at every reference is at most `SETTLED_N` on both axes."""
 
 
 def headline(results: RunResults) -> Headline | None:
-    """Choose the best controller of a run's ``results.json``, with force feedback if evaluated;
-    None if there is none.
+    """Choose the best controller in a run's ``results.json``, with force feedback if evaluated;
+    None without controllers.
 
-    A controller under which the fin stands still comes last, no matter how small its error is.
+    A controller with which the fin stands still ranks last, no matter how small its error is.
     """
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
@@ -41,55 +46,67 @@ def headline(results: RunResults) -> Headline | None:
     name, summary = min(evaluated.items(), key=still_or_error)
     (still, _) = still_or_error((name, summary))
     rows = summary["references"]
-    errors = {tuple(row["reference_n"]): greatest_error(row) for row in rows}
-    too_far = {reference: error for reference, error in errors.items() if error > SETTLED_N}
     plain = results["controllers"][name] if results.get("trimmed") else None
-    held, count = (
-        NUMBERS[n] if n < len(NUMBERS) else str(n) for n in (len(rows) - len(too_far), len(rows))
-    )
-    each = f"each of {count} forces" if len(rows) > 1 else "the force"
-    if not too_far and not still:
-        sentence = f"The fin holds {each} within {within(max(errors.values()))} N on average"
+    too_far = _missed_references(rows)
+    if still:
+        sentence = (
+            "The fin stands still at some of the target forces, so this controller does not work"
+        )
+    elif too_far:
+        worst = max(too_far, key=lambda reference: too_far[reference])
+        force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
+        held = _number_word(len(rows) - len(too_far))
+        sentence = (
+            f"The fin holds {held} of {_number_word(len(rows))} forces within {SETTLED_N:g} N on "
+            f"average; it misses {force} N by {too_far[worst]:.2f} N"
+        )
+    else:
+        forces = f"each of {_number_word(len(rows))} forces" if len(rows) > 1 else "the force"
+        error = max(map(greatest_error, rows))
+        sentence = f"The fin holds {forces} within {within(error)} N on average"
         if plain is not None:
             before = max(map(greatest_error, plain["references"]))
             sentence += f"; without force feedback, within {within(before)} N"
-    elif still:
-        sentence = (
-            "The fin stands still at some of the target forces: this controller does not work"
-        )
-    else:
-        worst = max(too_far, key=lambda reference: too_far[reference])
-        force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
-        sentence = (
-            f"The fin holds {held} of {count} forces within {SETTLED_N:g} N on average; it "
-            f"misses {force} N by {too_far[worst]:.2f} N"
-        )
     seconds = summary["conditions"]["duration_s"]
     window = summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
     caption = (
-        f"The mean force over the last {window / rate:g} s (lines) and the target force (dashed, "
-        f"with {SETTLED_N:g} N on both sides), from rest for {seconds} s: controller "
+        f"Mean force over the last {window / rate:g} s (lines) and target force (dashed, with a "
+        f"band of ±{SETTLED_N:g} N), starting from rest, for {seconds} s: controller "
         f"{name}{', with force feedback' if plain is not None else ''}, the first of "
         f"{summary['conditions']['seeds']} runs."
     )
     return Headline(name, f"{sentence}.", caption, not too_far and not still)
 
 
+def _missed_references(rows: Sequence[ReferenceScores]) -> dict[tuple[float, ...], float]:
+    """Return the references with an error above `SETTLED_N`, with the error [N]."""
+    errors = {}
+    for row in rows:
+        error = greatest_error(row)
+        if error > SETTLED_N:
+            errors[tuple(row["reference_n"])] = error
+    return errors
+
+
+def _number_word(number: int) -> str:
+    return NUMBERS[number] if number < len(NUMBERS) else str(number)
+
+
 def greatest_error(row: MeanScores) -> float:
-    """Return the larger of both axes' errors [N]."""
+    """Return the larger of the two axes' errors [N]."""
     return max(row[axis]["error_n"] for axis in AXES)
 
 
 def within(error_n: float) -> str:
-    """Return a bound with two decimals that the error does not exceed."""
-    # Rounded first, so that 0.07 N, which is 7.000000000000001 hundredths, does not become 0.08.
+    """Return the error rounded up to two decimals, so that it is a valid upper bound."""
+    # Round first: 100 * 0.07 is 7.000000000000001, which would become 0.08.
     return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
 
 
 def over_seeds(interval: list[float] | None, values: Sequence[float]) -> str:
-    """Return the text after a mean over seeds: half its interval, the range of the values of two
-    seeds, or nothing for one seed."""
+    """Return the text that follows a mean over seeds: half the interval, the range of the values if
+    there are two seeds, or nothing for one seed."""
     if interval is not None:
         return f"±{(interval[1] - interval[0]) / 2:.2f}"
     return f"({min(values):.3f} to {max(values):.3f})" if len(set(values)) > 1 else ""

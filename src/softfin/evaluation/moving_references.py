@@ -1,13 +1,12 @@
 """Experiments with moving references: steps, ramps and sines within a controller's range, or a
 recorded signal.
 
-Controller, plant and signals go in; recordings, tracking errors and the responses to every step
-come out.
+The results are recordings, tracking errors and the response to every step.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -36,7 +35,7 @@ from softfin.task.signals import (
 
 FORWARDS = ((3, 3), (5, 3))
 UP = ((3, 1), (3, 5))
-"""Start and end of a signal in a controller's range, in sixths of its size on each axis."""
+"""Start and end of a signal within a controller's range, in sixths of the range on each axis."""
 
 
 def _sine(start_n: ReferenceForce, to_n: ReferenceForce) -> Sinusoid:
@@ -45,14 +44,18 @@ def _sine(start_n: ReferenceForce, to_n: ReferenceForce) -> Sinusoid:
     return Sinusoid(centre_n=((a + c) / 2, (b + d) / 2), amplitude_n=((c - a) / 2, (d - b) / 2))
 
 
-SIGNALS: dict[MovingReference, tuple[Callable[..., Signal], tuple[Any, ...], int]] = {
+Sixths: TypeAlias = tuple[int, int]
+
+SIGNALS: dict[
+    MovingReference, tuple[Callable[..., Signal], tuple[tuple[Sixths, Sixths], ...], int]
+] = {
     "step": (Step, (FORWARDS, ((1, 1), (3, 3)), UP, ((5, 3), (1, 1))), 20),
     "ramp": (Ramp, (UP, FORWARDS), 20),
     "sine": (_sine, (UP, FORWARDS), 30),
 }
-"""Default signals by kind: start and end in the range, and length of the experiment [s].
+"""Default signals by kind: constructor, start and end within the range, and duration [s].
 
-In the paper's range:
+Within the paper's range:
 
 - ``step`` at 10 s: (2, 0) to (3, 0), (1, -1) to (2, 0), (2, -1) to (2, 1), (3, 0) to (1, -1) N
 - ``ramp`` from 5 s to 15 s: (2, -1) to (2, 1), (2, 0) to (3, 0) N
@@ -63,8 +66,8 @@ In the paper's range:
 def moving_signals(
     kind: MovingReference, cell: Cell, reachable: Reachable | None = None
 ) -> tuple[Signal, ...]:
-    """The default signals of a kind within a range; forces that the fin cannot make are moved to
-    its reach."""
+    """Return the default signals of a kind within a range; unreachable forces are replaced by the
+    nearest reachable ones."""
     (x0, y0) = cell.low
     (x1, y1) = cell.high
 
@@ -74,8 +77,8 @@ def moving_signals(
             force = reachable.nearest_within((cell,), np.array([force]))[0].tolist()
         if not np.isfinite(force).all():
             raise CoverageError(
-                f"references that move within {cell}: this fin can make none of these forces; "
-                "train the controller within its reach (softfin map shows it)"
+                f"moving references within {cell}: this fin can produce none of these forces; "
+                "train the controller for reachable forces (run softfin map to plot them)"
             )
         return round(force[0], 6), round(force[1], 6)
 
@@ -84,7 +87,7 @@ def moving_signals(
 
 
 class MovingScores(NamedTuple):
-    """Experiments of the same length with moving references."""
+    """Results of experiments of equal length with moving references."""
 
     recording: ExperimentRecording
     """Recording of the first seed: reference ``(signals, ticks, 2)``, other fields ``(signals, 1,
@@ -94,30 +97,33 @@ class MovingScores(NamedTuple):
 
 
 class MovingPlan(NamedTuple):
-    """Signals of one length, with the forces that are tracked."""
+    """Signals of equal length, with the forces to track."""
 
     signals: tuple[Signal, ...]
     seconds: int
     tracked: Float[np.ndarray, "signals ticks 2"]
-    """Tracked reference, one force per tick [N]: the signals, except for forces that the fin cannot
-    make."""
+    """Tracked reference, one force per tick [N]: the signal, with unreachable forces replaced by
+    the nearest reachable ones."""
     warnings: tuple[str, ...] = ()
-    """Sentences about forces that the fin cannot make."""
+    """Warnings about unreachable forces."""
 
     @classmethod
     def of(
         cls, controller: Controller, signals: tuple[Signal, ...], seconds: int, strict: bool = False
     ) -> "MovingPlan":
         """Find the forces to track; raises CoverageError for forces outside the controller's range,
-        and with `strict` outside the fin's."""
-        pairs = [
-            _resolve_signal(controller, signal, seconds * RATE_HZ, strict) for signal in signals
-        ]
-        warnings = tuple(warning for _, warning in pairs if warning is not None)
-        return cls(signals, seconds, np.stack([series for series, _ in pairs]), warnings)
+        and with `strict` also for unreachable forces."""
+        tracked = []
+        warnings = []
+        for signal in signals:
+            series, warning = _resolve_signal(controller, signal, seconds * RATE_HZ, strict)
+            tracked.append(series)
+            if warning is not None:
+                warnings.append(warning)
+        return cls(signals, seconds, np.stack(tracked), tuple(warnings))
 
     def score(self, recording: ExperimentRecording) -> MovingScores:
-        """Score the signals, each at every seed; errors are against the tracked reference."""
+        """Score each signal at every seed; errors are relative to the tracked reference."""
         recording = independent(recording)
         forces = np.asarray(recording.force, np.float64)
         scores = score(recording)
@@ -136,20 +142,18 @@ def _row(
     reading_error: Float[np.ndarray, "seeds 2"] | None,
 ) -> MovingRow:
     responses = [step_responses(force, tracked) for force in forces]
-    # Against the reference of the same instant, so the delay of the window also counts.
+    # Relative to the reference at the end of each window, so the window's delay counts as error.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
-    x, y = (
-        _errors(
-            error[:, axis],
-            float(instantaneous[:, axis].mean()),
-            None if reading_error is None else reading_error[:, axis],
-        )
-        for axis in range(len(AXES))
-    )
-    times = [step["settling_s"] for seed in responses for step in seed]
+    errors = []
+    for axis in range(len(AXES)):
+        reading = None if reading_error is None else reading_error[:, axis]
+        errors.append(_errors(error[:, axis], float(instantaneous[:, axis].mean()), reading))
+    x, y = errors
+    times = [step["settling_s"] for step in chain(*responses)]
     settled = [time for time in times if time is not None]
+    # Without any step there is nothing to settle.
     settles = len(settled) == len(times) if times else None
-    # A recorded signal may have many rows; they remain in its file.
+    # The rows of a recorded signal are left out, because there may be many; they are in its file.
     left_out = {"kind", "time_s", "force_n"} if isinstance(signal, Recorded) else {"kind"}
     return {
         "kind": signal.kind,
@@ -161,23 +165,23 @@ def _row(
         "y": y,
         "settles": settles,
         "longest_settling_s": max(settled) if settles else None,
-        "steps": [list(step) for step in zip(*responses, strict=True)],
+        "steps": list(map(list, zip(*responses, strict=True))),
     }
 
 
 def moving_together(each: Sequence[MovingScores]) -> MovingScores:
-    """Combine scores of the same signals, each at one seed, into those of all seeds; the recording
-    is that of the first."""
-    return MovingScores(
-        each[0].recording,
-        [_row_together(rows) for rows in zip(*(e.rows for e in each), strict=True)],
-    )
+    """Combine scores of the same signals at one seed each; the recording is the first one."""
+    # Regroup the rows by signal; each group has one row per seed.
+    by_signal = zip(*(scores.rows for scores in each), strict=True)
+    return MovingScores(each[0].recording, list(map(_row_together, by_signal)))
 
 
 def _row_together(rows: Sequence[MovingRow]) -> MovingRow:
     settles = None if rows[0]["settles"] is None else all(row["settles"] for row in rows)
     times = [time for row in rows if (time := row["longest_settling_s"]) is not None]
-    steps = [list(chain(*steps)) for steps in zip(*(row["steps"] for row in rows), strict=True)]
+    # Regroup the responses by step, over all seeds.
+    by_step = zip(*(row["steps"] for row in rows), strict=True)
+    steps = [list(chain(*responses)) for responses in by_step]
     return {
         **rows[0],
         "x": _errors_together([row["x"] for row in rows]),
@@ -211,23 +215,28 @@ def _errors(
 def _resolve_signal(
     controller: Controller, signal: Signal, ticks: int, strict: bool
 ) -> tuple[ReferenceSamples, str | None]:
-    """Return the force to track at each tick, the nearest one that the fin can make, and a warning
-    if it differs from the signal."""
+    """Return the force to track at each tick (the nearest reachable force), and a warning if it
+    differs from the signal."""
     references = signal.sample(ticks)
+    # Most ticks of a signal repeat a force, and the search for the nearest reachable one is slow.
     distinct, places = np.unique(references, axis=0, return_inverse=True)
     near = nearest_trackable(controller, distinct).astype(np.float32)[places.reshape(-1)]
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None
     problem = (
-        f"{signal}: this fin cannot make what is asked in {np.count_nonzero(distance) / RATE_HZ:g} "
-        f"of {len(references) / RATE_HZ:g} s, from {np.argmax(distance > 0) / RATE_HZ:g} s on, by "
-        f"up to {distance.max():.3f} N; the nearest forces that it can make in this controller's "
-        "range are held "
+        f"{signal}: this fin cannot produce the target force during "
+        f"{np.count_nonzero(distance) / RATE_HZ:g} of {len(references) / RATE_HZ:g} s, starting at "
+        f"{np.argmax(distance > 0) / RATE_HZ:g} s, and misses it by up to {distance.max():.3f} N"
     )
     if strict:
-        raise CoverageError(f"{problem}where --strict is left out")
-    return near, f"{problem}instead"
+        raise CoverageError(
+            f"{problem}; remove --strict to track the nearest reachable forces in this "
+            "controller's range instead"
+        )
+    return near, (
+        f"{problem}; the nearest reachable forces in this controller's range are tracked instead"
+    )
 
 
 def plan_moving(
@@ -236,7 +245,7 @@ def plan_moving(
     recorded: Recorded | None,
     strict: bool = False,
 ) -> list[MovingPlan]:
-    """Return the default signals of each kind, and a recorded one, as found by `MovingPlan.of`."""
+    """Plan the default signals of each kind and an optional recorded signal."""
     cell = controller_range(controller)
     reachable = reachable_set(controller)
     groups = [

@@ -1,7 +1,7 @@
-"""The paper's figures: Table II as printed; each row has x error, x std, y error, y std [N].
+"""Scores of the paper: Table II as printed, with x error, x std, y error and y std [N] in each row.
 
-Its last row, "Overall mean", is not always the mean of the rows above it (the grid's y std is
-printed as 0.201, but its rows give 0.293), so both are kept: `PAPER_PRINTED_MEANS` and
+The last row, "Overall mean", is not always the mean of the rows above it: the grid's y std is
+printed as 0.201, but the rows give 0.293. So this module has both, `PAPER_PRINTED_MEANS` and
 `recomputed_means`.
 """
 
@@ -25,7 +25,7 @@ PAPER_TABLE_II: dict[str, dict[tuple[float, float], PaperScores]] = {
         (2, 1): (0.696, 0.369, 0.269, 0.182),
     },
 }
-"""Scores by controller and reference force [N], measured on the real fin."""
+"""Scores by controller and reference force [N], as measured on the real fin."""
 
 PAPER_PRINTED_MEANS: dict[str, PaperScores] = {
     "single": (0.828, 0.408, 0.685, 0.392),
@@ -35,8 +35,6 @@ PAPER_PRINTED_MEANS: dict[str, PaperScores] = {
 
 
 def recomputed_means(controller: str) -> list[float]:
-    """The means of the six rows of Table II."""
-    return [
-        sum(column) / len(column)
-        for column in zip(*PAPER_TABLE_II[controller].values(), strict=True)
-    ]
+    """Return the column means of the six rows of Table II."""
+    columns = zip(*PAPER_TABLE_II[controller].values(), strict=True)
+    return [sum(column) / len(column) for column in columns]

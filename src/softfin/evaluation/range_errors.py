@@ -1,7 +1,6 @@
-"""Errors over a controller's whole range: at a lattice of references, and at references drawn at
-random.
+"""Errors over a controller's full range: on a lattice of references, and at random references.
 
-Controller and plant go in; all references run in one compiled program, each from rest, at one seed.
+All references run in one compiled program, each from rest, with one seed.
 """
 
 from collections.abc import Sequence
@@ -22,37 +21,37 @@ from softfin.gaits.reachable import Cell, ForceVector, Reachable, bounding_box
 from softfin.task.references import PAPER_RANGE
 
 ReferenceForces = Float[np.ndarray, "references 2"]
-"""(x, y) [N]."""
+"""Reference forces (x, y) [N]."""
 
 LATTICE_POINTS = 7
 """Default number of references along each side of the lattice."""
 
 MAX_RANDOM = 10_000
-"""Largest number of random references, which run together."""
+"""Maximum number of random references; they all run together."""
 
 ROUNDS = 100
-"""Number of draws of the requested size before the cells count as out of the fin's reach."""
+"""Number of draws of the requested size after which the cells are treated as unreachable."""
 
 
 class ErrorMap(NamedTuple):
-    """Errors at the references of a lattice."""
+    """Errors on a lattice of references."""
 
     cell: Cell
-    """Range of the controller; each reference is the centre of an equal part of it."""
+    """Range of the controller, divided into equal parts; each reference is the centre of one."""
     points: int
-    """References along each side."""
+    """Number of references along each side."""
     references: ReferenceForces
-    """References that the controller covers and the fin can make [N]; the others of ``points ** 2``
-    are left out."""
+    """References that the controller covers and the fin can reach [N]; the rest of the
+    ``points ** 2`` references are omitted."""
     error: ReferenceForces
     """Mean |moving average - reference| [N]."""
     reachable: Float[np.ndarray, "corners 2"] | None = None
-    """Outline of the mean forces that the fin can make [N]; None if unknown."""
+    """Outline of the reachable mean forces [N]; None if unknown."""
     not_reachable: int = 0
-    """Number of references of the lattice that the controller covers but the fin cannot make."""
+    """Number of references that the controller covers but the fin cannot reach."""
 
     def to_dict(self) -> ErrorMapRows:
-        """Values for JSON."""
+        """Return the map as values for JSON."""
         rows: list[ErrorMapPoint] = [
             {"reference_n": reference, "error_x_n": x, "error_y_n": y}
             for reference, (x, y) in zip(self.references.tolist(), self.error.tolist(), strict=True)
@@ -73,8 +72,10 @@ class ErrorMap(NamedTuple):
 
 
 def controller_range(controller: Controller) -> Cell:
-    """Return the bounding box of a controller's cells; the paper's range for one without cells,
-    which covers everything."""
+    """Return the bounding box of a controller's cells.
+
+    A controller without cells covers everything; its range is the paper's.
+    """
     return bounding_box(controller_cells(controller) or (PAPER_RANGE,))
 
 
@@ -95,15 +96,14 @@ def errors_at(
 def map_errors(
     controller: Controller, plant: EvaluationTarget, points: int, seconds: int, key: PRNGKeyArray
 ) -> ErrorMap:
-    """Compute the errors over a lattice of the controller's range; raises CoverageError if no
-    reference in it can be tracked."""
+    """Compute the errors on a lattice over the controller's range; raises CoverageError if none of
+    its references can be tracked."""
     cell = controller_range(controller)
     reachable = reachable_set(controller)
     outline = None if reachable is None else reachable.corners()
     if cell.low[0] == cell.high[0] or cell.low[1] == cell.high[1]:
         raise CoverageError(
-            f"an error map over {cell}: the controller's range has no area; train it for a wider "
-            "cell"
+            f"error map over {cell}: the controller's range has no area; train it for a larger cell"
         )
 
     def covers(reference: ForceVector) -> bool:
@@ -113,15 +113,14 @@ def map_errors(
             return False
         return True
 
-    covered = np.array(
-        [reference for reference in cell.lattice(points) if covers(reference)]
-    ).reshape(-1, 2)
+    # Without any covered reference, the array would otherwise have no second axis.
+    covered = np.array(list(filter(covers, cell.lattice(points)))).reshape(-1, 2)
     references = covered if reachable is None else covered[reachable.contains(covered)]
     if not len(references):
         raise CoverageError(
-            f"an error map of {points} x {points} references over {cell}: the controller covers "
-            f"{len(covered)} of them and the fin can make none of those; ask for more points, or "
-            "train the controller within the fin's reach (softfin map shows it)"
+            f"error map of {points} x {points} references over {cell}: the controller covers "
+            f"{len(covered)} of them, but the fin can reach none of those; use more points, or "
+            "train the controller for reachable forces (run softfin map to plot them)"
         )
     error = errors_at(controller, plant, references, seconds, key)
     return ErrorMap(cell, points, references, error, outline, len(covered) - len(references))
@@ -135,8 +134,8 @@ def random_errors(
     seconds: int,
     key: PRNGKeyArray,
 ) -> RandomErrors:
-    """Compute the errors at references drawn from `seed` over the controller's cells and the fin's
-    reach.
+    """Compute the errors at random references within the controller's cells and the fin's reachable
+    forces.
 
     The 95th percentile is over the references.
     """
@@ -145,7 +144,8 @@ def random_errors(
         cells, reachable_set(controller), count, named_generator(seed, "evaluate/random")
     )
     errors = errors_at(controller, plant, references, seconds, key)
-    x, y = (_random_errors(references, error) for error in errors.T)
+    x = _random_errors(references, errors[:, 0])
+    y = _random_errors(references, errors[:, 1])
     return {"count": count, "seeds": 1, "x": x, "y": y}
 
 
@@ -163,29 +163,28 @@ def _random_errors(
 def draw_references(
     cells: Sequence[Cell], reachable: Reachable | None, count: int, generator: np.random.Generator
 ) -> ReferenceForces:
-    """Draw forces uniformly over the part of the cells that the fin can make; raises CoverageError
-    if it can make hardly any.
+    """Draw forces uniformly over the reachable part of the cells; raises CoverageError if hardly
+    any force in them is reachable.
 
-    If no cell has an area, because all are single references or lines, they are drawn from with
-    equal probability.
+    If no cell has an area (all are points or lines), each is chosen with equal probability.
     """
-    # Rejection sampling: a cell by its area, a force uniform in it, kept if the fin can make it.
-    low, high = (
-        np.array([getattr(cell, corner) for cell in cells], float) for corner in ("low", "high")
-    )
+    # Rejection sampling: choose a cell in proportion to its area, draw a force uniformly within it,
+    # and keep the force if it is reachable.
+    low = np.array([cell.low for cell in cells], float)
+    high = np.array([cell.high for cell in cells], float)
     area = np.prod(high - low, axis=1)
     probability = area / area.sum() if area.any() else np.full(len(cells), 1 / len(cells))
     accepted = np.zeros((0, 2))
     for _ in range(ROUNDS):
         chosen = generator.choice(len(cells), count, p=probability)
         forces = generator.uniform(low[chosen], high[chosen])
-        accepted = np.concatenate(
-            [accepted, forces if reachable is None else forces[reachable.contains(forces)]]
-        )
+        if reachable is not None:
+            forces = forces[reachable.contains(forces)]
+        accepted = np.concatenate([accepted, forces])
         if len(accepted) >= count:
             return accepted[:count]
     raise CoverageError(
-        f"random = {count}: of {count * ROUNDS} references drawn over the controller's cells this "
-        f"fin can make {len(accepted)}; train the controller within the fin's reach (softfin map "
-        "shows it)"
+        f"random = {count}: this fin can reach only {len(accepted)} of {count * ROUNDS} references "
+        "drawn from the controller's cells; train the controller for reachable forces (run softfin "
+        "map to plot them)"
     )

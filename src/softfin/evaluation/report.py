@@ -1,7 +1,6 @@
-"""One self-contained ``report.html`` of a whole run: tables, figures, learning curves,
-configuration, provenance.
+"""Write the ``report.html`` of a run: tables, figures, learning curves, configuration, provenance.
 
-Results and figures go in; the page needs no network, and parts without data are left out.
+The page is self-contained and needs no network. Sections without data are omitted.
 """
 
 import importlib.resources
@@ -18,6 +17,7 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ, Axis
 from softfin.evaluation.figures import add_legend
 from softfin.evaluation.headline import headline, over_seeds
@@ -53,7 +53,7 @@ Figures = Mapping[str, Figure]
 """Figures by caption."""
 
 PARTS = ("headline", "surrogate", "learning", "experiment", "moving")
-"""Parts of the page that have figures."""
+"""Sections of the report that can have figures."""
 
 CONTROLLER_COLOURS = {"gaits": GREEN, "single": BLUE, "grid": ORANGE}
 
@@ -61,8 +61,8 @@ CONTROLLER_COLOURS = {"gaits": GREEN, "single": BLUE, "grid": ORANGE}
 def write_report(
     path: Path, results: RunResults, figures: Mapping[str, Figures] = MappingProxyType({})
 ) -> None:
-    """Write the page, with `figures` of the parts named in `PARTS`; parts that `results` lacks are
-    left out."""
+    """Write the report with the `figures` of each section in `PARTS`; sections without results are
+    omitted."""
     controllers = results.get("controllers") or {}
     configuration = results.get("configuration")
     scores = (results.get("surrogate") or {}).get("scores") or {}
@@ -71,7 +71,13 @@ def write_report(
     )
     environment.filters["number"] = _number
     environment.filters["capitalize_first"] = lambda text: text[:1].upper() + text[1:]
-    first = next((summary["references"][0] for summary in controllers.values()), None)
+    conditions = None
+    has_intervals = False
+    if controllers:
+        # All controllers of a run are evaluated under the same conditions.
+        summary = next(iter(controllers.values()))
+        conditions = summary["conditions"]
+        has_intervals = summary["references"][0]["x"]["error_interval_n"] is not None
     template = (
         importlib.resources.files("softfin.evaluation")
         .joinpath("report.html.jinja")
@@ -84,23 +90,11 @@ def write_report(
         stages=results.get("stages") or [],
         overview=_overview(results),
         settled=SETTLED_N,
-        intervals=first is not None and first["x"]["error_interval_n"] is not None,
-        table_one=[
-            {
-                **scores[key],
-                "text": text,
-                "unit": unit,
-                "paper": PAPER_TABLE_I[published] if published else None,
-            }
-            for key, (text, unit, published) in NETS.items()
-            if key in scores
-        ],
-        tables_two={name: _table_two(name, summary) for name, summary in controllers.items()},
-        in_surrogate={
-            name: _table_two(name, summary)
-            for name, summary in (results.get("in_surrogate") or {}).items()
-        },
-        conditions=next((summary["conditions"] for summary in controllers.values()), None),
+        intervals=has_intervals,
+        table_one=_table_one(scores),
+        tables_two=_tables_two(controllers),
+        in_surrogate=_tables_two(results.get("in_surrogate") or {}),
+        conditions=conditions,
         table_two_svg=_svgs({"errors": table_two_figure(controllers)})["errors"]
         if controllers
         else None,
@@ -114,23 +108,23 @@ def write_report(
 
 
 def _number(value: float) -> str:
-    """Format with three significant digits, as the paper does; without an exponent for the usual
-    sizes."""
+    """Format with three significant digits, as in the paper, and without an exponent for common
+    magnitudes."""
     return f"{value:#.3g}" if 1e-4 <= abs(value) < 1000 else f"{value:.3g}"
 
 
 class Cell(NamedTuple):
-    """A mean over the seeds [N], and the text after it."""
+    """A mean over the seeds [N], and the text on their spread."""
 
     mean: float
     over_seeds: str
     reading: float | None = None
-    """Mean according to the sensor [N]."""
+    """Mean of the same score, computed from the sensor readings [N]."""
     paper: float | None = None
 
 
 class TableRow(NamedTuple):
-    """One line of Table II."""
+    """One row of Table II."""
 
     label: str
     cells: list[Cell]
@@ -145,17 +139,31 @@ class Table(NamedTuple):
 
     rows: list[TableRow]
     paper: bool
-    """Whether the paper has scores of this controller at one of these references."""
+    """Whether the paper has scores for this controller at any of these references."""
     printed: PaperScores | None
-    """The paper's mean as printed; None unless all references are the paper's."""
+    """Mean as printed in the paper; None unless the references are exactly the paper's."""
 
 
 class OverviewRow(NamedTuple):
-    """One controller: in the plant, with force feedback, and in the surrogate."""
+    """Scores of one controller in the plant, with force feedback, and in the surrogate."""
 
     name: str
     errors: list[list[Cell] | None]
     settling: list[str | None]
+
+
+def _table_one(scores: JsonObject) -> list[JsonObject]:
+    """Return a row for each network that has scores."""
+    rows = []
+    for key, (text, unit, published) in NETS.items():
+        if key in scores:
+            paper = PAPER_TABLE_I[published] if published else None
+            rows.append({**scores[key], "text": text, "unit": unit, "paper": paper})
+    return rows
+
+
+def _tables_two(summaries: Mapping[str, EvaluationSummary]) -> dict[str, "Table"]:
+    return {name: _table_two(name, summary) for name, summary in summaries.items()}
 
 
 def _table_two(name: str, summary: EvaluationSummary) -> Table:
@@ -175,7 +183,10 @@ def _table_two(name: str, summary: EvaluationSummary) -> Table:
 def _table_row(
     label: str, row: MeanScores, paper: Sequence[float] | None, still: bool = False
 ) -> TableRow:
-    cells = [cell(row[axis]) for axis in AXES for cell in (_error_cell, _std_cell)]
+    # In the order of the paper's columns: x error, x std, y error, y std.
+    cells = []
+    for axis in AXES:
+        cells += [_error_cell(row[axis]), _std_cell(row[axis])]
     if paper is not None:
         cells = [cell._replace(paper=value) for cell, value in zip(cells, paper, strict=True)]
     raw = [
@@ -195,8 +206,8 @@ def _std_cell(scores: AxisScores) -> Cell:
 
 
 def _overview(results: RunResults) -> list[OverviewRow]:
-    """Return a row for each controller: mean errors in the plant, with force feedback, and in the
-    surrogate; settling times."""
+    """Return one row per controller: mean errors and settling times in the plant, with force
+    feedback, and in the surrogate (errors only)."""
     rows = []
     parts = (results.get("controllers"), results.get("trimmed"), results.get("in_surrogate"))
     for name in parts[0] or {}:
@@ -212,8 +223,8 @@ def _overview(results: RunResults) -> list[OverviewRow]:
 
 
 def _settling(rows: Iterable[MovingRow]) -> str | None:
-    """Return the longest settling time of a step at any seed, or that one never settles; None
-    without steps."""
+    """Return the longest settling time over all steps and seeds, or "never" if a step does not
+    settle; None without steps."""
     times = [row["longest_settling_s"] for row in rows if row["settles"] is not None]
     if not times:
         return None
@@ -226,22 +237,22 @@ def _force(reference: Iterable[float | int]) -> str:
 
 
 def _svgs(figures: Figures) -> dict[str, Markup]:
-    # Safe, because Matplotlib escapes all text.
+    # Safe to mark as HTML, because Matplotlib escapes all text in an SVG.
     return {caption: Markup(inline_svg(figure, caption)) for caption, figure in figures.items()}
 
 
 class Bars(NamedTuple):
-    """The bars of one controller: one per reference, then the mean."""
+    """Bars of one controller: one per reference, then the mean."""
 
     label: str
     error_n: list[float]
     colour: str
     half_n: Float[np.ndarray, "2 bars"] | None = None
-    """Lengths of the error bars, down and up [N]; None without."""
+    """Lengths of the error bars, down and up [N]; None for no error bars."""
     is_paper: bool = False
 
     def draw(self, axes: Axes, places: Float[np.ndarray, "bars"], width: float) -> None:
-        """Draw them about `places`."""
+        """Draw the bars centred at `places`."""
         axes.bar(
             places,
             self.error_n,
@@ -261,6 +272,7 @@ def _bars(name: str, summary: EvaluationSummary, axis: Axis) -> Bars:
     half = np.zeros((2, len(scores)))
     for index, score in enumerate(scores):
         seeds = score["error_seeds_n"]
+        # Two seeds are too few for an interval; the bar then spans their values.
         low, high = score["error_interval_n"] or (min(seeds), max(seeds))
         half[:, index] = score["error_n"] - low, high - score["error_n"]
     several = len(scores[0]["error_seeds_n"]) > 1
@@ -270,8 +282,8 @@ def _bars(name: str, summary: EvaluationSummary, axis: Axis) -> Bars:
 
 
 def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
-    """Draw the errors by reference: each controller's ``evaluation.json``, next to the paper's
-    figures if it has them."""
+    """Draw the errors by reference for the ``evaluation.json`` of each controller, next to the
+    paper's errors if available."""
     references: list[tuple[float, ...]] = [
         tuple(row["reference_n"]) for row in next(iter(summaries.values()))["references"]
     ]
@@ -293,6 +305,7 @@ def table_two_figure(summaries: Mapping[str, EvaluationSummary]) -> Figure:
                     groups.append(
                         Bars(f"{name}, paper (real fin)", errors, bars.colour, is_paper=True)
                     )
+            # The bars of a reference are centred at its place and leave a gap to the next.
             width = min(0.25, 0.8 / len(groups))
             for k, bars in enumerate(groups):
                 bars.draw(axes, places + (k - (len(groups) - 1) / 2) * width, 0.92 * width)
@@ -310,7 +323,7 @@ def prediction_figure(
     predicted: Mapping[str, Float[np.ndarray, "ticks 2"]],
     start_s: float = 0.0,
 ) -> Figure:
-    """Draw the measured force and its predictions by name, at 100 Hz from `start_s` [s]."""
+    """Draw the measured force and the named predictions at 100 Hz, starting at `start_s` [s]."""
     time = start_s + np.arange(len(measured)) / RATE_HZ
     with styled():
         figure = new_figure(9, 4.2)

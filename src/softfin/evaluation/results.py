@@ -1,4 +1,4 @@
-"""The rows of ``evaluation.json``, ``baselines.json`` and ``results.json``, defined once.
+"""Types of the rows in ``evaluation.json``, ``baselines.json`` and ``results.json``.
 
 They are plain dictionaries, because they are written and read as JSON. docs/files.md explains the
 keys.
@@ -14,7 +14,7 @@ from softfin.core.window import interval
 
 
 class AxisScores(TypedDict):
-    """Scores on one axis [N]: the mean over the repetitions, its 95% interval, and each value."""
+    """Scores on one axis [N]: mean over the repetitions, its 95% interval, and all values."""
 
     error_n: float
     error_interval_n: list[float] | None
@@ -31,7 +31,7 @@ class AxisScores(TypedDict):
 
 
 class MeanScores(TypedDict):
-    """Scores of one reference, or their mean over all references."""
+    """Scores for one reference, or their mean over all references."""
 
     x: AxisScores
     y: AxisScores
@@ -40,7 +40,7 @@ class MeanScores(TypedDict):
 
 
 class UncertaintyRow(TypedDict):
-    """Uncertainty stated by a surrogate at one reference."""
+    """Uncertainty estimated by a surrogate for one reference."""
 
     out_of_distribution_fraction: float
     furthest: float
@@ -49,18 +49,18 @@ class UncertaintyRow(TypedDict):
 
 
 class ReferenceScores(MeanScores):
-    """Scores of one reference."""
+    """Scores for one reference."""
 
     reference_n: list[float]
     tracked_reference_n: NotRequired[list[float]]
     still: bool
     surrogate: NotRequired[UncertaintyRow]
     commanded: NotRequired[JsonObject]
-    """Commands of a baseline: a sine, or the actions of a gait."""
+    """Commands of a baseline: a sine or the actions of a gait."""
 
 
 class StepResponse(TypedDict):
-    """Response of the moving average to one step of the reference."""
+    """Response of the moving average to one step of the reference force."""
 
     at_s: float
     start_n: list[float]
@@ -85,7 +85,7 @@ class TrackingErrors(TypedDict):
 
 
 class MovingRow(TypedDict):
-    """Scores of one moving reference."""
+    """Scores for one moving reference."""
 
     kind: str
     described: str
@@ -98,7 +98,7 @@ class MovingRow(TypedDict):
     settles: bool | None
     longest_settling_s: float | None
     steps: list[list[StepResponse]]
-    """For each step of the reference, the response in each repetition."""
+    """Responses by step of the reference and by repetition."""
 
 
 class ErrorMapPoint(TypedDict):
@@ -149,7 +149,7 @@ class EvaluationSummary(TypedDict):
     kind: str
     format: int
     conditions: JsonObject
-    """Duration, repetitions and rates, and what the caller adds, such as controller and plant."""
+    """Duration, repetitions and rates, plus entries by the caller, e.g. controller and plant."""
     references: list[ReferenceScores]
     mean: MeanScores
     warning: str | None
@@ -165,11 +165,11 @@ class Baselines(TypedDict):
 
     baselines: dict[str, EvaluationSummary]
     left_out: dict[str, str]
-    """Reason for each baseline that has no scores."""
+    """Reasons why baselines have no scores, by name."""
 
 
 class StageRow(TypedDict):
-    """One stage of a run; a stage finished by an earlier run has no times."""
+    """One stage of a run; stages that an earlier run finished have no times."""
 
     stage: str
     what: str
@@ -179,7 +179,7 @@ class StageRow(TypedDict):
 
 
 class RunResults(TypedDict, total=False):
-    """``results.json`` of a run; a report leaves out what is missing."""
+    """``results.json`` of a run; a report omits missing parts."""
 
     kind: str
     format: int
@@ -189,13 +189,14 @@ class RunResults(TypedDict, total=False):
     seed: int
     seeds: int
     surrogate: JsonObject | None
-    """``{"scores": ...}`` of `compare.scores.table_one`; None if the surrogate was given."""
+    """``{"scores": ...}`` from `compare.scores.table_one`; None if the run used an existing
+    surrogate."""
     controllers: dict[str, EvaluationSummary]
     """Evaluation of each kind of controller (``gaits``, ``single``, ``grid``)."""
     trimmed: dict[str, EvaluationSummary] | None
     """Evaluations with force feedback."""
     in_surrogate: dict[str, EvaluationSummary] | None
-    """Evaluations in the surrogate in which the controllers were trained."""
+    """Evaluations in the surrogate that was used for training."""
     stages: list[StageRow]
     wall_s: dict[str, float]
     peak_memory_gib: float
@@ -204,8 +205,8 @@ class RunResults(TypedDict, total=False):
 
 
 def score_keys(name: str, values: Float[np.ndarray, " repetitions"] | None) -> JsonObject:
-    """Return the keys of one score on one axis [N]: mean, interval and values; none for a score
-    that there is not."""
+    """Return the keys of one score on one axis [N]: mean, interval and values; empty without
+    values."""
     if values is None:
         return {}
     return {

@@ -252,23 +252,23 @@ FAULTS = [
     (early_command, "command lag", "--command-lag -100"),
     (mirrored_command, "command sign", "--negate command_angle"),
     (mirrored_angle, "command sign", "--negate angle"),
-    (one_command, "constant command", "choose the column"),
+    (one_command, "constant command", "map the column with the commanded angle"),
     (other_command, "not following", "map other columns"),
     (spikes, "spikes", "repair"),
     (many_spikes, "spikes", "repair"),
-    (stuck_force, "stuck", "cut"),
-    (dead_force, "stuck", "cut"),
-    (stuck_angle, "stuck", "cut"),
-    (clipped, "saturated", "wider range"),
+    (stuck_force, "stuck", "remove these rows"),
+    (dead_force, "stuck", "remove these rows"),
+    (stuck_angle, "stuck", "remove these rows"),
+    (clipped, "saturated", "select a larger range"),
     (velocity_sign, "velocity sign", "--negate velocity"),
     (velocity_unit, "velocity unit", "--angles velocity=deg"),
     (velocity_of_something, "velocity", "map another column"),
     (offset, "force offset", "tare"),
     (seam, "jumps", "--rows-per-log"),
-    (no_velocity, "command velocity", "choose the column"),
+    (no_velocity, "command velocity", "map the column"),
     (still_velocity, "constant velocity", "--columns velocity=-"),
     (far_from_rest, "no rest", "softfin rig zero --arm"),
-    (counts, "counts", "2048 at its centre"),
+    (counts, "counts", "centred at 2048"),
 ]
 
 
@@ -329,20 +329,22 @@ def test_whole_degrees_are_not_taken_for_counts_but_may_be_some():
 
     fix = grave(inspected(change))["degrees"]
     assert fix.startswith(
-        "--angles deg; if these whole numbers are counts of an encoder instead, convert them"
+        "--angles deg; if these integers are encoder counts instead, convert them"
     )
 
 
 def test_messages_hold_the_numbers():
-    assert "angle spans -8" in message(inspected(degrees), "degrees")
-    assert "follows the angle by 7" in message(inspected(late_force), "force lag")
-    assert "angle is 19 ms ahead of its command" in message(inspected(late_command), "command lag")
-    assert "correlation with the force of a model fin 0.0" in message(inspected(swap), "force axes")
-    assert message(inspected(spikes), "spikes").startswith("3 spikes, up to 30")
+    assert "angle ranges from -8" in message(inspected(degrees), "degrees")
+    assert "lags the angle by 7" in message(inspected(late_force), "force lag")
+    assert "angle leads its command by 19 ms" in message(inspected(late_command), "command lag")
+    assert "the correlation with the force of a model fin is 0.0" in message(
+        inspected(swap), "force axes"
+    )
+    assert message(inspected(spikes), "spikes").startswith("3 spikes of up to 30")
     assert "for 4.00 s" in message(inspected(stuck_force), "stuck")
     assert "+0.81 N" in message(inspected(offset), "force offset")
     assert message(inspected(mirrored_command), "command sign").startswith(
-        "the angle goes against its command"
+        "the angle moves opposite to its command"
     )
 
 
@@ -357,7 +359,7 @@ def test_fixes_go_on_from_the_options_that_were_given():
     given = ImportConfig(force="y,x", force_lag_ms=30, negate=("command_angle",))
     assert grave(inspected(swap, given))["force axes"] == "--force=x,y"
     assert "--force-lag 70" in grave(inspected(late_force, given))["force lag"]
-    assert "leave --negate out" in grave(inspected(mirrored_command, given))["command sign"]
+    assert "remove --negate" in grave(inspected(mirrored_command, given))["command sign"]
 
 
 def test_one_log_with_another_clock_and_another_offset_stands_out():

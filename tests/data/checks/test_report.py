@@ -25,7 +25,7 @@ def axes_of(logs):
 def test_the_trace_is_about_the_gravest_issue_that_has_a_row():
     logs = faulty()
     angle, force, *_ = axes_of(logs)
-    assert "about row 3000: spikes" in angle.get_title(loc="left")
+    assert "around row 3000: spikes" in angle.get_title(loc="left")
     shown = {line.get_label(): line for line in force.get_lines()}
     time, x = shown["force x"].get_data()
     assert len(time) == 1000

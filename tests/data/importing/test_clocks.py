@@ -88,7 +88,7 @@ def test_an_encoder_that_wraps_is_an_error_and_unwrapped_if_that_is_ignored(hz, 
     issue = next(one for one in issues if one.name == "wraps")
     assert (issue.severity, issue.column) == ("error", "angle")
     assert abs(wrapped[issue.row] - wrapped[issue.row - 1]) > 6
-    assert "set the encoder's zero to where the fin rests" in issue.fix
+    assert "set the encoder's zero at the fin's rest position" in issue.fix
     expected = np.interp(one.log.reading.time, time, angle)
     np.testing.assert_allclose(one.log.reading.angle, expected, atol=0.02)
     assert np.abs(one.log.reading.velocity).max() < 8
@@ -134,7 +134,7 @@ def test_a_short_gap_is_bridged_by_interpolation():
 def test_pieces_that_are_too_short_are_left_out_and_counted():
     pieces, issues = logs(valid_rows(track(), np.r_[0:400, 430:500, 530:1000]))
     assert [len(piece.log.reading.time) for piece in pieces] == [400, 470]
-    assert "1 piece between gaps, shorter than 2 s, left out: 0.69 s" in issues[-1].message
+    assert "1 piece between gaps, shorter than 2 s, dropped: 0.69 s" in issues[-1].message
     assert len(logs(valid_rows(track(), np.r_[0:400, 430:500, 530:1000]), shortest_s=0.5)[0]) == 3
 
 
@@ -178,7 +178,7 @@ def test_a_fast_source_is_resampled_and_that_is_noted():
     channels = {name: np.sin(time + i) for i, name in enumerate(NAMES)}
     (log,), issues = logs(Track(time, channels))
     assert kinds(issues) == ["resampled"]
-    assert "faster than 100 Hz" in issues[0].message
+    assert "sampled faster than 100 Hz" in issues[0].message
     np.testing.assert_allclose(log.log.reading.time[:3], [0, 0.01, 0.02])
     np.testing.assert_allclose(
         log.log.reading.force[20:-20, 0], np.sin(log.log.reading.time[20:-20] + 4), atol=1e-3
@@ -194,7 +194,7 @@ def test_a_slow_source_is_a_warning():
 @pytest.mark.parametrize("factor", [1e3, 1e-4, 1e-9])
 def test_a_clock_in_another_unit_is_refused_with_the_option(factor):
     one = track()
-    with pytest.raises(LogError, match=r"is it in another unit.* --time-unit ms"):
+    with pytest.raises(LogError, match=r"if the time is in another unit, .* --time-unit ms"):
         logs(one._replace(time=one.time * factor))
 
 
@@ -266,5 +266,5 @@ def test_a_lag_that_is_given_is_taken_out(option, channel):
 
 
 def test_too_few_rows_are_refused():
-    with pytest.raises(LogError, match="1 rows"):
+    with pytest.raises(LogError, match="only 1 row with"):
         logs(track(1))

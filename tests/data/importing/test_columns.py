@@ -107,20 +107,19 @@ def test_the_control_table_of_a_dynamixel_is_read_and_shown():
 def test_two_columns_that_may_be_the_same_channel_are_refused_with_the_option_that_decides():
     message = refusal([*AUTHORS, "theta [deg]"])
     assert message == (
-        "x.csv: which column is angle? It may be 'position' or 'theta [deg]'; decide it: --columns "
-        "angle=position"
+        "x.csv: angle could be 'position' or 'theta [deg]'; choose one with --columns angle=position"
     )
     assert chosen([*AUTHORS, "theta [deg]"], columns=option_in(message))["angle"] == "position"
     message = refusal([*AUTHORS, "speed", "omega"])
-    assert "which column is velocity? It may be 'speed' or 'omega'" in message
+    assert "velocity could be 'speed' or 'omega'" in message
     assert "velocity" not in chosen([*AUTHORS, "speed", "omega"], columns="velocity=-")
 
 
 def test_a_channel_that_no_name_states_is_asked_for():
     names = ["blade angle", "command angle", "command velocity", "force x", "force y"]
     message = refusal(names)
-    assert "which column is angle? Of 'blade angle', 'command angle', " in message
-    assert "name it: --columns angle=NAME" in message
+    assert "no column recognized as angle among 'blade angle', 'command angle', " in message
+    assert "map it with --columns angle=NAME" in message
     assert chosen(names, columns="angle=blade angle")["angle"] == "blade angle"
 
 
@@ -132,8 +131,8 @@ def test_a_suggestion_with_commas_and_quotes_can_be_copied():
 @pytest.mark.parametrize("name", ["angle [counts]", "angle_counts", "position (m)", "theta [1/s]"])
 def test_an_unknown_unit_is_refused_with_the_known_ones(name):
     message = refusal([name, *AUTHORS[:2], *AUTHORS[3:]])
-    assert f"which column is angle? Of {name!r}" in message
-    assert "(rad, mrad, deg, turn)" in message
+    assert f"no column recognized as angle among {name!r}" in message
+    assert "(known units: rad, mrad, deg, turn)" in message
 
 
 def test_a_readable_column_is_taken_where_another_has_an_unknown_unit():
@@ -161,8 +160,8 @@ def test_a_told_unit_counts_before_the_names():
 def test_without_a_commanded_velocity_the_option_that_tells_it_is_named():
     names = ["time", "cmd", "angle", "velocity", "fx", "fy"]
     message = refusal(names)
-    assert "which column is command_velocity?" in message
-    assert "--velocity 3.1 takes its place" in message
+    assert "no column recognized as command_velocity" in message
+    assert "use --velocity 3.1 if all commands had that velocity" in message
     found = chosen(names, velocity_rad_s=3.1)
     assert "command_velocity" not in found
     assert found["velocity"] == "velocity"
@@ -185,9 +184,11 @@ def test_a_mapping_to_a_column_that_is_not_there_names_the_nearest():
 
 
 def test_without_a_column_of_time_the_rate_must_be_told():
-    with pytest.raises(LogError, match="--rate 100 takes the place of time"):
+    with pytest.raises(LogError, match="without a time column, use --rate 100"):
         choose_columns(AUTHORS, ImportConfig.build({"columns": MAPPED}), "x.csv")
-    with pytest.raises(LogError, match=r"which column is time\? .* \(s, ms, us, ns, min\)"):
+    with pytest.raises(
+        LogError, match=r"recognized as time .* \(known units: s, ms, us, ns, min\)"
+    ):
         choose_columns(["time [h]", *AUTHORS], ImportConfig(), "x.csv")
 
 
@@ -195,14 +196,17 @@ def test_without_a_column_of_time_the_rate_must_be_told():
     ("option", "message"),
     [
         ({"columns": "angel=position"}, "columns.angel.* Input should be 'time', .*'angle'"),
-        ({"columns": "angle"}, "write NAME=VALUE"),
+        ({"columns": "angle"}, "use NAME=VALUE"),
         ({"topics": "wrnch=/w"}, "topics.wrnch.* Input should be 'command', 'joint' or 'wrench'"),
-        ({"angles": "grad"}, "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, "),
+        (
+            {"angles": "grad"},
+            "'grad' is not a unit of command_angle; must be one of rad, mrad, deg, turn; ",
+        ),
         (
             {"angles": "angle=grad"},
-            "'grad' is not a unit of angles; allowed are rad, mrad, deg, turn, or",
+            "'grad' is not a unit of angle; must be one of rad, mrad, deg, turn; for",
         ),
-        ({"angles": "angle=rpm"}, "'rpm' is not a unit of angles"),
+        ({"angles": "angle=rpm"}, "'rpm' is not a unit of angle;"),
         ({"force_unit": "V"}, "'N', 'mN', 'kN', 'gf', 'kgf' or 'lbf'"),
         ({"velocity_rad_s": 180}, "less than or equal to 40"),
         ({"negate": "force_x"}, "force_x"),

@@ -87,7 +87,7 @@ def test_topics_are_named_and_one_joint_of_several(tmp_path, columns):
     ]
     topics = {"/a": several, "/b": plain["/fin/command"], "/c": plain["/fin/wrench"]}
     write_bag(tmp_path / "run", topics)
-    with pytest.raises(LogError, match="which joint") as error:
+    with pytest.raises(LogError, match="joint not specified or not found among tail, fin") as error:
         opened(tmp_path / "run", topics="joint=/a,command=/b,wrench=/c")
     assert "tail, fin" in str(error.value)
     (one,), _ = opened(tmp_path / "run", topics="joint=/a:fin,command=/b,wrench=/c")
@@ -122,12 +122,12 @@ def test_commands_without_velocities_take_the_one_that_is_told(tmp_path, columns
     write_bag(tmp_path / "run", topics)
     with pytest.raises(
         LogError,
-        match=r"/fin/command: no velocity in the commands; --velocity 3\.1 takes its place",
+        match=r"/fin/command: the commands have no velocity; use --velocity 3\.1 if all",
     ):
         opened(tmp_path / "run")
     (one,), issues = opened(tmp_path / "run", velocity_rad_s=2.5, angles="deg")
     assert set(one.log.command.velocity.tolist()) == {2.5}
-    assert "no velocity: 2.5 rad/s throughout, from --velocity" in issues[0].message
+    assert "no velocity: 2.5 rad/s everywhere, from --velocity" in issues[0].message
 
 
 def test_the_force_at_rest_that_a_session_measured_is_subtracted_from_then_to_the_next(
@@ -148,9 +148,7 @@ def test_the_force_at_rest_that_a_session_measured_is_subtracted_from_then_to_th
     (one,), issues = opened(tmp_path / "run", force="y,-x")
     assert "zeroed" not in [issue.name for issue in before]
     (note,) = [issue for issue in issues if issue.name == "zeroed"]
-    assert (
-        "the force at rest is subtracted, which /fin/events holds (2 measurements)" in note.message
-    )
+    assert "rest force recorded in /fin/events (2 measurements) is subtracted" in note.message
     # Before the first measurement its zero holds, too: the sensor is the same.
     offset = raw.log.reading.force - one.log.reading.force
     time = raw.start_s + raw.log.reading.time - START_S
@@ -172,9 +170,9 @@ def test_a_force_of_another_topic_keeps_its_own_zero(tmp_path, columns):
 def test_a_topic_that_is_missing_or_of_another_type_is_named_with_what_there_is(
     tmp_path, columns, bag
 ):
-    with pytest.raises(LogError, match="no topic /cmd for the command; it has /fin/command"):
+    with pytest.raises(LogError, match="no topic /cmd for the command; the bag has /fin/command"):
         opened(bag, topics="command=/cmd")
-    with pytest.raises(LogError, match="a wrench must be geometry_msgs/msg/WrenchStamped"):
+    with pytest.raises(LogError, match="a wrench must all be geometry_msgs/msg/WrenchStamped"):
         opened(bag, topics="wrench=/fin/joint_states")
     topics = topics_of(columns)
     del topics["/fin/wrench"]
@@ -187,7 +185,7 @@ def test_a_command_of_three_numbers_is_refused(tmp_path, columns):
     message = array(1, 2)
     message.data = np.zeros(3)
     write_bag(tmp_path / "run", topics_of(columns) | {"/fin/command": [(0.0, message)]})
-    with pytest.raises(LogError, match="a command is"):
+    with pytest.raises(LogError, match="array of 3 numbers; a command must be"):
         opened(tmp_path / "run")
 
 

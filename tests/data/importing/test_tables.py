@@ -135,7 +135,7 @@ def test_units_in_the_names_are_converted_and_a_velocity_may_be_told(tmp_path, c
     assert recording.issues[0].message == (
         "time='t [ms]' in ms, command_angle='Cmd Angle (deg)' in deg, angle='theta_deg' in deg, "
         "force_x='Fx [mN]' in mN, force_y='F_y (mN)' in mN; "
-        "command_velocity = 3.1 rad/s throughout, from --velocity"
+        "command_velocity = 3.1 rad/s everywhere, from --velocity"
     )
 
 
@@ -146,8 +146,8 @@ def test_a_rate_or_velocity_that_is_not_used_is_said_so(tmp_path, columns):
         recording.tracks[0].channels["command_velocity"], columns["command_velocity_rad_s"]
     )
     assert recording.issues[0].message == (
-        "--velocity 3.1 not used: 'command_velocity_rad_s' holds it; --rate 100 not used: "
-        "'time_s' holds it"
+        "--velocity 3.1 ignored: the file has column 'command_velocity_rad_s'; --rate 100 ignored: "
+        "the file has column 'time_s'"
     )
 
 
@@ -162,12 +162,12 @@ def test_parquet_with_other_names_and_types_is_read(tmp_path, columns):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "empty: it has no header"),
-        ("1,2,3\n4,5,6\n", "write the columns' names above it"),
-        ("a,a\n1,2\n", "'a' is there twice"),
+        ("", "no header; the first line must contain"),
+        ("1,2,3\n4,5,6\n", "add a line with the column names above it"),
+        ("a,a\n1,2\n", "duplicate column 'a'; rename"),
         (
             "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n",
-            "empty: it has no rows",
+            "the table has no rows",
         ),
         (
             "command_angle_rad,command_velocity_rad_s,angle_rad,force_x_n,force_y_n\n1,2,3,4,x\n",
@@ -194,5 +194,5 @@ def test_other_files_are_refused(tmp_path):
     with pytest.raises(LogError, match="cannot be read as text"):
         read(tmp_path / "a.csv")
     pq.write_table(pa.table({name: ["a", "b"] for name in AUTHORS}), tmp_path / "b.parquet")
-    with pytest.raises(LogError, match="must hold numbers"):
+    with pytest.raises(LogError, match="must be numeric"):
         read(tmp_path / "b.parquet", rate_hz=100)

@@ -164,7 +164,8 @@ def test_commands_are_those_that_both_plants_take():
     limits = shared_limits(Limits(-1, 1.5, 0, 2), Limits(-1.5, 1.2, 1, 7))
     assert limits == Limits(-1, 1.2, 1, 2)
     with pytest.raises(
-        PlantError, match=r"no commands that both plants take.*search in a surrogate of the fin"
+        PlantError,
+        match=r"have no valid commands in common.*search in a surrogate of the evaluated fin",
     ):
         shared_limits(Limits(-1, 1, 0, 0.9), Limits(-1, 1, 1, 7))
 

@@ -139,7 +139,8 @@ def test_a_fin_that_pulls_has_no_constant():
     fin = Obedient(AnalyticFin(), PAPER_LIMITS, SearchConfig(trials=1), 0)
     fin.gain = -1.0
     with pytest.raises(
-        RunError, match=r"at 2\.1 Hz: the trials' mean force is -0\.54 N.*give another frequency"
+        RunError,
+        match=r"at 2\.1 Hz: the mean force of the trials is -0\.54 N.*use another frequency",
     ):
         fin.fitted_constant(2.1, (0.5, 1.0))
 

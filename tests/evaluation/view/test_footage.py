@@ -74,7 +74,7 @@ def test_another_plant_is_drawn_in_the_default_thickness_in_proportion():
 def test_a_plant_whose_readings_are_not_finite_is_named():
     with pytest.raises(
         PlantError,
-        match=r"AnalyticFin: reading\.force is not finite; softfin\.testing\.check_plant",
+        match=r"AnalyticFin: reading\.force is not finite; run softfin\.testing\.check_plant",
     ):
         beating(AnalyticFin(gain=jnp.nan), 5)
 
@@ -107,6 +107,6 @@ def test_a_shape_that_is_none_is_named():
             return jnp.zeros(3)
 
     with pytest.raises(
-        PlantError, match=r"Flat: shape\(state\) has shape \(3,\); it must be \(points, 2\)"
+        PlantError, match=r"Flat: shape\(state\) has shape \(3,\); must be \(points, 2\)"
     ):
         film(Flat(), named_key(0, "test"), Command(np.zeros(5, np.float32), np.ones(5, np.float32)))

@@ -83,10 +83,10 @@ def test_light_dark_and_narrow_screens_are_provided_for(html):
 
 
 def test_the_page_says_whether_the_shape_is_known(html, tmp_path):
-    assert "in the shape that it has" in html
+    assert "with its computed shape" in html
     write_page(tmp_path / "fin.html", beating(AnalyticFin(), 40), "straight")
     page = (tmp_path / "fin.html").read_text()
-    assert "Shape not known: the fin is drawn straight" in page
+    assert "Shape unknown: the fin is drawn as a straight line" in page
     assert "reference_x" not in data_of(page)
     assert data_of(page)["mean_x"] == []
 

@@ -162,7 +162,7 @@ def test_the_mean_force_is_the_true_one_where_it_is_known(tmp_path):
         (["--out", "fin.gif", "--reference=1,1"], "a controller needs a reference, and vice versa"),
         (
             ["--out", "fin.gif", "--next-reference=1,1"],
-            "no first one; give a controller and a reference",
+            "without a first one; set a controller and a reference",
         ),
         (
             ["--out", "fin.gif", "--next-reference=1"],
@@ -225,7 +225,7 @@ def test_a_reference_beyond_reach_is_brought_to_it_and_told(tmp_path, monkeypatc
         controller=tmp_path,
         reference=(2.0, 0.0),
     )
-    assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot make it")
+    assert metadata["warning"].startswith("reference (2, 0) N: this fin cannot produce it")
     assert metadata["title"].endswith("target (1, 0), then (0.5, 0) N")
 
 

@@ -1,1 +1,1 @@
-"""Checks of logs before a surrogate is fitted to them."""
+"""Checks that logs pass before a surrogate is fitted to them."""

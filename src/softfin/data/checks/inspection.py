@@ -1,4 +1,4 @@
-"""Logs at 100 Hz go in; out come the statistics of each log and everything wrong with it."""
+"""Inspect logs at 100 Hz: compute the statistics of each log and list its issues."""
 
 import dataclasses
 from collections.abc import Iterable, Sequence
@@ -32,7 +32,7 @@ from softfin.data.importing.importing import FORCE_FRAMES, ImportConfig
 from softfin.data.issues import SEVERITIES, Issue, merge_issues
 
 POOLED = 100
-"""Largest number of logs that are checked together if each alone is too short to find its signs,
+"""Maximum number of logs that are checked together if each one is too short for estimating signs,
 axes and lags."""
 
 
@@ -44,27 +44,32 @@ class Inspection:
     logs: list[LogStatistics]
 
     def summary(self) -> JsonObject:
-        """Amount of data, columns as read, lags [ms] and correlations of frames over all logs, and
-        counts of issues."""
-        found = [one.frames for one in self.logs if one.frames is not None]
-        frames = {}
-        for name in FORCE_FRAMES if found else ():
-            frames[name] = float(np.mean([one[name] for one in found]))
-        parts = [one.part for one in self.logs]
+        """Return the amount of data, the columns that were read, the lags [ms] and frame
+        correlations over all logs, and the number of issues."""
+        frames = _mean_frames(self.logs)
+        columns = {}
+        for issue in self.issues:
+            if issue.name == "columns":
+                columns[issue.log] = issue.message
+        parts = []
+        rows = 0
+        for log in self.logs:
+            parts.append(log.part)
+            rows += log.rows
         severities = [one.severity for one in self.issues]
         return {
             "logs": parts.count("train"),
             "test_logs": parts.count("test"),
-            "rows": sum(one.rows for one in self.logs),
-            "columns": {one.log: one.message for one in self.issues if one.name == "columns"},
+            "rows": rows,
+            "columns": columns,
             "command_lag_ms": _spread(known_lags(self.logs, "command")),
             "force_lag_ms": _spread(known_lags(self.logs, "force")),
-            "frames": frames or None,
+            "frames": frames,
             "counts": {kind: severities.count(kind) for kind in SEVERITIES},
         }
 
     def to_dict(self) -> JsonObject:
-        """The inspection for JSON."""
+        """Return the inspection as values for JSON."""
         return {"summary": self.summary(), **dataclasses.asdict(self)}
 
 
@@ -74,19 +79,19 @@ def inspect(
     config: ImportConfig | None = None,
     progress: Progress | None = None,
 ) -> Inspection:
-    """Check logs; `issues` are those found while reading them with `config`."""
+    """Check logs; `issues` are the ones found while reading the logs with `config`."""
     config = config or ImportConfig()
     found = list(issues)
     statistics = []
     series = []
     comparable: list[LogStatistics] = []
     for index, named in enumerate(logs):
-        # Channels are repaired so that one fault does not hide the next.
+        # Later checks see repaired channels, so that one fault does not hide another.
         raw = to_columns(named.log)
         columns = raw
         for channel in channels_in_degrees(raw, config.velocity_rad_s is not None):
             columns = columns._replace(**{channel: np.radians(getattr(raw, channel))})
-        # Not the velocity, which is usually a difference of angles and therefore noisy.
+        # The velocity keeps its spikes: it is usually a difference of angles, and therefore noisy.
         calm = columns._replace(
             angle=without_spikes(columns.angle),
             force_x=without_spikes(columns.force_x),
@@ -96,7 +101,7 @@ def inspect(
         log = CheckedLog(raw, columns, calm, statistics[-1], config)
         in_counts = list(check_counts(log))
         if in_counts:
-            # While an angle's scale and zero are unknown, no other check is meaningful.
+            # No other check is meaningful while an angle's scale and zero are unknown.
             found += in_counts
         else:
             series.append(calm)
@@ -106,17 +111,25 @@ def inspect(
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
-        # Short logs are joined end to end; there are few joints compared with steps.
-        joined = LogColumns(*map(np.concatenate, zip(*series[:POOLED], strict=True)))
-        together = measure(
-            joined, logs[0]._replace(name=f"the first {len(series[:POOLED])} logs together")
-        )
+        # Short logs are joined end to end; their joints are few compared with the command steps.
+        pool = series[:POOLED]
+        joined = LogColumns(*map(np.concatenate, zip(*pool, strict=True)))
+        name = f"the first {len(pool)} logs together"
+        together = measure(joined, logs[0]._replace(name=name))
         pooled = CheckedLog(joined, joined, joined, together, config)
         found += check_following(pooled)
         found += check_force_axes(pooled)
         found += check_lags([together], config)
     issues = [*found, *check_lags(comparable, config), *check_dataset(logs)]
     return Inspection(merge_issues(issues), statistics)
+
+
+def _mean_frames(logs: Sequence[LogStatistics]) -> dict[str, float] | None:
+    """Return the mean correlation of each frame over the logs that are long enough."""
+    found = [one.frames for one in logs if one.frames is not None]
+    if not found:
+        return None
+    return {name: float(np.mean([one[name] for one in found])) for name in FORCE_FRAMES}
 
 
 def _spread(measured: Sequence[tuple[float, str]]) -> dict[str, float] | None:

@@ -1,4 +1,4 @@
-"""An inspection of logs as a folder: ``inspection.json`` and figures that show what is wrong."""
+"""Write an inspection of logs as a folder: ``inspection.json`` and a figure of the issues."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ from softfin.storage.figures import (
 )
 
 SHOWN_LOG_S = 10
-"""Length of the part of one log that is drawn, around the first row with an issue [s]."""
+"""Length of the log section in the figure, around the first row with an issue [s]."""
 
 
 def write_inspection(
@@ -37,7 +37,7 @@ def write_inspection(
     metadata: JsonObject,
     overwrite: bool = False,
 ) -> JsonObject:
-    """Write the folder, completely or not at all; returns the content of its JSON."""
+    """Write the folder, completely or not at all, and return the content of its JSON file."""
     summary = {**artifacts.head("inspection"), **inspection.to_dict(), **metadata}
     figure = inspection_figure(inspection, logs)
 
@@ -50,15 +50,14 @@ def write_inspection(
 
 
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
-    """Draw the part of one log with its first issue, and the commands, clocks and axes of all
-    logs."""
+    """Draw the section of a log with the most severe issue that has a row, and the commands, clocks
+    and force axes of all logs."""
     with styled():
         figure = new_figure(13, 8.4)
         above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.35, 1)))
         counts = inspection.summary()["counts"]
-        above.suptitle(
-            ", ".join(counted(count, kind) for kind, count in counts.items()), weight="bold"
-        )
+        totals = [counted(count, kind) for kind, count in counts.items()]
+        above.suptitle(", ".join(totals), weight="bold")
         angle, force = above.subplots(2, 1, sharex=True)
         _draw_log(angle, force, inspection.issues, logs)
         commands, lags, frames = below.subplots(1, 3)
@@ -73,12 +72,17 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
     marked = next(
         (issue for issue in issues if issue.log in by_name and issue.row is not None), None
     )
-    shown, row = (logs[0], 0) if marked is None else (by_name[marked.log], marked.row or 0)
-    start = max(
-        0,
-        min(row - SHOWN_LOG_S * RATE_HZ // 3, shown.log.rows - SHOWN_LOG_S * RATE_HZ),
-    )
-    rows = slice(start, start + SHOWN_LOG_S * RATE_HZ)
+    shown = logs[0]
+    row = 0
+    title_end = ""
+    if marked is not None:
+        shown = by_name[marked.log]
+        row = marked.row or 0
+        title_end = f" around row {row}: {marked.name}"
+    # A third of the section lies before the marked row, unless the log ends earlier.
+    num_rows = SHOWN_LOG_S * RATE_HZ
+    start = max(0, min(row - num_rows // 3, shown.log.rows - num_rows))
+    rows = slice(start, start + num_rows)
     reading = shown.log.reading
     command = shown.log.command
     time = reading.time[rows]
@@ -88,12 +92,9 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
         below.plot(
             time, reading.force[rows, index], color=colour, label=f"force {axis}", linewidth=0.9
         )
-    above.set(ylabel="angle, taken as rad")
+    above.set(ylabel="angle, read as rad")
     below.set(ylabel="force [N]", xlabel="time [s]")
-    above.set_title(
-        f"{shown.name}: {SHOWN_LOG_S} s"
-        + ("" if marked is None else f" about row {row}: {marked.name}")
-    )
+    above.set_title(f"{shown.name}: {SHOWN_LOG_S} s{title_end}")
     for axes in (above, below):
         if marked is not None and row < shown.log.rows:
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)
@@ -103,6 +104,7 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
 
 def _draw_commands(axes: Axes, logs: Sequence[NamedLog]) -> None:
     for part, colour, marker in (("train", BLUE, "o"), ("test", ORANGE, "^")):
+        # Each command is held for many rows; one point per command suffices.
         commands = [np.stack(one.log.command, axis=1) for one in logs if one.part == part]
         pairs = [np.unique(each, axis=0) for each in commands]
         if pairs:
@@ -128,22 +130,19 @@ def _draw_lags(axes: Axes, inspection: Inspection) -> None:
         found = [lag for lag, _ in known_lags(inspection.logs, name)]
         axes.plot(np.linspace(place - 0.25, place + 0.25, len(found)), found, ".", color=BLUE)
         if not found:
-            axes.text(place, sum(plausible) / 2, "not known", ha="center", va="center")
+            axes.text(place, sum(plausible) / 2, "unknown", ha="center", va="center")
     axes.set_xticks([0, 1], ["command\nto angle", "angle\nto force"])
-    axes.set(title="clocks: plausible in grey", ylabel="lag [ms]", xlim=(-0.5, 1.5))
+    axes.set(title="lags (grey: plausible)", ylabel="lag [ms]", xlim=(-0.5, 1.5))
     axes.grid(visible=False, axis="x")
 
 
 def _draw_frames(axes: Axes, inspection: Inspection) -> None:
     if frames := inspection.summary()["frames"]:
         best = max(frames, key=frames.__getitem__)
-        names = [f"{frame}  (as it is)" if frame == "x,y" else frame for frame in frames]
-        axes.barh(
-            names, frames.values(), color=[ORANGE if frame == best else GREY for frame in frames]
-        )
+        for frame, correlation in frames.items():
+            label = "x,y  (as recorded)" if frame == "x,y" else frame
+            axes.barh(label, correlation, color=ORANGE if frame == best else GREY)
         axes.invert_yaxis()
     axes.grid(visible=False, axis="y")
-    title = (
-        "force axes, the best in orange" if frames else "force axes: not known from logs under 10 s"
-    )
+    title = "force axes (orange: best fit)" if frames else "force axes: unknown, logs under 10 s"
     axes.set(title=title, xlabel="correlation with a model fin", xlim=(0, 1))

@@ -1,1 +1,1 @@
-"""Converts recordings in other formats to logs at 100 Hz."""
+"""Import recordings in other formats as logs at 100 Hz."""

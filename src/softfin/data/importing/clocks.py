@@ -1,7 +1,7 @@
-"""A recording as it was read, and its conversion to logs at 100 Hz.
+"""Recordings as read, and their conversion to logs at 100 Hz.
 
-Rows without a valid time or value are left out, gaps split the recording, and time begins at 0. A
-piece on a steady 100 Hz clock is otherwise unchanged; any other is resampled: commands are held,
+Rows without a valid time or value are dropped, gaps split the recording, and time starts at 0. A
+piece on a steady 100 Hz clock is otherwise unchanged. Other pieces are resampled: commands are held
 and readings are interpolated, after a low-pass filter if the source is faster.
 """
 
@@ -20,55 +20,55 @@ from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 COMMAND_CHANNELS = {"command_angle", "command_velocity"}
 
 RATES_HZ = (5.0, 20_000.0)
-"""Plausible rates; outside them the unit of the time must be wrong."""
+"""Plausible sampling rates [Hz]; outside this range, the time unit must be wrong."""
 
 CUTOFF_HZ = 40.0
-"""Frequency at which the amplitude is halved: below 50 Hz, the Nyquist frequency of 100 Hz, and
-above anything a fin does."""
+"""Frequency at which the low-pass filter halves the amplitude [Hz]: below the Nyquist frequency
+(50 Hz) of the logs and above the frequencies of fin motion."""
 
 KERNEL_S = 0.1
-"""Length of the filter [s]; 25 Hz pass, and 56 Hz are suppressed."""
+"""Length of the filter kernel [s]; 25 Hz passes and 56 Hz is suppressed."""
 
 TURN_RAD = 2 * np.pi
 
 TURN_TOLERANCE_RAD = 0.5
-"""Tolerance around a jump of one turn [rad]: the motion of a fast fin in 20 ms."""
+"""Tolerance around a jump of one turn [rad]: how far a fast fin moves in 20 ms."""
 
 EARLY_S = 1e-6
-"""Lateness up to which a stamp counts as on time [s]; clocks in double precision are no better."""
+"""Largest delay at which a time stamp is treated as on time [s]: the resolution of a Unix clock in
+double precision."""
 
 Span = tuple[float, float]
-"""Time from one gap to the next [s]."""
+"""Start and end of a piece between two gaps [s]."""
 
 Part = Literal["train", "test"]
 
 Channels = dict[str, Float[np.ndarray, "rows"]]
-"""Values by the name of the channel."""
+"""Values by channel name."""
 
 
 class Track(NamedTuple):
     """Channels that share a clock: a whole table, or one topic of a bag."""
 
     time: Float[np.ndarray, "rows"]
-    """Time as recorded [s]; it may repeat, jump or lack values."""
+    """Time as recorded [s]; it may repeat, jump or be NaN."""
     channels: Channels
     """Values in SI units and softfin's axes; NaN where a value is missing."""
 
     def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
-        """Return the track with some of its rows."""
-        return Track(
-            self.time[rows], {name: values[rows] for name, values in self.channels.items()}
-        )
+        """Return a track with the selected rows."""
+        channels = {name: values[rows] for name, values in self.channels.items()}
+        return Track(self.time[rows], channels)
 
 
 class Recording(NamedTuple):
-    """One recording, not yet checked."""
+    """One recording before any check."""
 
     name: str
     part: Part
     tracks: tuple[Track, ...]
     issues: tuple[Issue, ...] = ()
-    """Issues found while reading it."""
+    """Issues found while reading the file."""
 
 
 class NamedLog(NamedTuple):
@@ -78,7 +78,7 @@ class NamedLog(NamedTuple):
     part: Part
     log: Log
     start_s: float = 0.0
-    """Time of the recording's clock at the log's time 0 [s]."""
+    """Time on the recording's clock when the log's time is 0 [s]."""
 
 
 def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLog], list[Issue]]:
@@ -86,9 +86,13 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
     logs: list[NamedLog] = []
     issues = list(recording.issues)
     for name, run in _split_at_restarts(recording):
-        # Times count from the first row of any track: on a Unix clock doubles are coarse.
-        times = [track.time[np.isfinite(track.time)] for track in run]
-        start = min((float(time[0]) for time in times if len(time)), default=0.0)
+        # Subtract the first time of any track: near Unix times, doubles only resolve 0.24 us.
+        starts = []
+        for track in run:
+            times = track.time[np.isfinite(track.time)]
+            if len(times):
+                starts.append(float(times[0]))
+        start = min(starts, default=0.0)
         tracks = []
         for track in run:
             valid, found = _valid_rows(track._replace(time=track.time - start), name, config)
@@ -103,32 +107,34 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
 
 
 def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...]]]:
-    """Split a table whose clock goes back by more than a second: it contains several logs end to
-    end."""
+    """Split a table at rows where the clock goes back by more than a second: there, a new log
+    starts."""
     name = recording.name
     (track, *others) = recording.tracks
     edges = [0, *(np.flatnonzero(np.diff(track.time) < -1.0) + 1).tolist(), len(track.time)]
     if others or len(edges) == 2:
         return [(name, recording.tracks)]
-    return [
-        (f"{name} rows {a}..{b - 1}", (track.take(slice(a, b)),))
-        for a, b in itertools.pairwise(edges)
-    ]
+    pieces: list[tuple[str, tuple[Track, ...]]] = []
+    for start, end in itertools.pairwise(edges):
+        pieces.append((f"{name} rows {start}..{end - 1}", (track.take(slice(start, end)),)))
+    return pieces
 
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
-    """Leave out rows without a value, or whose time repeats or goes back; check the rate of the
-    others."""
+    """Drop rows with missing values and rows whose time repeats or goes back; check the rate of the
+    remaining rows."""
     finite, rows, issues = _finite_rows(track, name, config)
     if len(finite.time) < 2:
-        raise LogError(f"{name}: {len(finite.time)} rows with a time and values; record it again")
+        raise LogError(
+            f"{name}: only {counted(len(finite.time), 'row')} with a time and values; record again"
+        )
     valid, rows, found = _forward_rows(finite, rows, name)
     issues += found
     if valid.channels.keys() <= COMMAND_CHANNELS:
         return valid, issues
     if len(valid.time) < 2:
-        raise LogError(f"{name}: its time stays at {valid.time[0]:g} s; record it again")
-    # Before anything is differentiated, filtered or interpolated across a jump.
+        raise LogError(f"{name}: time stays at {valid.time[0]:g} s; record again")
+    # Unwrap first: derivatives, filters and interpolation must not see the jumps.
     valid, found = _unwrapped_angle(valid, rows, name)
     issues += found
     issues += _check_rate(valid, name)
@@ -136,7 +142,7 @@ def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, l
 
 
 Rows = Int[np.ndarray, "_"]
-"""Rows of the track as read."""
+"""Row numbers in the track as read."""
 
 
 def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, Rows, list[Issue]]:
@@ -146,16 +152,17 @@ def _finite_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, 
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             is_finite[bad] = False
-            message = f"no value, or not a finite one, in {bad.size:,} of {len(values):,} rows"
+            message = f"missing or non-finite values in {bad.size:,} of {len(values):,} rows"
             fix = (
-                "record again or cut them; with errors ignored they are left out, and holes over "
-                f"{config.gap_s:g} s split the log"
+                "record again or remove these rows; with --ignore-errors they are dropped, and "
+                f"gaps over {config.gap_s:g} s split the log"
             )
             issues.append(Issue("error", "not a number", name, message, fix, channel, int(bad[0])))
     return track.take(is_finite), np.flatnonzero(is_finite), issues
 
 
 def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, list[Issue]]:
+    # A row is valid if it is later than every row before it, not just the previous one.
     latest = np.maximum.accumulate(track.time)
     forward = np.append(True, track.time[1:] > latest[:-1])
     late = np.flatnonzero(~forward)
@@ -166,8 +173,8 @@ def _forward_rows(track: Track, rows: Rows, name: str) -> tuple[Track, Rows, lis
         f"{track.time[late[0]]:.4f} s after {latest[late[0]]:.4f} s"
     )
     fix = (
-        "sort by time and remove repeated rows; with errors ignored, rows not later than all "
-        "before are left out"
+        "sort the rows by time and remove repeated ones; with --ignore-errors, rows that are not "
+        "later than all previous rows are dropped"
     )
     issue = Issue("error", "repeated time", name, message, fix, "time", int(rows[late[0]]))
     return track.take(forward), rows[forward], [issue]
@@ -180,11 +187,12 @@ def _unwrapped_angle(track: Track, rows: Rows, name: str) -> tuple[Track, list[I
     if not wraps.size:
         return track, []
     message = (
-        f"jumps by a whole turn in {wraps.size:,} of {len(track.time):,} rows: the encoder wraps"
+        f"jumps by a full turn in {wraps.size:,} of {len(track.time):,} rows: the encoder wraps"
     )
     fix = (
-        "set the encoder's zero to where the fin rests, so that it does not wrap within the fin's "
-        "range, and record again; with errors ignored the angle is unwrapped, to about 0"
+        "set the encoder's zero at the fin's rest position, so that it does not wrap within the "
+        "fin's range, and record again; with --ignore-errors, the angle is unwrapped so that its "
+        "median is close to 0"
     )
     issue = Issue("error", "wraps", name, message, fix, "angle", int(rows[wraps[0]]))
     angle = unwrapped(track.channels["angle"])
@@ -195,37 +203,40 @@ def _check_rate(track: Track, name: str) -> list[Issue]:
     rate = 1 / float(np.median(np.diff(track.time)))
     if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise LogError(
-            f"{name}: column time: a row every {1 / rate:g} s ({rate:g} Hz); allowed are "
-            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; is it in another unit? Then give it, as "
+            f"{name}: column time: one row every {1 / rate:g} s ({rate:g} Hz); must be "
+            f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz; if the time is in another unit, set it, e.g. "
             "--time-unit ms"
         )
     if rate < (1 - RATE_TOLERANCE) * RATE_HZ:
-        message = f"{rate:.1f} Hz, less than {RATE_HZ} Hz: rows between are interpolated"
+        message = f"sampled at {rate:.1f} Hz, below {RATE_HZ} Hz: missing rows are interpolated"
         fix = f"record at {RATE_HZ:g} Hz or faster"
         return [Issue("warning", "slow rate", name, message, fix, "time")]
     if rate > (1 + RATE_TOLERANCE) * RATE_HZ:
-        message = f"faster than {RATE_HZ} Hz: resampled behind a low-pass at {CUTOFF_HZ:g} Hz"
+        message = (
+            f"sampled faster than {RATE_HZ} Hz: low-pass filtered at {CUTOFF_HZ:g} Hz and resampled"
+        )
         return [Issue("note", "resampled", name, message, column="time")]
     return []
 
 
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
-    """Find the rows in which an angle within one turn has jumped by a turn, which neither a fin nor
-    lost counts would do."""
+    """Find the rows at which an angle jumps by one turn.
+
+    Returns none for an angle that exceeds one turn: its encoder does not wrap.
+    """
     if np.ptp(angle) > TURN_RAD + TURN_TOLERANCE_RAD:
         return np.array([], int)
     return np.flatnonzero(np.abs(np.diff(angle)) > TURN_RAD - TURN_TOLERANCE_RAD) + 1
 
 
 def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
-    """Remove an angle's jumps by a turn; choose the turn that puts the median nearest to angle 0,
-    the rest position."""
+    """Remove jumps by one turn; the median is placed in the turn around 0, the rest position."""
     continuous = np.unwrap(angle)
     return np.asarray(continuous - TURN_RAD * np.round(np.median(continuous) / TURN_RAD))
 
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:
-    """Split a track if the user shifts the clock of some channels."""
+    """Shift clocks by the configured lags; channels with different lags become separate tracks."""
     lags = {"command": config.command_lag_ms / 1e3, "force": config.force_lag_ms / 1e3}
     groups: dict[float, Channels] = {}
     for channel, values in track.channels.items():
@@ -236,56 +247,72 @@ def _shifted(track: Track, config: ImportConfig) -> list[Track]:
 def _split_at_gaps(
     tracks: list[Track], name: str, config: ImportConfig
 ) -> tuple[list[Span], list[Issue]]:
-    """Find the spans in which all clocks have readings; only gaps in readings count, since a
-    command holds until the next one."""
+    """Find the spans in which all tracks have readings.
+
+    Gaps between commands do not matter, because a command is valid until the next one.
+    """
     reading = [track for track in tracks if not track.channels.keys() <= COMMAND_CHANNELS]
     begin = max(float(track.time[0]) for track in tracks)
     end = min(float(track.time[-1]) for track in reading)
     if end - begin < TICK_S:
-        times = (
-            f"{'/'.join(track.channels)} {track.time[0]:.2f} .. {track.time[-1]:.2f} s"
-            for track in tracks
+        times = []
+        for track in tracks:
+            channels = "/".join(track.channels)
+            times.append(f"{channels} {track.time[0]:.2f} .. {track.time[-1]:.2f} s")
+        raise LogError(
+            f"{name}: the channels have no time in common: {'; '.join(times)}; stamp all channels "
+            "with one clock"
         )
-        raise LogError(f"{name}: no time in common: {'; '.join(times)}; stamp all with one clock")
-    gaps = []
-    for track in reading:
-        steps = np.diff(track.time)
-        widest = max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9)
-        for row in np.flatnonzero(steps > widest).tolist():
-            a, b = track.time[row : row + 2].tolist()
-            if b > begin and a < end:
-                gaps.append((a, b, row))
+    gaps = _find_gaps(reading, (begin, end), config)
     if not gaps:
         return [(begin, end)], []
-    spans = list[Span]()
+    kept = []
+    dropped = []
     edge = begin
-    for a, b, _ in sorted(gaps):
-        spans.append((edge, a))
+    # Gaps of different tracks may overlap, so the next span starts after the latest end so far.
+    for a, b, _ in [*sorted(gaps), (end, end, 0)]:
+        if a - edge >= config.shortest_s:
+            kept.append((edge, a))
+        elif a > edge:
+            dropped.append(a - edge)
         edge = max(edge, b)
-    spans.append((edge, end))
-    kept = [(a, b) for a, b in spans if b - a >= config.shortest_s]
-    dropped = [b - a for a, b in spans if 0 < b - a < config.shortest_s]
+    missing_s = sum(b - a for a, b, _ in gaps)
     a, b, row = min(gaps)
     message = (
         f"{counted(len(gaps), 'gap')} over {1e3 * config.gap_s:.0f} ms, the first of {b - a:.3f} s "
-        f"after {a:.2f} s; {sum(b - a for a, b, _ in gaps):.2f} s are missing: the log is split "
-        "there"
+        f"after {a:.2f} s; {missing_s:.2f} s are missing in total; the log is split at the gaps"
     )
-    fix = f"record again if much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
+    fix = f"record again if too much is lost; --gap {1.01 * (b - a):.2g} would bridge the first"
     if dropped:
         message += (
             f"; {counted(len(dropped), 'piece')} between gaps, shorter than {config.shortest_s:g} "
-            f"s, left out: {sum(dropped):.2f} s in all"
+            f"s, dropped: {sum(dropped):.2f} s in total"
         )
-        fix += "; --shortest 1 would keep more"
+        fix += "; --shortest 1 would keep shorter pieces"
     return kept, [Issue("warning", "gap", name, message, fix, "time", row)]
+
+
+def _find_gaps(
+    tracks: list[Track], span: Span, config: ImportConfig
+) -> list[tuple[float, float, int]]:
+    """Return (start, end, row before it) of each gap that overlaps the span [s]."""
+    gaps = []
+    for track in tracks:
+        steps = np.diff(track.time)
+        # A slow but steady clock has no gaps, so the limit is never below 1.5 periods.
+        widest = max(1.5 * TICK_S, 1.5 * float(np.median(steps)), config.gap_s + 1e-9)
+        for row in np.flatnonzero(steps > widest).tolist():
+            a, b = track.time[row : row + 2].tolist()
+            if b > span[0] and a < span[1]:
+                gaps.append((a, b, row))
+    return gaps
 
 
 def _at_100_hz(tracks: list[Track], span: Span) -> Log:
     columns = _unchanged(tracks, span) or _resampled(tracks, span)
     if "velocity" not in columns:
         columns["velocity"] = np.gradient(columns["angle"], TICK_S)
-    # The time stays in double precision.
+    # Time stays in double precision; the other columns of a log are float32.
     time = columns.pop("time")
     single = {name: values.astype(np.float32) for name, values in columns.items()}
     force = np.stack([single["force_x"], single["force_y"]], axis=1)
@@ -294,7 +321,7 @@ def _at_100_hz(tracks: list[Track], span: Span) -> Log:
 
 
 def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
-    """Take the rows unchanged if they share one clock that is valid for a log."""
+    """Return the rows unchanged if they share one clock that is valid for a log; otherwise None."""
     time, channels = tracks[0].take((tracks[0].time >= span[0]) & (tracks[0].time <= span[1]))
     try:
         check_columns({"time_s": time}, "")
@@ -308,17 +335,16 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
     grid = start + np.arange(int((end - start + EARLY_S) * RATE_HZ) + 1) / RATE_HZ
     columns = {"time": grid}
     for track in tracks:
-        # The low-pass filter must not see anything beyond a gap, so it gets the rows from the last
-        # one before the start to the first one after the end, between which there is no wide gap. A
-        # command holds, no matter how long ago it was issued.
+        # The low-pass filter must not see rows beyond a gap, so it gets only those from the last
+        # row before the start to the first row after the end. A command holds no matter how long
+        # ago it was issued, so commands need all rows.
         first = int(np.searchsorted(track.time, start, "right")) - 1
         within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
         for name, values in track.channels.items():
-            columns[name] = (
-                held_command(track.time, values, grid)
-                if name in COMMAND_CHANNELS
-                else interpolated(within.time, within.channels[name], grid)
-            )
+            if name in COMMAND_CHANNELS:
+                columns[name] = held_command(track.time, values, grid)
+            else:
+                columns[name] = interpolated(within.time, within.channels[name], grid)
     return columns
 
 
@@ -327,19 +353,21 @@ def interpolated(
     values: Float[np.ndarray, "rows"],
     grid: Float[np.ndarray, "ticks"],
 ) -> Float[np.ndarray, "ticks"]:
-    """Interpolate a reading at other times; `time` rises strictly.
+    """Interpolate a reading at the times of `grid`; `time` must increase strictly.
 
-    The low-pass filter for a faster source is a windowed sinc without delay; at the ends it uses
-    the available samples.
+    The low-pass filter for faster sources is a windowed sinc without delay. At the ends it uses the
+    available samples only.
     """
     step = float(np.median(np.diff(time))) if len(time) > 1 else TICK_S
+    # Sources below about 150 Hz are only interpolated.
     if step < 0.67 * TICK_S:
+        # The kernel needs an even clock.
         even = np.linspace(time[0], time[-1], max(2, round((time[-1] - time[0]) / step) + 1))
         values = np.interp(even, time, values)
         half = round(KERNEL_S / 2 / step)
         offset = np.arange(-half, half + 1) * step
-        # sin(2 pi f t) / (2 pi f t), the ideal low-pass, times a Hann window cos^2 that ends just
-        # outside the kernel. Near the ends the weights are those of the samples that exist.
+        # The ideal low-pass sin(2 pi f t) / (2 pi f t) times a Hann window cos^2 that ends just
+        # outside the kernel. Near the ends, only the weights of existing samples are summed.
         kernel = (
             np.sinc(2 * CUTOFF_HZ * offset) * np.cos(np.pi * offset / (KERNEL_S + 2 * step)) ** 2
         )
@@ -356,5 +384,5 @@ def held_command(
     values: Float[np.ndarray, "rows"],
     grid: Float[np.ndarray, "ticks"],
 ) -> Float[np.ndarray, "ticks"]:
-    """Take the last value issued before each time; no time in `grid` is before the first value."""
+    """Return the last value issued before each time; no time in `grid` precedes the first value."""
     return np.asarray(values[np.searchsorted(time, grid + EARLY_S, side="right") - 1])

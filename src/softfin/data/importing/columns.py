@@ -1,9 +1,8 @@
-"""Assignment of columns to channels, and conversion from the recording's units and axes to
-softfin's.
+"""Assign columns to channels, and convert from the recording's units and axes to softfin's.
 
-What the user states counts first, then softfin's own names, then what `read_name` finds in a name;
-if two columns could be the same channel, both are refused. Every column without softfin's own name
-is shown with its unit.
+The user's options take precedence, then softfin's own column names, then names that `read_name`
+recognizes. If two columns could be the same channel, neither is used and an error asks the user to
+choose. Every column whose name is not softfin's own is reported with its unit.
 """
 
 import difflib
@@ -20,10 +19,10 @@ from softfin.data.importing.names import CHANNELS, KINDS, SI, UNITS, read_name, 
 from softfin.storage.log_file import SCHEMA
 
 OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True))
-"""Channel of each of softfin's own columns."""
+"""Channels by softfin's own column names."""
 
 MAX_LISTED_COLUMNS = 12
-"""Largest number of names that a message lists."""
+"""Maximum number of column names in a message."""
 
 
 class Column(NamedTuple):
@@ -31,21 +30,18 @@ class Column(NamedTuple):
 
     name: str
     unit: str
-    """Unit of its values."""
+    """Unit of the values."""
     is_unit_stated: bool
-    """Whether its name or an option states the unit; otherwise the SI unit is assumed."""
+    """Whether the name or an option states the unit; otherwise the SI unit is assumed."""
 
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
-    """Find the column of each channel; raises LogError, naming the option that decides, if it is
-    not certain."""
-    found = {
-        channel: name
-        for name, channel in OWN_NAMES.items()
-        if name in names and channel not in config.columns
-    }
+    """Find the column of each channel; raises LogError, with the option to use, if the choice is
+    not unique."""
+    own = [name for name in OWN_NAMES if name in names and OWN_NAMES[name] not in config.columns]
+    found = {OWN_NAMES[name]: name for name in own}
     found |= _mapped_columns(names, config, source)
-    # Nothing is guessed that an option states for the whole file.
+    # Channels with a fixed value for the entire file are not looked up by name.
     options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
     stated = [channel for channel, value in options.items() if value is not None]
     decided = {*found, *config.columns, *stated}
@@ -62,14 +58,14 @@ def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> d
 
 
 def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, str]:
-    """Return the columns that --columns names."""
+    """Return the columns that the option --columns assigns."""
     mapped: dict[str, str] = {}
     for channel, name in config.columns.items():
         if name not in (NO_COLUMN, *names):
             near = difflib.get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}? " if near else ""
             raise LogError(
-                f"{source}: --columns {channel}={name}: no such column; {hint}it has "
+                f"{source}: --columns {channel}={name}: no such column; {hint}the file has "
                 f"{_listed(names)}"
             )
         if name != NO_COLUMN:
@@ -80,8 +76,7 @@ def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> 
 def _recognized_columns(
     names: Sequence[str], taken: Collection[str], decided: Collection[str], source: str
 ) -> dict[str, str]:
-    """Return the columns that are recognized by their names, for channels that are not yet
-    decided."""
+    """Return the columns recognized by name, for channels that are not yet decided."""
     candidates: dict[str, list[str]] = {}
     for name in names:
         read = read_name(name)
@@ -93,8 +88,8 @@ def _recognized_columns(
             several = _preferred_velocities(several)
         if len(several) > 1:
             raise LogError(
-                f"{source}: which column is {channel}? It may be {_listed(several, ' or ')}; "
-                f"decide it: --columns {_quoted(channel, several[0])}"
+                f"{source}: {channel} could be {_listed(several, ' or ')}; choose one with "
+                f"--columns {_quoted(channel, several[0])}"
             )
         recognized[channel] = several[0]
     return recognized
@@ -102,46 +97,51 @@ def _recognized_columns(
 
 def _missing_error(names: Sequence[str], missing: Sequence[str], source: str) -> LogError:
     others = {
-        "time": "; --rate 100 takes the place of time, if a row was written every 10 ms",
+        "time": "; without a time column, use --rate 100 if a row was written every 10 ms",
         "command_velocity": (
-            "; --velocity 3.1 takes its place, if all commands had that velocity [rad/s]"
+            "; without a velocity column, use --velocity 3.1 if all commands had that velocity "
+            "[rad/s]"
         ),
     }
-    mapping = ",".join(f"{channel}=NAME" for channel in missing)
-    hints = "".join(others.get(channel, "") for channel in missing)
+    mapping = "=NAME,".join(missing) + "=NAME"
+    hints = ""
+    for channel in missing:
+        hints += others.get(channel, "")
     return LogError(
-        f"{source}: which column is {missing[0]}? Of {_listed(names)} none has a name of known "
-        f"words and units ({', '.join(UNITS[KINDS[missing[0]]])}) that means it; name it: "
-        f"--columns {mapping}{hints}"
+        f"{source}: no column recognized as {missing[0]} among {_listed(names)} (known units: "
+        f"{', '.join(UNITS[KINDS[missing[0]]])}); map it with --columns {mapping}{hints}"
     )
 
 
 def _preferred_velocities(names: list[str]) -> list[str]:
-    """Prefer profile velocities: a goal velocity next to one belongs to the drive's velocity
-    mode."""
+    """Prefer profile velocities; a goal velocity next to a profile velocity is for the drive's
+    velocity mode."""
     profiles = [name for name in names if "profile" in split_unit(name, "velocity")[0]]
     return profiles or names
 
 
 def stated_unit(channel: str, config: ImportConfig) -> str | None:
-    """Unit of a channel that the options state, or None."""
+    """Return the unit that the options set for a channel, or None."""
     if channel == "time":
         return config.time_unit
     if channel.startswith("force"):
         return config.force_unit
+    # Not config.angles.get(channel): the keys are literals, and `channel` may be any channel.
     unit = next((unit for angle, unit in config.angles.items() if angle == channel), None)
-    return unit if unit is None or unit in UNITS[KINDS[channel]] else f"{unit}/s"
+    if unit is None or unit in UNITS[KINDS[channel]]:
+        return unit
+    # An angle unit for a velocity, e.g. deg, means that unit per second.
+    return f"{unit}/s"
 
 
 def describe_columns(columns: Mapping[str, Column]) -> str:
-    """Describe which columns were used, as far as their names are not softfin's own; empty if all
-    are."""
-    return ", ".join(
-        f"{channel}={column.name!r} in {column.unit}"
-        + ("" if column.is_unit_stated else " (assumed)")
-        for channel, column in columns.items()
-        if OWN_NAMES.get(column.name) != channel
-    )
+    """Describe the columns whose names are not softfin's own; empty if there are none."""
+    texts = []
+    for channel, column in columns.items():
+        if OWN_NAMES.get(column.name) != channel:
+            assumed = "" if column.is_unit_stated else " (assumed)"
+            texts.append(f"{channel}={column.name!r} in {column.unit}{assumed}")
+    return ", ".join(texts)
 
 
 def converted(
@@ -149,13 +149,16 @@ def converted(
     config: ImportConfig,
     units: Mapping[str, str] | None = None,
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Convert to SI units and softfin's signs and axes; `units` are those stated by the channels;
-    otherwise those of the options, or SI."""
+    """Convert to SI units and to softfin's signs and axes.
+
+    Units come from `units`, otherwise from the options; the default is SI.
+    """
     result = {}
     for channel, values in channels.items():
         kind = KINDS[channel]
         unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
         result[channel] = values if unit == SI[kind] else values * UNITS[kind][unit]
+    # A reversed angle reverses its velocity.
     negated = {*config.negate, *(["velocity"] if "angle" in config.negate else [])}
     for channel in negated & result.keys():
         result[channel] = -result[channel]
@@ -168,13 +171,12 @@ def converted(
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:
     shown = between.join(map(repr, names[:MAX_LISTED_COLUMNS]))
-    return shown + (
-        f" and {len(names) - MAX_LISTED_COLUMNS} more" if len(names) > MAX_LISTED_COLUMNS else ""
-    )
+    if len(names) > MAX_LISTED_COLUMNS:
+        shown += f" and {len(names) - MAX_LISTED_COLUMNS} more"
+    return shown
 
 
 def _quoted(channel: str, name: str) -> str:
-    """Write a column so that a shell and `ImportConfig` can read it; NAME for what cannot be
-    typed."""
+    """Quote a column for the shell and for `ImportConfig`; an unprintable name becomes NAME."""
     pair = f"{channel}={name if name.isprintable() else 'NAME'}"
     return shlex.quote(f'"{pair}"' if "," in pair else pair)

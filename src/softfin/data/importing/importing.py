@@ -1,4 +1,4 @@
-"""Options of `open_logs`: columns, units, signs and clocks of recordings made by others."""
+"""Import options of `open_logs`: columns, units, signs and clocks of third-party recordings."""
 
 import csv
 from typing import Any, Literal, get_args
@@ -10,66 +10,64 @@ from softfin.core.configuration import Configuration
 from softfin.data.importing.names import KINDS, UNITS, Channel
 
 NO_COLUMN = "-"
-"""Stands for a column that the file does not have, whatever its names look like."""
+"""Value of --columns for a channel that the file does not have, even if a name looks like it."""
 
 AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
 
 ANGLES: tuple[AngleChannel, ...] = get_args(AngleChannel)
-"""Channels that can be in degrees."""
+"""Channels with an angle or velocity unit."""
 
 SignedChannel = Literal["command_angle", "angle", "velocity"]
 
 SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
-"""Channels that can have the wrong sign; a commanded velocity is a magnitude."""
+"""Channels whose sign can be wrong; a commanded velocity is a magnitude."""
 
 Topic = Literal["command", "joint", "wrench"]
 
 FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
-"""The ways in which a sensor's axes can be swapped or reversed: softfin's +x and +y, in the
-sensor's axes."""
+"""Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor's axes."""
 
 
 class ImportConfig(Configuration):
-    """How recordings are read; the defaults suit softfin's own logs."""
+    """How to read recordings; the defaults match softfin's own logs."""
 
     columns: dict[Channel, str] = pydantic.Field(default_factory=dict)
-    """Column of each channel, such as ``angle=position,force_x=Fx``, or ``-`` for none. Only for
-    columns whose names softfin does not recognise."""
+    """Column of each channel, e.g. ``angle=position,force_x=Fx``; ``-`` means that the file has no
+    such column. Needed only for names that softfin does not recognize."""
     topics: dict[Topic, str] = pydantic.Field(default_factory=dict)
-    """Topics of a ROS 2 bag, such as ``joint=/joint_states:fin``, where fin names one joint of
-    several (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench)."""
+    """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin``; ``:fin`` selects one of several
+    joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench)."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
-    """Rows per second [Hz], for files without a time column."""
+    """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
-    """Velocity of all commands [rad/s], for files without such a column."""
+    """Velocity of all commands in files without that column [rad/s]."""
     time_unit: TimeUnit | None = None
-    """Unit of the time column (default: from the name of the column, or s)."""
+    """Unit of the time column (default: from the column name, or s)."""
     angles: dict[AngleChannel, str] = pydantic.Field(default_factory=dict)
-    """Unit of all angle channels, such as ``deg``, or of each, such as
+    """Unit of all angle channels, e.g. ``deg``, or of individual ones, e.g.
     ``command_angle=deg,command_velocity=rpm``; for a velocity, deg means deg/s (default: from the
-    names of the columns, or rad)."""
+    column names, or rad)."""
     force_unit: ForceUnit | None = None
-    """Unit of the force columns (default: from their names, or N)."""
+    """Unit of the force columns (default: from the column names, or N)."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
-    """Axes of the recording that are softfin's +x (thrust, which drives the robot forward)
-    and +y."""
+    """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y."""
     negate: tuple[SignedChannel, ...] = ()
-    """Angle channels with the wrong sign, such as ``command_angle``. A signed velocity also changes
-    its sign."""
+    """Angle channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates
+    ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Delay of the time stamps of the commands relative to the angle [ms]; softfin removes it."""
+    """Delay of the command time stamps relative to the angle [ms]; softfin removes it."""
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
-    """Delay of the time stamps of the force relative to the angle [ms]; softfin removes it."""
+    """Delay of the force time stamps relative to the angle [ms]; softfin removes it."""
     rows_per_log: int | None = pydantic.Field(default=None, ge=2)
-    """Rows per log, for files with several logs end to end; 20000 in the paper."""
+    """Rows per log of files that contain several logs end to end; 20000 in the paper."""
     test: str | None = None
-    """Pattern for the names of test logs (default: names that start with test, and all files in a
-    folder test)."""
-    # Five samples: the motion of a fin at 3 Hz is smooth for that long.
+    """Pattern for the names of test logs (default: names that start with test, and files in a
+    folder named test)."""
+    # Five samples at 100 Hz: within 50 ms, the motion of a fin at 3 Hz is smooth.
     gap_s: float = pydantic.Field(default=0.05, gt=0)
-    """Longest gap to fill by interpolation [s]; a longer gap splits the log."""
+    """Longest gap to interpolate [s]; a longer gap splits the log."""
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
-    """Shortest piece to keep as a log [s]; the window of the paper's networks is 1 s."""
+    """Shortest piece to keep as a log [s]; the paper's networks need a window of 1 s."""
 
     @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
     @classmethod
@@ -82,12 +80,12 @@ class ImportConfig(Configuration):
         if info.field_name == "angles" and "=" not in value:
             return dict.fromkeys(ANGLES, value)
         pairs = {}
-        # As in a CSV file, a pair that contains a comma is quoted.
+        # Parsed as CSV, so that a column name with a comma can be quoted.
         for part in next(csv.reader([value], skipinitialspace=True), []):
             if part.strip():
                 name, _, text = map(str.strip, part.partition("="))
                 if not text:
-                    raise ValueError(f"{name!r} has no value; write NAME=VALUE,NAME=VALUE")
+                    raise ValueError(f"{name!r} has no value; use NAME=VALUE,NAME=VALUE")
                 pairs[name] = text
         return pairs
 
@@ -100,20 +98,20 @@ class ImportConfig(Configuration):
                 units += UNITS["velocity"]
             if unit not in units:
                 raise ValueError(
-                    f"{unit!r} is not a unit of angles; allowed are {', '.join(units)}, or of "
-                    "each, as angle=deg,velocity=rpm"
+                    f"{unit!r} is not a unit of {channel}; must be one of {', '.join(units)}; for "
+                    "different units, use e.g. angle=deg,velocity=rpm"
                 )
         return value
 
 
 def turned(x: Any, y: Any, frame: str) -> list[Any]:
-    """Convert a force to another frame: its +x and +y."""
+    """Return the +x and +y components of a force in another frame."""
     source = {"x": x, "y": y, "-x": -x, "-y": -y}
     return [source[term] for term in frame.split(",")]
 
 
 def compose_frames(given: str, then: str) -> str:
-    """Return the frame that combines two frames, one after the other."""
+    """Return the frame that is equivalent to applying `given` and then `then`."""
     x, y = turned(1, 2, given)
     both = turned(x, y, then)
     return next(frame for frame in FORCE_FRAMES if turned(1, 2, frame) == both)

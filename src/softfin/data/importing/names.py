@@ -1,8 +1,7 @@
-"""Reads the channel and the unit from the name of a column.
+"""Recognize the channel and the unit in a column name.
 
-One table of words and one of units, for every kind of file whose columns have names. Case and
-separators do not count: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are the
-same.
+All file formats with named columns share these tables of words and units. Case and separators are
+ignored: ``cmd angle [deg]``, ``CmdAngle_deg`` and ``COMMAND-ANGLE (deg)`` are equivalent.
 """
 
 import itertools
@@ -15,8 +14,8 @@ Channel = Literal[
 ]
 
 CHANNELS: tuple[str, ...] = get_args(Channel)
-"""Channels of a log. A recording may lack the velocity, and also time and commanded velocity if an
-option gives them."""
+"""Channels of a log. A recording may lack the velocity; it may also lack the time and the commanded
+velocity if options set them."""
 
 KINDS: dict[str, str] = {channel: re.sub("command_|_x|_y", "", channel) for channel in CHANNELS}
 """Physical quantity of each channel."""
@@ -40,7 +39,7 @@ UNITS: dict[str, dict[str, float]] = {
         "lbf": 4.4482216152605,
     },
 }
-"""Units of each quantity, the SI unit first, with the factor that converts to it."""
+"""Conversion factors to the SI unit, by quantity and unit; the SI unit comes first."""
 
 SI = {kind: next(iter(units)) for kind, units in UNITS.items()}
 
@@ -62,8 +61,8 @@ SPELLINGS = {
     "kgf": "kgf",
     "lbf": "lbf",
 }
-"""Ways to write each unit, in lower case; those of a velocity are an angle's, a slash and those of
-a second."""
+"""Spellings of each unit in lower case. Spellings of velocity units are generated from those of an
+angle, a slash and those of a second."""
 
 COMMAND_WORDS = {
     "command",
@@ -80,8 +79,9 @@ COMMAND_WORDS = {
     "reference",
     "ref",
 }
-"""Words that make an angle or a velocity the commanded one. Alone, all except "reference" mean the
-commanded angle."""
+"""Words that mark an angle or a velocity as commanded. Without an angle or velocity word, they mean
+the commanded angle, or the commanded velocity if the unit is one; "ref" and "reference" do not,
+because they could also mean the reference force."""
 
 PHRASES = {
     "time": ["time", "t", "timestamp", "stamp", "time stamp"],
@@ -102,13 +102,13 @@ PHRASES = {
         "angle velocity",
         "angle vel",
     ],
-    # The last one is from Dynamixel's protocol 1.
+    # "moving speed" is a register in Dynamixel's protocol 1.
     "command_velocity": ["profile velocity", "profile vel", "profile speed", "moving speed"],
     "force_x": ["force x", "fx", "f x"],
     "force_y": ["force y", "fy", "f y"],
 }
-"""Names of each channel, in any order of their words; with one of `COMMAND_WORDS`, the commanded
-channel."""
+"""Names of each channel; their words may have any order. With one of `COMMAND_WORDS`, a name means
+the commanded channel."""
 
 NEUTRAL_WORDS = {
     "actual",
@@ -144,9 +144,9 @@ NEUTRAL_WORDS = {
 }
 """Words that do not change the meaning of a name."""
 
-_PHRASES = {
-    tuple(sorted(phrase.split())): channel for channel, some in PHRASES.items() for phrase in some
-}
+_PHRASES: dict[tuple[str, ...], str] = {}
+for _channel, _names in PHRASES.items():
+    _PHRASES |= {tuple(sorted(_name.split())): _channel for _name in _names}
 
 
 def _spellings(kind: str) -> dict[str, str]:
@@ -162,12 +162,11 @@ def _spellings(kind: str) -> dict[str, str]:
 
 
 SPELLED = {kind: _spellings(kind) for kind in UNITS}
-"""Unit of each way to write one, in lower case, by quantity."""
+"""Units by quantity and spelling (lower case)."""
 
 
 def read_name(name: str) -> tuple[str, str | None] | None:
-    """Find the channel of a name, and its unit or None; both are None unless every word of it is
-    understood."""
+    """Return channel and unit (or None) of a column name; None unless every word is known."""
     for kind in UNITS:
         words, unit = split_unit(name, kind)
         commanded = COMMAND_WORDS.intersection(words)
@@ -179,7 +178,7 @@ def read_name(name: str) -> tuple[str, str | None] | None:
             and (kind == "angle" or (kind == "velocity" and unit))
         ):
             channel = kind
-        # Milliseconds mean a time without any other word, but "min" is more often something else.
+        # A unit alone, such as "ms", means time; but "min" is more often a minimum.
         if not words and kind == "time" and unit in ("s", "ms", "us", "ns"):
             channel = "time"
         if channel in ("angle", "velocity") and commanded:
@@ -192,18 +191,17 @@ def read_name(name: str) -> tuple[str, str | None] | None:
 
 
 def split_unit(name: str, kind: str) -> tuple[list[str], str | None]:
-    """Split a name into its words in lower case, and the unit of a quantity in which it ends, or
-    None."""
-    # "(t)" only states that it is a function of time; a second to the power of -1 is one below a
-    # slash.
+    """Split a name into its words in lower case and the unit at its end (None without a unit)."""
+    # Drop "(t)", which only marks a function of time, and the exponent of "rad s^-1", because the
+    # unit words are joined by a slash below.
     plain = re.sub(r"\(t\)|(?<=[\s.·*_]s)(\^|\*\*)?(-1|⁻¹)", " ", name, flags=re.IGNORECASE)
-    # Words are separated by anything but letters, and where capitals begin, but not within mN.
+    # Words end at non-letters and before capitals (CmdAngle), but not within units such as mN.
     parted = re.sub(r"(?<=[^\W\d_A-Z]{2})(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", plain)
     lower = parted.lower().replace("µ", "u").replace("μ", "u")
     words = re.findall(r"[^\W\d_]+|\d+|[°%]|-(?=[\])}>])", lower)
     for start in range(max(len(words) - 3, 0), len(words)):
         ending = [word for word in words[start:] if word != "per"]
-        # A single letter is a name.
+        # A single letter that is the entire name is not a unit: "s" or "N" could mean anything.
         if "/".join(ending) in SPELLED[kind] and (start > 0 or len(ending[0]) > 1):
             return words[:start], SPELLED[kind]["/".join(ending)]
     return words, None

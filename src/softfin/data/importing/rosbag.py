@@ -1,8 +1,6 @@
-"""Reads ROS 2 bags, MCAP or SQLite, without ROS: the topics of command, joint and force go in, a
-recording comes out.
+"""Read ROS 2 bags (MCAP or SQLite) without ROS, from the topics of command, joint and force.
 
-The stamps of the messages count if every message of the topic has one, otherwise the times at which
-they were logged.
+Times are the header stamps if every message of a topic has one, otherwise the logging times.
 """
 
 from pathlib import Path
@@ -46,12 +44,11 @@ TOPIC_CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
 }
 
 MAX_LISTED_TOPICS = 12
-"""Largest number of topics that an error message lists."""
+"""Maximum number of topics in an error message."""
 
 
 def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recording:
-    """Read one bag; raises LogError if it is damaged, lacks a topic, or a topic has messages of
-    another type."""
+    """Read one bag; raises LogError for a damaged bag, a missing topic or a wrong message type."""
     try:
         for file in [path] if not path.is_dir() else sorted(path.glob("*.mcap")):
             check_bag(file)
@@ -68,16 +65,17 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
     except LogError:
         raise
     except Exception as error:
-        # Damaged bags fail in the reader, its storage, its decompression or its messages, each in
-        # its own way.
+        # A damaged bag may fail in the reader, the storage, the decompression or the messages, each
+        # with its own exception type.
         reason = _plain(one_line(error))
         raise LogError(
-            f"{path}: truncated, or not a ROS 2 bag ({reason}); copy it, or: ros2 bag reindex"
+            f"{path}: truncated or not a ROS 2 bag ({reason}); copy it again, or run ros2 bag "
+            "reindex on it"
         ) from None
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
     if all(np.array_equal(tracks[0].time, track.time) for track in tracks):
-        # Topics with the same stamps form one track, which needs no other clock.
+        # Topics with identical stamps form one track, so that they need not be resampled.
         channels: Channels = {}
         for track in tracks:
             channels |= track.channels
@@ -86,7 +84,7 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
 
 
 def _plain(text: str) -> str:
-    """Describe the content of a bag in one line, without control characters."""
+    """Return text from a bag as one line without control characters."""
     return printable(text, most=500)
 
 
@@ -94,51 +92,45 @@ def _read_topic(
     reader: Reader, role: Topic, config: ImportConfig, path: Path, name: str
 ) -> tuple[Track, list[Issue]]:
     topic, _, joint = config.topics.get(role, DEFAULT_TOPICS[role]).partition(":")
-    there = {connection.topic: connection.msgtype for connection in reader.connections}
     connections = [connection for connection in reader.connections if connection.topic == topic]
-    where = f"{path}: {topic}"
-    kind = there.get(topic, "")
     if not connections:
-        topics = [f"{other} ({kind})" for other, kind in sorted(there.items())]
-        listed = _plain(", ".join(topics[:MAX_LISTED_TOPICS])) or "no topics"
-        fitting = [other for other, kind in there.items() if kind in READABLE_TYPES[role]]
-        hint = f"--topics {role}={_plain(fitting[0]) if len(fitting) == 1 else 'TOPIC'}"
-        raise LogError(f"{path}: no topic {topic} for the {role}; it has {listed}; name it: {hint}")
-    if kind not in READABLE_TYPES[role] or any(
-        connection.msgtype != kind for connection in connections
-    ):
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        raise _missing_topic_error(topic, role, types, path)
+    where = f"{path}: {topic}"
+    kind = connections[-1].msgtype
+    kinds = {connection.msgtype for connection in connections}
+    if kind not in READABLE_TYPES[role] or len(kinds) > 1:
         raise LogError(
-            f"{where} is {_plain(kind)}; a {role} must be {' or '.join(READABLE_TYPES[role])}, all "
-            "of one type"
+            f"{where}: type {_plain(kind)}; the messages of a {role} must all be "
+            f"{' or '.join(READABLE_TYPES[role])}"
         )
     logged = []
     stamped = []
     rows = []
     for _, stamp, data in reader.messages(connections):
-        # ROS 2's own definitions, not the bag's: the reader turns definitions into code, and a bag
-        # can come from anybody.
+        # Decode with ROS 2's own message definitions, not with the bag's: the reader turns
+        # definitions into code, and a bag may come from an untrusted source.
         message: Any = type_store().deserialize_cdr(data, kind)
         header = getattr(message, "header", None)
         logged.append(stamp)
         stamped.append(0 if header is None else header.stamp.sec * 10**9 + header.stamp.nanosec)
         rows.append(_values(message, kind, joint, where))
     if not rows:
-        raise LogError(f"{where}: no messages; record the {role} too")
+        raise LogError(f"{where}: no messages; record the {role} as well")
     issues = []
     if not (all(stamped) or stamped == logged):
         text = (
-            f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages have no stamp: the "
-            "time of logging counts"
+            f"{topic}: {stamped.count(0):,} of {len(stamped):,} messages have no stamp; the "
+            "logging times are used"
         )
-        fix = "stamp each message where it is measured: logging adds a delay that varies"
+        fix = "stamp each message when it is measured, because logging adds a varying delay"
         severity: Severity = "warning" if kind in (JOINT_STATE, WRENCH_STAMPED) else "note"
         issues.append(Issue(severity, "no stamps", name, text, fix, role))
         stamped = logged
-    # Nanoseconds since 1970 as integers first: in double precision they are exact to a quarter of a
-    # microsecond.
+    # In double precision, nanoseconds since 1970 are exact to a quarter of a microsecond.
     time = np.array(stamped, np.int64) / 1e9
     pairs = np.array(rows, np.float64)
-    # A value that a log cannot contain counts as missing, which is reported later.
+    # A value too large for a float32 log is treated as missing; `build_logs` reports it.
     pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
     first, second = TOPIC_CHANNELS[role]
     channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
@@ -148,21 +140,35 @@ def _read_topic(
         del channels[second]
     if role == "command" and second not in channels:
         if config.velocity_rad_s is None:
-            way_out = "--velocity 3.1 takes its place, if all had that one [rad/s]"
-            raise LogError(f"{where}: no velocity in the commands; {way_out}")
+            raise LogError(
+                f"{where}: the commands have no velocity; use --velocity 3.1 if all commands had "
+                "that velocity [rad/s]"
+            )
         channels[second] = np.full(len(time), config.velocity_rad_s)
-        text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s throughout, from --velocity"
+        text = f"{topic}: no velocity: {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
         issues.append(Issue("note", "columns", name, text))
     return Track(time, channels), issues
 
 
+def _missing_topic_error(topic: str, role: Topic, types: dict[str, str], path: Path) -> LogError:
+    topics = [f"{other} ({kind})" for other, kind in sorted(types.items())]
+    listed = _plain(", ".join(topics[:MAX_LISTED_TOPICS])) or "no topics"
+    fitting = [other for other, kind in types.items() if kind in READABLE_TYPES[role]]
+    suggestion = _plain(fitting[0]) if len(fitting) == 1 else "TOPIC"
+    return LogError(
+        f"{path}: no topic {topic} for the {role}; the bag has {listed}; set it with --topics "
+        f"{role}={suggestion}"
+    )
+
+
 def _read_zeros(reader: Reader) -> list[tuple[float, RestForce]]:
-    """Return time [s] and value [N] of each zero that softfin measured at rest while recording."""
+    """Return the time [s] and value [N] of each rest force that softfin measured during the
+    recording."""
     connections = [
         each for each in reader.connections if each.topic == EVENTS and each.msgtype == STRING
     ]
     zeros = []
-    # Without a list of connections the reader would read all topics.
+    # With an empty list of connections, the reader would read all topics.
     for _, stamp, data in reader.messages(connections) if connections else ():
         message: Any = type_store().deserialize_cdr(data, STRING)
         zero = parse_zero(message.data)
@@ -174,26 +180,27 @@ def _read_zeros(reader: Reader) -> list[tuple[float, RestForce]]:
 def _less_zero(
     force: Track, zeros: list[tuple[float, RestForce]], config: ImportConfig, name: str
 ) -> tuple[Track, list[Issue]]:
-    """Subtract the zeros from a force, as the session did for its controller and its logs; a bag's
-    force is raw."""
+    """Subtract the measured rest forces: a bag contains the raw force, while the session's
+    controller and logs had them subtracted."""
     if not zeros:
         return force, []
     x, y = zeros_at(zeros, force.time).T
     zero = converted({"force_x": x, "force_y": y}, config)
     channels = {channel: values - zero[channel] for channel, values in force.channels.items()}
     text = (
-        f"{WRENCH}: the force at rest is subtracted, which {EVENTS} holds "
-        f"({counted(len(zeros), 'measurement')})"
+        f"{WRENCH}: the rest force recorded in {EVENTS} ({counted(len(zeros), 'measurement')}) is "
+        "subtracted"
     )
     return Track(force.time, channels), [Issue("note", "zeroed", name, text)]
 
 
 def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, float]:
-    """Return angle and velocity, or force x and y."""
+    """Return (angle, velocity) or (force x, force y) of a message."""
     if kind == ARRAY:
         if len(message.data) != 2:
             raise LogError(
-                f"{where}: an array of {len(message.data)} numbers; a command is [angle, velocity]"
+                f"{where}: got an array of {len(message.data)} numbers; a command must be [angle, "
+                "velocity]"
             )
         return float(message.data[0]), float(message.data[1])
     if kind == JOINT_STATE:
@@ -201,7 +208,10 @@ def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, flo
         if joint not in names and (joint or len(message.position) != 1):
             unnamed = f"{len(message.position)} without names"
             listed = _plain(", ".join(names[:MAX_LISTED_TOPICS])) or unnamed
-            raise LogError(f"{where}: which joint? It has {listed}; name it: TOPIC:JOINT")
+            raise LogError(
+                f"{where}: joint not specified or not found among {listed}; set it with --topics "
+                "ROLE=TOPIC:JOINT"
+            )
         index = names.index(joint) if joint in names else 0
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")
         return float(message.position[index]), velocity

@@ -1,4 +1,4 @@
-"""Reads tables, CSV or Parquet, with any column names: files go in, recordings come out."""
+"""Read CSV and Parquet tables with arbitrary column names as recordings."""
 
 import csv
 import re
@@ -19,8 +19,8 @@ from softfin.storage.paths import CSV
 
 
 def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[Recording]:
-    """Read the logs of one file; raises LogError for a file that is not such a table or lacks a
-    channel."""
+    """Read the logs in one file; raises LogError if it is not such a table or if a channel is
+    missing."""
     if path.suffix.lower() in CSV:
         names, delimiter = _read_header(path)
         found = choose_columns(names, config, str(path))
@@ -31,7 +31,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         found = choose_columns(names, config, str(path))
     rows = table.num_rows
     if not rows:
-        raise LogError(f"{path}: empty: it has no rows; record it again")
+        raise LogError(f"{path}: the table has no rows; record again")
     numbers = {}
     units = {}
     for channel, column in found.items():
@@ -51,7 +51,7 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
         end = min(start + length, rows)
         piece = whole.take(slice(start, end))
         recordings.append(Recording(f"{name} rows {start}..{end - 1}", part, (piece,), issues))
-        # Only once, with the first piece.
+        # The notes describe the file, so only its first piece has them.
         issues = ()
     return recordings
 
@@ -59,14 +59,14 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
 def _notes(
     name: str, names: list[str], found: dict[str, Column], config: ImportConfig
 ) -> list[Issue]:
-    """Describe which column was used for which channel, and its unit, unless softfin's own names
-    state it."""
+    """Note which columns and units were used, unless the names are softfin's own, and which options
+    and columns were not used."""
     texts = []
     fix = ""
     if described := describe_columns(found):
         texts.append(described)
         fix = (
-            "if that is wrong: --columns CHANNEL=NAME (- for none), --angles, --force-unit, "
+            "if this is wrong, use --columns CHANNEL=NAME (- for none), --angles, --force-unit or "
             "--time-unit"
         )
     options = {
@@ -75,43 +75,44 @@ def _notes(
     }
     for channel, (value, option) in options.items():
         if value is not None and channel in found:
-            texts.append(f"{option} {value:g} not used: {found[channel].name!r} holds it")
+            texts.append(f"{option} {value:g} ignored: the file has column {found[channel].name!r}")
     if config.velocity_rad_s is not None and "command_velocity" not in found:
         texts.append(
-            f"command_velocity = {config.velocity_rad_s:g} rad/s throughout, from --velocity"
+            f"command_velocity = {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
     read = {column.name for column in found.values()}
     if unused := [column for column in names if column not in read]:
-        text = f"columns that were not read: {', '.join(map(repr, unused[:12]))}"
+        text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
         notes.append(Issue("note", "unread columns", name, text))
     return notes if "velocity" in found else [*notes, derived_velocity(name)]
 
 
 def derived_velocity(name: str) -> Issue:
-    """Note that a recording has no velocity."""
-    text = "no velocity: it is the central difference of the angle"
+    """Return the note that a recording has no velocity."""
+    text = "no velocity column: the velocity is the central difference of the angle"
     return Issue("note", "velocity derived", name, text, column="velocity")
 
 
 def _read_header(path: Path) -> tuple[list[str], str]:
-    """Return the column names of a CSV file, and its delimiter."""
+    """Return the column names and the delimiter of a CSV file."""
     try:
         with path.open(encoding="utf-8-sig") as file:
             line = file.readline()
     except (OSError, UnicodeDecodeError) as error:
-        raise LogError(f"{path}: cannot be read as text ({error}); give a CSV file") from None
+        raise LogError(f"{path}: cannot be read as text ({error}); use a CSV file") from None
     if not line.strip():
-        raise LogError(f"{path}: empty: it has no header; the first line must name the columns")
+        raise LogError(f"{path}: no header; the first line must contain the column names")
     delimiter = max(",;\t", key=line.count)
     names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
-    if all(re.fullmatch(r"[-+.eE\d]*\d[-+.eE\d]*", name) for name in names):
+    number = re.compile(r"[-+.eE\d]*\d[-+.eE\d]*")
+    if all(map(number.fullmatch, names)):
         raise LogError(
-            f"{path}: its first line holds numbers ({line.strip()[:60]}); write the columns' names "
-            "above it"
+            f"{path}: no header: the first line contains numbers ({line.strip()[:60]}); add a line "
+            "with the column names above it"
         )
     if twice := [name for name in names if names.count(name) > 1]:
-        raise LogError(f"{path}: column {twice[0]!r} is there twice; rename one of them")
+        raise LogError(f"{path}: duplicate column {twice[0]!r}; rename one of them")
     return names, delimiter
 
 
@@ -130,17 +131,17 @@ def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) 
     except (pa.ArrowException, OSError) as error:
         reason = one_line(error)
         raise LogError(
-            f"{path}: not a table of numbers ({reason}); correct that line, or leave it empty"
+            f"{path}: not a table of numbers ({reason}); correct that value or leave it empty"
         ) from None
 
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:
     try:
-        # Unsafe, since nanoseconds since 1970 have more digits than a double: that leaves a quarter
-        # of a microsecond.
+        # A safe cast would reject nanoseconds since 1970, which exceed the 53 bits of a double. The
+        # rounding error is at most 0.13 us.
         return np.asarray(column.cast(pa.float64(), safe=False).to_numpy())
     except pa.ArrowException:
         raise LogError(
-            f"{path}: column {name!r} is {column.type}, must hold numbers; choose "
-            "another, or convert it"
+            f"{path}: column {name!r} has type {column.type}, must be numeric; choose another "
+            "column or convert it"
         ) from None

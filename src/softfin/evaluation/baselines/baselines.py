@@ -1,20 +1,20 @@
-"""Baselines, evaluated like controllers: what the fin does without learning, or with only a few
-fitted numbers.
+"""Find baselines and evaluate them like controllers: what the fin can do without learning, or with
+only a few fitted numbers.
 
 ===================== ========================================================================
-``still``             the rest command: the fin does nothing
-``sine``              the sine of the shaft of least error, searched for each reference
-``inverse_F_hz``      the analytic inverse model of the U-CAT robots, a sine of F Hz
-``recalibrated_F_hz`` the same with its one constant fitted to a few sines
-``random_search``     the best of some random gaits of six actions, for each reference
+``still``             the rest command: the fin does not move
+``sine``              the shaft sine with the smallest error, searched for each reference
+``inverse_F_hz``      the analytic inverse model of the U-CAT robots, a sine at F Hz
+``recalibrated_F_hz`` the same model with its only constant fitted to a few sines
+``random_search``     the best of several random gaits of six actions, for each reference
 ===================== ========================================================================
 
-All are open loop. They use only the search plant, usually a surrogate of the fin.
+All are open loop and tuned only on the search plant, usually a surrogate of the fin.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import SupportsFloat
 
 import jax
 import numpy as np
@@ -42,20 +42,20 @@ BASELINES_KIND = "baselines"
 
 
 class BaselinesConfig(ExperimentsConfig):
-    """How baselines are found and evaluated."""
+    """Configuration of the search for baselines and of their evaluation."""
 
     search: open_loop.SearchConfig = open_loop.SearchConfig()
-    """Search of the sines and gaits."""
+    """Search for sines and gaits."""
     inverse: InverseConfig = InverseConfig()
     """Coefficients of the inverse model."""
     inverse_frequencies_hz: tuple[PositiveFloat, ...] = Field(default=(2.1, 1.1, 1.0), min_length=1)
-    """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and 1
-    Hz, whose periods fill the window of 2 s; the other two leave a ripple in its mean that is not
-    an error of the model."""
+    """Frequencies of the inverse model [Hz]: the fast and the slow mode of the U-CAT robots, and
+    1 Hz. Only at 1 Hz does a whole number of periods fit into the window of 2 s; the other two
+    leave a ripple in the mean that is not an error of the model."""
 
     @property
     def experiments(self) -> EvaluateConfig:
-        """The experiments by which controllers would be scored."""
+        """Configuration of the same experiments for a controller."""
         return EvaluateConfig(
             references=self.references, seconds=self.seconds, seeds=self.seeds, seed=self.seed
         )
@@ -67,14 +67,14 @@ def evaluate_baselines(
     config: BaselinesConfig,
     report: Callable[[float, str], None] = lambda *_: None,
 ) -> Baselines:
-    """Find the baselines on one plant and evaluate them on another: the same one, or the fin that
-    it models.
+    """Find the baselines on the plant `search_in` and evaluate them on `plant`, the fin that it
+    models or the same plant.
 
-    Returns by name, as ``baselines``, the result of `Evaluation.summary`, with what was
-    ``commanded`` for each reference: a sine with the fraction of ticks at which the plant's limits
-    clipped its angle or velocity, or a gait; and as ``left_out`` why a baseline has no scores.
-    `report` is called with the completed fraction (0 .. 1) and a note. Raises PlantError if no
-    command is valid for both plants.
+    ``baselines`` in the result contains the `Evaluation.summary` of each baseline. Its key
+    ``commanded`` is, for each reference, a gait or a sine with the fractions of ticks at which the
+    limits clipped angle and velocity. ``left_out`` contains the reasons why baselines have no
+    scores. `report` is called with the completed fraction (0 .. 1) and a note. Raises PlantError if
+    no command is valid for both plants.
     """
     references = np.asarray(config.references, np.float64)
     seconds = config.seconds
@@ -98,9 +98,8 @@ def evaluate_baselines(
         add_commands(name, command, rows)
 
     report(0.0, "still fin")
-    rest = Command(
-        *(np.full((len(references), seconds * RATE_HZ), x) for x in rest_command(limits))
-    )
+    shape = (len(references), seconds * RATE_HZ)
+    rest = Command(*(np.full(shape, field) for field in rest_command(limits)))
     add_commands("still", rest, nothing)
     report(0.1, "inverse model")
     for frequency in config.inverse_frequencies_hz:
@@ -132,13 +131,14 @@ def evaluate_baselines(
 
 
 def evaluate_commands(plant: Plant, commands: Command, config: EvaluateConfig) -> Evaluation:
-    """Score a series of commands for each reference, ``(references, ticks)``, as `evaluate` does a
+    """Score one series of commands per reference ``(references, ticks)`` in the same way as a
     controller."""
     recorded = open_loop.run_commands(jit_argument(plant), commands, config.keys())
     reading, true_force = jax.tree.map(np.asarray, recorded)
-    issued = Command(
-        *(np.repeat(np.asarray(part)[:, None], config.seeds, axis=1) for part in commands)
-    )
+    # A recording has the commands of every seed, which are the same here.
+    angle = np.repeat(np.asarray(commands.angle)[:, None], config.seeds, axis=1)
+    velocity = np.repeat(np.asarray(commands.velocity)[:, None], config.seeds, axis=1)
+    issued = Command(angle, velocity)
     recording = ExperimentRecording(
         np.asarray(config.references, np.float32), issued, reading, true_force
     )
@@ -149,18 +149,20 @@ def shared_limits(one: Limits, other: Limits) -> Limits:
     """Return the commands that both plants accept; raises PlantError if there are none."""
     low = np.maximum(one, other).tolist()
     high = np.minimum(one, other).tolist()
+    # Limits are (angle_min, angle_max, velocity_min, velocity_max): the higher minima and the lower
+    # maxima.
     limits = Limits(low[0], high[1], low[2], high[3])
     if limits.problem() is not None:
         raise PlantError(
-            "baselines: no commands that both plants take: the search plant takes "
-            f"{one.to_dict()}, the evaluated one "
-            f"{other.to_dict()}; search in a surrogate of the fin itself"
+            "baselines: the search plant and the evaluated plant have no valid commands in common: "
+            f"their limits are {one.to_dict()} and {other.to_dict()}; search in a surrogate of the "
+            "evaluated fin"
         )
     return limits
 
 
 def write_baselines(result: Mapping[str, object], out: Path, overwrite: bool = False) -> None:
-    """Write ``baselines.json`` as a folder."""
+    """Write a folder with ``baselines.json``."""
 
     def write(folder: Path) -> None:
         artifacts.write_description(folder, BASELINES_KIND, result)
@@ -168,6 +170,6 @@ def write_baselines(result: Mapping[str, object], out: Path, overwrite: bool = F
     artifacts.write_folder(out, write, overwrite)
 
 
-def _rounded(values: Any) -> list[float]:
-    # Removes the sign of a zero.
+def _rounded(values: Iterable[SupportsFloat]) -> list[float]:
+    # Adding 0.0 turns -0.0 into 0.0.
     return [round(float(value), 4) + 0.0 for value in values]

@@ -1,13 +1,13 @@
-"""Open-loop commands, tried on a plant, usually a surrogate: sines of the shaft, the U-CAT robots'
-model, gaits.
+"""Search for open-loop commands on a plant, usually a surrogate: shaft sines, the inverse model of
+the U-CAT robots, and gaits.
 
-Commands are issued once per tick, so that a sine can be commanded; an action held for 33 ticks is
-33 equal commands.
+Commands are issued once per tick, so that they can follow a sine; an action held for 33 ticks is 33
+equal commands.
 
-The drive runs a velocity profile to its target angle, so the target follows the sine, and the
-profile velocity, which is a limit, stays at the largest speed of the sine. A limit that followed
-the speed of the sine would hold the profile back at each reversal: in the virtual tank a sine of
-0.4 rad and 2 Hz would become one of 0.25 rad; this way it reaches 0.39 rad.
+The drive runs a velocity profile to its target angle. The target follows the sine, while the
+profile velocity, which is a limit, stays at the sine's maximum speed. If the limit followed the
+speed of the sine, it would slow the profile down at each reversal: in the virtual tank, a sine of
+0.4 rad at 2 Hz would reach 0.25 rad instead of 0.39 rad.
 
 The inverse model, `softfin.gaits.inverse_model`, chooses a sine for a force.
 """
@@ -39,13 +39,13 @@ Sines = Float[np.ndarray, "cases 3"]
 """Centre [rad], amplitude [rad] and frequency [Hz]."""
 
 CHUNK = 256
-"""Largest number of cases that run together: one compiled program works for any larger number."""
+"""Maximum number of cases per call; larger sets are split, so that one program serves them all."""
 
 OFFSETS = np.array(list(product(range(-2, 3), repeat=2)))
-"""Steps of centre and amplitude to the 5 x 5 sines around one that is refined."""
+"""Offsets of the 5 x 5 sines around a sine to refine, in steps of centre and amplitude."""
 
 ROUNDING = 1e-6
-"""Rounding error of single precision at the largest angles [rad] and velocities [rad/s]."""
+"""Single-precision rounding error at the largest angles [rad] and velocities [rad/s]."""
 
 
 class ShaftSine(NamedTuple):
@@ -56,19 +56,19 @@ class ShaftSine(NamedTuple):
     amplitude: Float[AnyArray, "*shape"]
     """Amplitude [rad]."""
     frequency: Float[AnyArray, "*shape"]
-    """Periods a second [Hz]."""
+    """Frequency [Hz]."""
 
     def commands(
         self, limits: Limits, ticks: int
     ) -> tuple[Command, Float[Array, "*shape"], Float[Array, "*shape"]]:
         """Return commands ``(*shape, ticks)`` within the limits, and the fractions of ticks at
-        which these clip angle and speed.
+        which the limits clip the angle and the speed.
 
-        A profile velocity that is raised to the plant's lowest one clips nothing, because the
-        target angle still sets the pace.
+        Raising the profile velocity to the plant's minimum is not clipping, because the target
+        angle still sets the pace.
         """
         centre, amplitude, frequency = (jnp.asarray(part, jnp.float32)[..., None] for part in self)
-        # The command of a tick affects the reading at its end.
+        # The command of a tick affects the reading at the end of that tick, so time starts at 1.
         turn = 2 * jnp.pi * frequency * (jnp.arange(ticks) + 1) * TICK_S
         angle = centre + amplitude * jnp.sin(turn)
         # |d angle / dt| = 2 pi f A |cos(2 pi f t)|, at most 2 pi f A.
@@ -89,12 +89,13 @@ def inverse(
     config: InverseConfig,
     constant: float,
 ) -> tuple[ShaftSine, list[JsonObject]]:
-    """Return the sine that should give each force (x, y) [N] on average; `constant` is K [N s2],
-    the config's or a fitted one.
+    """Return the sine that should produce each mean force (x, y) [N]; `constant` is K [N s2], from
+    the configuration or fitted.
 
-    Also returns, for JSON, whether the amplitude was clipped to the driver's range (to pi if no
-    amplitude is large enough) and the centre to the angles that the plant accepts. Thrust at angle
-    theta points along (cos theta, -sin theta), so a force towards -y is made at a positive angle.
+    Also returns, for JSON, whether the amplitude was clipped to the driver's range (an amplitude of
+    pi if none is large enough) and whether the centre was clipped to the plant's angle limits.
+    Thrust at angle theta points along (cos theta, -sin theta), so a force towards -y requires a
+    positive angle.
     """
     wanted = np.arctan2(-force[:, 1], force[:, 0])
     centre = np.clip(wanted, limits.angle_min, limits.angle_max)
@@ -112,31 +113,31 @@ def inverse(
 
 
 class SearchConfig(Configuration):
-    """Length and fineness of the search."""
+    """Duration and resolution of the search."""
 
     seconds: int = Field(default=8, ge=3)
-    """Length of a trial from rest [s], whole; its first 2 s fill the first window."""
+    """Duration of a trial from rest [s], an integer; the first 2 s fill the first window."""
     frequencies_hz: tuple[PositiveFloat, ...] = Field(
         default=(0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0), min_length=1
     )
-    """Frequencies of the sines [Hz]; whole periods fill the window of 2 s, so that its mean has no
-    ripple."""
+    """Frequencies of the sines [Hz]; a whole number of periods fits into the window of 2 s, so that
+    the mean has no ripple."""
     centres: int = Field(default=13, ge=2)
-    """Number of zero directions in the first lattice, over the angles that the plant accepts."""
+    """Number of centre angles in the first lattice, over the plant's angle limits."""
     amplitudes: int = Field(default=8, ge=2)
     """Number of amplitudes in the first lattice, up to `amplitude_max_rad`."""
     amplitude_max_rad: float = Field(default=1.5, gt=0, le=np.pi)
     """Largest amplitude of a sine [rad]."""
     kept: PositiveInt = 4
-    """Number of sines that are refined for each reference."""
+    """Number of sines that are refined per reference."""
     refinements: int = Field(default=4, ge=0)
-    """Number of rounds; each halves the steps of centre and amplitude and tries the 5 x 5 sines
-    around each kept one."""
+    """Number of refinement rounds; each halves the steps of centre and amplitude and tries the
+    5 x 5 sines around each kept sine."""
     gaits: PositiveInt = 256
-    """Number of random gaits of six actions: as many as a look-up table might contain."""
+    """Number of random gaits of six actions; a look-up table might contain as many."""
     trials: int = Field(default=6, ge=1)
-    """Number of sines straight ahead to which the inverse model's constant is fitted, over the
-    driver's amplitudes."""
+    """Number of sines about angle 0 to which the inverse model's constant is fitted; they cover the
+    driver's range of amplitudes."""
 
 
 @eqx.filter_jit
@@ -146,7 +147,7 @@ def run_commands(
     """Issue every series of commands with every key of the plant, each from rest.
 
     Returns the readings ``(cases, seeds, ticks)`` and the true force ``(cases, seeds, ticks, 2)``
-    [N], or None if the plant does not know it. `plant` is the result of `jit_argument`.
+    [N], or None if the plant does not compute it. `plant` is the result of `jit_argument`.
     """
 
     def one(command: Command, key: PRNGKeyArray) -> tuple[Reading, Array | None]:
@@ -167,15 +168,15 @@ def repeated(gaits: Command, seconds: int) -> Command:
 def force_errors(
     forces: MeanForces, references: ReferenceRows
 ) -> Float[np.ndarray, "cases references"]:
-    """Return the error of each case at each reference: those of x and y combined [N], as in Table
-    II."""
+    """Return the error of each case at each reference [N]: the sum of the errors in x and y, as
+    defined for Table II."""
     return np.stack(
         [moving_error(forces, reference).sum(axis=1) for reference in references], axis=1
     )
 
 
 class OpenLoopSearch(NamedTuple):
-    """Tries sines and gaits on a plant."""
+    """Search for sines and gaits by trying them on a plant."""
 
     plant: Plant
     limits: Limits
@@ -184,35 +185,36 @@ class OpenLoopSearch(NamedTuple):
     seed: int
 
     def forces(self, commands: Command) -> MeanForces:
-        """Forces of many series of commands, all with one key."""
+        """Return the forces of many series of commands, all with the same key."""
         count = len(commands.angle)
         size = min(CHUNK, count)
-        # Padded with repetitions of the last case, whose forces are dropped again.
-        padded = Command(
-            *(np.pad(part, ((0, -count % size), (0, 0)), mode="edge") for part in commands)
-        )
+        # Pad with copies of the last case to full chunks; their forces are dropped at the end.
+        padding = ((0, -count % size), (0, 0))
+        angle, velocity = (np.pad(field, padding, mode="edge") for field in commands)
         plant = jit_argument(self.plant)
         keys = named_key(self.seed, "baselines/search")[None]
-        parts = (Command(*(part[i : i + size] for part in padded)) for i in range(0, count, size))
-        return np.concatenate(
-            [np.asarray(run_commands(plant, part, keys)[0].force[:, 0]) for part in parts]
-        )[:count]
+        forces = []
+        for start in range(0, count, size):
+            chunk = Command(angle[start : start + size], velocity[start : start + size])
+            reading, _ = run_commands(plant, chunk, keys)
+            forces.append(np.asarray(reading.force[:, 0]))
+        return np.concatenate(forces)[:count]
 
     def forces_of_sines(self, sines: Sines) -> MeanForces:
-        """Forces of many sines."""
+        """Return the forces of many sines."""
         return self.forces(
             ShaftSine(*sines.T).commands(self.limits, self.config.seconds * RATE_HZ)[0]
         )
 
     def best_sines(self, references: ReferenceRows) -> ShaftSine:
-        """Find the sine with the smallest error for each reference: in a lattice, then in finer
-        ones around the best of each."""
+        """Find the sine with the smallest error for each reference: first on a lattice, then on
+        finer lattices around the best sines."""
         config = self.config
         low, high = np.array(
             [(self.limits.angle_min, 0.0), (self.limits.angle_max, config.amplitude_max_rad)]
         )
-        # Distance of neighbours in the lattice of centres and amplitudes, whose amplitudes leave
-        # out 0, at which all sines are one.
+        # Spacing of the lattice. Its amplitudes start above 0, because at 0 all frequencies give
+        # the same motion.
         step = (high - low) / [config.centres - 1, config.amplitudes]
         centres = np.linspace(low[0], high[0], config.centres)
         amplitudes = np.linspace(low[1], high[1], config.amplitudes + 1)[1:]
@@ -223,33 +225,30 @@ class OpenLoopSearch(NamedTuple):
         for _ in range(config.refinements):
             step = step / 2
             near = []
-            # The best sines of each reference, each with its 5 x 5 neighbours, whose frequency is
-            # its own.
+            # For each reference, the best sines and their 5 x 5 neighbours of the same frequency.
             for points, error in tried:
                 best = points[np.argsort(error)[: config.kept]].repeat(len(OFFSETS), axis=0)
                 best[:, :2] = np.clip(
                     best[:, :2] + np.tile(OFFSETS * step, (len(best) // len(OFFSETS), 1)), low, high
                 )
                 near.append(best)
-            # All references in one call, so that one program serves them.
+            # All references in one call, so that they share one compiled program.
             forces = np.split(
                 self.forces_of_sines(np.concatenate(near)),
                 np.cumsum([len(new) for new in near])[:-1],
             )
-            tried = [
-                (
-                    np.concatenate([points, new]),
-                    np.concatenate([error, force_errors(force, reference[None])[:, 0]]),
-                )
-                for (points, error), new, force, reference in zip(
-                    tried, near, forces, references, strict=True
-                )
-            ]
+            extended = []
+            for (points, error), new, force, reference in zip(
+                tried, near, forces, references, strict=True
+            ):
+                new_error = force_errors(force, reference[None])[:, 0]
+                extended.append((np.concatenate([points, new]), np.concatenate([error, new_error])))
+            tried = extended
         return ShaftSine(*np.stack([points[error.argmin()] for points, error in tried], axis=1))
 
     def best_gaits(self, references: ReferenceRows) -> Command:
-        """Find the gait with the smallest error for each reference, ``(references, 6)``, among the
-        same random ones."""
+        """Find the gait with the smallest error for each reference ``(references, 6)``; all
+        references share the same random gaits."""
         limits = self.limits
         generator = named_generator(self.seed, "baselines/gaits")
         shape = (self.config.gaits, CYCLE_ACTIONS)
@@ -260,24 +259,25 @@ class OpenLoopSearch(NamedTuple):
         best = force_errors(self.forces(repeated(gaits, self.config.seconds)), references).argmin(
             axis=0
         )
-        return Command(*(part[best] for part in gaits))
+        return Command(gaits.angle[best], gaits.velocity[best])
 
     def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
         """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError if
-        it pulls."""
+        the force is against the model's direction."""
         amplitude = np.linspace(*amplitudes, self.config.trials)
         forces = self.forces_of_sines(
             np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1)
         )
-        # At angle 0 thrust is along x. The first window shows how the fin starts.
+        # At angle 0, thrust is along x. The first 2 s, in which the fin starts, are left out.
         force = forces[:, 2 * RATE_HZ :, 0].mean(axis=1, dtype=np.float64)
-        # F = K f^2 (1 - cos A) (`softfin.gaits.inverse_model`): K by least squares.
+        # F = K u with u = f^2 (1 - cos A) (`softfin.gaits.inverse_model`), so the least-squares
+        # fit is K = (u . F) / (u . u).
         unit = frequency**2 * (1 - np.cos(amplitude))
         constant = float(unit @ force / (unit @ unit))
         if not constant > 0:
             raise RunError(
-                f"inverse model at {frequency:g} Hz: the trials' mean force is {force.mean():.3g} "
-                "N, against the zero direction; the model holds for fins that push along it; give "
-                "another frequency"
+                f"inverse model at {frequency:g} Hz: the mean force of the trials is "
+                f"{force.mean():.3g} N, against the zero direction, but the model requires thrust "
+                "along it; use another frequency"
             )
         return constant

@@ -1,4 +1,4 @@
-"""Writes footage as a file: a GIF or PNG by Pillow, or a self-contained HTML page that plays it."""
+"""Write footage as a GIF or PNG (with Pillow), or as a self-contained HTML page that plays it."""
 
 import importlib.resources
 import io
@@ -23,18 +23,20 @@ ReportPart = Callable[[float], None]
 """Function that is called with the completed fraction (0 .. 1)."""
 
 SHAPE_UNIT_M = 1e-4
-"""Unit of a page's shapes, which are stored as whole numbers: a fifth of a pixel, and small."""
+"""Unit of the shapes in a page [m], which are stored as integers to keep the page small; about a
+fifth of a pixel."""
 
 
 def shown_ticks(ticks: int, frames_per_second: int) -> range:
-    """Return the ticks that are shown, in real time, including the last one."""
+    """Return the ticks to show in real time; the last tick is always included."""
     step = RATE_HZ // frames_per_second
     return range((ticks - 1) % step, ticks, step)
 
 
 def write_gif(path: Path, picture: Picture, frames_per_second: int, report: ReportPart) -> None:
-    """Write all frames, in a loop. They share a palette, so that static parts cost no bytes."""
+    """Write all frames as a loop; they share a palette, so that static parts take no space."""
     ticks = shown_ticks(len(picture.footage.shape), frames_per_second)
+    # By the last frame, all traces are drawn, so it contains all colours.
     palette = PIL.Image.fromarray(picture.frame(-1)).quantize(method=PIL.Image.Quantize.MAXCOVERAGE)
 
     def quantized_frames() -> Iterator[PIL.Image.Image]:
@@ -65,11 +67,10 @@ def write_png(path: Path, picture: Picture) -> None:
 
 
 def write_page(path: Path, footage: Footage, title: str) -> None:
-    """Write the page: canvas and plain JavaScript, without a network."""
-    template, script = (
-        importlib.resources.files("softfin.evaluation.view").joinpath(name).read_text("utf-8")
-        for name in ("page.html.jinja", "page.js")
-    )
+    """Write a page with a canvas and plain JavaScript; it needs no network."""
+    folder = importlib.resources.files("softfin.evaluation.view")
+    template = folder.joinpath("page.html.jinja").read_text("utf-8")
+    script = folder.joinpath("page.js").read_text("utf-8")
     page = (
         jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
         .from_string(template)
@@ -86,14 +87,18 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
 
 
 def to_dict(footage: Footage) -> JsonObject:
-    """Return the data that the page draws, as plain numbers."""
+    """Return the data of a page as plain numbers."""
+    # Values with their number of decimals, which are limited to keep the page small.
     series = {"command": (footage.command.angle, 4), "angle": (footage.reading.angle, 4)}
+    vectors = {"force": footage.force, "mean": footage.average, "reference": footage.reference}
     for i, axis in enumerate(AXES):
-        vectors = {"force": footage.force, "mean": footage.average, "reference": footage.reference}
-        series |= {
-            f"{name}_{axis}": (part[:, i], 3) for name, part in vectors.items() if part is not None
-        }
+        for name, vector in vectors.items():
+            if vector is not None:
+                series[f"{name}_{axis}"] = (vector[:, i], 3)
     series["thickness"] = (footage.thickness, 5)
+    rounded = {}
+    for name, (values, digits) in series.items():
+        rounded[name] = [round(float(value), digits) for value in values]
     ticks, points = footage.shape.shape[:2]
     return {
         "rate_hz": RATE_HZ,
@@ -103,10 +108,7 @@ def to_dict(footage: Footage) -> JsonObject:
         "window": WINDOW,
         "trail": TRAIL_TICKS,
         "scale": choose_scale(footage)._asdict(),
-        **{
-            name: [round(float(value), digits) for value in values]
-            for name, (values, digits) in series.items()
-        },
+        **rounded,
         "shape_unit_m": SHAPE_UNIT_M,
         "shape": np.rint(footage.shape / SHAPE_UNIT_M).astype(int).ravel().tolist(),
     }

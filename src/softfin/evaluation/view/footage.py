@@ -1,13 +1,12 @@
-"""Records what can be seen of a plant: simulated tick by tick, with the fin's shape if the plant
-computes it.
+"""Record the visible motion of a plant tick by tick, with the fin's shape if the plant computes it.
 
-Commands go in; a Footage comes out, with the Scale at which film and page draw it. A plant may have
-a method ``shape(state)``, as the virtual tank does: points ``(points, 2)`` from the shaft to the
-tip [m], in the tank's axes.
+`Footage` is the recording, and `Scale` is the scale at which images and pages draw it. A plant may
+have a method ``shape(state)``, as the virtual tank does, that returns points ``(points, 2)`` from
+the shaft to the tip [m], in the tank's axes.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -17,14 +16,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, TrueForcePlant
-from softfin.core.quantities import Command, Reading
+from softfin.core.quantities import AnyArray, Command, Reading
 from softfin.core.window import moving_average
 from softfin.tank import Tank, TankConfig
 
 LONGEST = 0.65
 MEAN_LONGEST = 0.4
-"""Length of the arrows of the largest force, and of the largest reference or mean force, relative
-to the fin; on the same scale the second would be too short to see next to the peaks of a stroke."""
+"""Arrow lengths of the largest force, and of the largest reference or mean force, relative to the
+fin. On the scale of the force, whose peaks are large, means and references would be invisible."""
 
 AxisRange = tuple[float, float]
 FootageSeries = Float[np.ndarray, "ticks 2"]
@@ -32,55 +31,56 @@ NONE = np.zeros((1, 2))
 
 
 class Footage(NamedTuple):
-    """A fin in motion, in ticks of 10 ms."""
+    """Recorded motion of a fin, in ticks of 10 ms."""
 
     command: Command
-    """Fields ``(ticks,)``: the command in force before the reading of that tick."""
+    """Fields ``(ticks,)``: the command that was active up to the reading of that tick."""
     reading: Reading
     """Fields ``(ticks,)``, force ``(ticks, 2)``."""
     true_force: FootageSeries | None
     """Force on the mount without sensor errors [N]; None if the plant has only readings."""
     average: Float[np.ndarray, "windows 2"]
-    """Mean of the drawn force over the last 200 samples, from the first instant at which all exist
+    """Mean of the drawn force over the last 200 samples, from the first tick with 200 samples
     [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
     """Centre line of the fin from the shaft to the tip [m]."""
     length_m: float
     """Length of the fin from the shaft to the tip [m]."""
     shape_known: bool
-    """Whether the plant computes the shape; if not, the shape is a straight line at the shaft's
-    angle, as long as the default fin."""
+    """Whether the plant computes the shape; otherwise it is a straight line at the shaft's angle,
+    with the length of the default fin."""
     thickness: Float[np.ndarray, " points"]
-    """Thickness at the same points [m]; that of the default fin, scaled, if the plant is not a
-    tank."""
+    """Thickness at the same points [m]; if the plant is not a tank, the scaled thickness of the
+    default fin."""
     reference: FootageSeries | None
-    """The reference of the controller [N]."""
+    """Reference force of the controller [N]."""
 
     @property
     def force(self) -> FootageSeries:
-        """Force that is drawn [N]: the true one if it is known, otherwise the reading."""
+        """Force to draw [N]: the true force if known, otherwise the reading."""
         return np.asarray(self.reading.force if self.true_force is None else self.true_force)
 
 
-Shots = tuple[Reading, Any, Any]
-"""Readings, shapes ``(ticks, points, 2)`` [m] and true forces ``(ticks, 2)`` [N]; None for what the
-plant lacks."""
+Shots: TypeAlias = tuple[Reading, AnyArray | None, AnyArray | None]
+"""Readings, shapes ``(ticks, points, 2)`` [m] and true forces ``(ticks, 2)`` [N]; None for series
+that the plant does not compute."""
 
 
 def film(
     plant: Plant, key: PRNGKeyArray, commands: Command, reference: FootageSeries | None = None
 ) -> Footage:
-    """Simulate the plant from rest, with one command per tick, ``(ticks,)``, which may follow a
-    reference."""
-    issued = Command(*(jnp.asarray(field, jnp.float32) for field in commands))
+    """Simulate the plant from rest, with one command per tick ``(ticks,)``; `reference` is the one
+    that the commands track."""
+    angle, velocity = commands
+    issued = Command(jnp.asarray(angle, jnp.float32), jnp.asarray(velocity, jnp.float32))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
     command, seen = jax.tree.map(np.asarray, (issued, shots))
     return develop(plant, command, seen, reference)
 
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
-    """Simulate the plant from a state, with one command per tick, ``(ticks,)``, and keep what can
-    be seen; traceable."""
+    """Simulate the plant from a state, with one command per tick ``(ticks,)``, and record what is
+    visible; traceable by JAX."""
     shape_of: Callable[[State], Array | None] = getattr(plant, "shape", lambda state: None)
 
     def tick(state: State, command: Command) -> tuple[State, Shots]:
@@ -95,8 +95,8 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 def develop(
     plant: Plant, command: Command, shots: Shots, reference: FootageSeries | None
 ) -> Footage:
-    """Return the footage of a simulation under the commands, as NumPy arrays; raises PlantError for
-    wrong shapes."""
+    """Convert a recorded simulation to footage, as NumPy arrays; raises PlantError for values that
+    are not finite and for wrong shapes."""
     reading, shape, true_force = shots
     name = type(plant).__name__
     fin = TankConfig().fin
@@ -104,74 +104,78 @@ def develop(
         if values is not None and not np.isfinite(values).all():
             read = field if values is true_force else f"reading.{field}"
             raise PlantError(
-                f"{name}: {read} is not finite; softfin.testing.check_plant says where"
+                f"{name}: {read} is not finite; run softfin.testing.check_plant to find the cause"
             )
-    has_shape = shape is not None
-    if has_shape and (shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2):
-        raise PlantError(
-            f"{name}: shape(state) has shape {shape.shape[1:]}; it must be (points, 2), 2 points "
-            "or more"
-        )
     force = np.asarray(reading.force if true_force is None else true_force, np.float64)
-    angle = np.asarray(reading.angle)
-    if not has_shape:
+    if shape is None:
+        # At angle 0 the fin points along -x, and at positive angles towards +y.
+        angle = np.asarray(reading.angle)
         tip = fin.length_m * np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
-        shape = np.stack([np.zeros_like(tip), tip], axis=1)
-    length = float(np.linalg.norm(np.diff(shape[0], axis=0), axis=1).sum())
-    # That of the default fin, in proportion to the length.
-    thickness = fin.thickness(np.linspace(0, fin.length_m, shape.shape[1])) * length / fin.length_m
+        points = np.stack([np.zeros_like(tip), tip], axis=1)
+    elif shape.ndim != 3 or shape.shape[1] < 2 or shape.shape[2] != 2:
+        raise PlantError(
+            f"{name}: shape(state) has shape {shape.shape[1:]}; must be (points, 2) with at least "
+            "2 points"
+        )
+    else:
+        points = np.asarray(shape)
+    length = float(np.linalg.norm(np.diff(points[0], axis=0), axis=1).sum())
+    # Thickness of the default fin, scaled to this length.
+    thickness = fin.thickness(np.linspace(0, fin.length_m, points.shape[1])) * length / fin.length_m
     return Footage(
         command=command,
         reading=reading,
-        true_force=true_force,
+        true_force=None if true_force is None else np.asarray(true_force),
         average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
-        shape=shape,
+        shape=points,
         length_m=length,
-        shape_known=has_shape,
+        shape_known=shape is not None,
         thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else thickness,
         reference=reference,
     )
 
 
 class Scale(NamedTuple):
-    """Scale of one drawing, the same for all its frames: the visible part of the tank, and the
-    length of a newton."""
+    """Scale of a drawing, the same for all frames: visible part of the tank and length of the
+    arrows."""
 
     length_m: float
     """Length of the fin [m]."""
     metres_per_newton: float
-    """Scale of the force's arrow."""
+    """Length of the force arrow per newton [m/N]."""
     key_n: float
-    """A round force for the key [N]."""
+    """Round force for the key [N]."""
     metres_per_mean_newton: float
-    """Scale of the reference and the mean force."""
+    """Length of the reference and mean force arrows per newton [m/N]."""
     mean_key_n: float
-    """A round force for their key [N]."""
+    """Round force for the key of these arrows [N]."""
     x: AxisRange
     """Visible part of the tank [m]."""
     y: AxisRange
     force: AxisRange
-    """Axis of the force traces [N]."""
+    """Axis limits of the force traces [N]."""
     angle: AxisRange
-    """Axis of the angle's trace [rad]."""
+    """Axis limits of the angle trace [rad]."""
 
 
 def max_sizes(footage: Footage) -> Float[np.ndarray, "2"]:
-    """Return the sizes of the largest force, and of the largest reference or mean force [N]; 0 if
-    it has none."""
+    """Return the magnitudes of the largest force, and of the largest reference or mean force (0 if
+    there is neither) [N]."""
     means = np.concatenate(
         [footage.average, NONE if footage.reference is None else footage.reference]
     )
-    return np.array([np.linalg.norm(each, axis=1).max() for each in (footage.force, means)], float)
+    force_n = np.linalg.norm(footage.force, axis=1).max()
+    mean_n = np.linalg.norm(means, axis=1).max()
+    return np.array([force_n, mean_n], float)
 
 
 def choose_scale(
     footage: Footage, greatest: Float[np.ndarray, "2"] | None = None, angle: AxisRange | None = None
 ) -> Scale:
-    """Return the scale by which fin and arrows stay in the picture at every tick.
+    """Return a scale at which the fin and the arrows stay within the picture at every tick.
 
-    For footage that is still growing, it holds up to the `greatest` sizes while the fin stays
-    within the `angle` [rad].
+    For footage that is still growing, the scale is valid for forces up to the `greatest` magnitudes
+    (`max_sizes`) and for angles within `angle` [rad].
     """
     length = footage.length_m
     force = np.asarray(footage.force, float)
@@ -182,11 +186,11 @@ def choose_scale(
     axis = (-force_n, force_n)
     if greatest is None:
         axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))
-        # At least half a newton, so that the noise of a fin at rest is not magnified.
+        # At least 0.5 N, so that the noise of a fin at rest is not magnified.
         force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
         mean_n = force_n if footage.reference is None else max(mean_n, 0.25)
-    # The longest arrow is a fixed part of the fin's length. Means are drawn longer than forces,
-    # never shorter.
+    # The longest arrow is a fixed fraction of the fin's length. One newton of a mean is never drawn
+    # shorter than one newton of a force.
     per_newton = LONGEST * length / force_n
     per_mean_newton = max(MEAN_LONGEST * length / mean_n, per_newton)
     seen = np.array([[-length, -length], [LONGEST * length, length]])
@@ -212,7 +216,7 @@ def choose_scale(
 
 
 def round_down(value: float) -> float:
-    """Return the last of 1, 2, 5, 10, 20 .. that is not above a value."""
+    """Return the largest of .., 0.5, 1, 2, 5, 10, .. that does not exceed a value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)) * power)
 
