@@ -113,10 +113,13 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
         "velocity_max_rad_s is 9000",
     ),
     (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
-    (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"lattice of \(12,\) nodes, two or more"),
+    (
+        lambda f: rewrite(f, lattice=lattice(nodes=[12])),
+        r"lattice of \(12,\) nodes; a lattice must have at least two",
+    ),
     (
         lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])),
-        r"lattice of \(1, 12\) nodes, two or more",
+        r"lattice of \(1, 12\) nodes; a lattice must have at least two",
     ),
     (
         lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])),
@@ -125,7 +128,7 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "must have two corners"),
     (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "must have two corners"),
     (lambda f: weights(f, actions=None), "actions"),
-    (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "not finite"),
+    (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "must be finite"),
     (lambda f: weights(f, force_n=np.zeros((3, 4), np.float32)), "do not fit"),
 ]
 
