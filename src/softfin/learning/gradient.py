@@ -119,6 +119,7 @@ class Gradient:
         reward = self.task.config.reward
         rounding = self.config.rounding_n
 
+        # The gradient flows through the plant, the observations and the memories of all actions.
         def act(now: EnvState, ticks: Ticks) -> tuple[EnvState, tuple[Array, RewardTerms]]:
             memories = jax.vmap(cleared)(now.memories, now.is_first)
             memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(now.states))

@@ -82,6 +82,7 @@ class Policy(eqx.Module):
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
             LinearLayer.create(hidden, config.units, config.width, 2**0.5),
+            # A small gain, so that the initial correction is close to 0.
             LinearLayer.create(output, config.width, ACTION_SIZE, 0.01),
         )
         log_std = jnp.full(ACTION_SIZE, jnp.log(config.init_std))

@@ -140,6 +140,7 @@ class PPO:
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
         """Return the state of an agent with new networks and fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
+        # Only the size of the privileged observation is needed, so nothing is simulated.
         state = jax.eval_shape(self.task.reset, environment_key, references)
         privileged = jax.eval_shape(self.task.privileged_observation, state)
         actor_key, critic_key = jax.random.split(network_key)
@@ -164,6 +165,7 @@ class PPO:
             self.task, networks.policy, agent.env_state, collect_key, cycles
         )
         batch, metrics = self.batch(networks.critic, rollout)
+        # Before training, so that the critic's targets are normalized from the first update on.
         recent = RECENT_UPDATES * self.config.steps_per_update
         critic = networks.critic.update_statistics(
             rollout.privileged_observation, batch.target, recent
@@ -314,6 +316,8 @@ class PPO:
 
         def epoch(carry: Learners, key: PRNGKeyArray) -> tuple[Learners, Metrics]:
             order_key, relabel_key = jax.random.split(key)
+            # Each epoch uses new references, and advantages of the policy and critic before the
+            # update.
             extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
             order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(
                 config.num_minibatches, -1

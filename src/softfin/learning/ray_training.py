@@ -100,6 +100,7 @@ def train_on_ray(
     tasks = split_into_tasks(config, seeds)
     with _connected(cluster) as ray:
         results = _run_tasks(ray, plant, tasks, run_directory, force_map, progress or silent)
+    # Tasks are in the order of seeds, then cells, so the leaves become (seeds, cells, ...).
     policies, evaluation = jax.tree.map(
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,

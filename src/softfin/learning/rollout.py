@@ -98,6 +98,7 @@ def start_episodes(
     """
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycles = task.config.episode_actions // len(ACTION_TICKS)
+    # Environment k starts k / count into its episode, rounded down to complete cycles.
     age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
     return EnvState(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
@@ -137,6 +138,7 @@ def _act(
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)
+    # a = tanh(u) with u ~ N(mean, std). `mean` and log_prob(u) are kept for the ratios of PPO.
     pre_tanh_action = mean + jnp.exp(policy.log_std) * noise
     states, outcome = jax.vmap(partial(task.step, ticks=ticks))(
         env_state.states, jnp.tanh(pre_tanh_action)
@@ -165,6 +167,8 @@ def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
     def choose(new: Array, old: Array) -> Array:
         return jnp.where(truncated.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
+    # All environments are reset and the finished ones chosen, because a branch cannot depend on
+    # traced values.
     again = jax.vmap(task.reset)(env_state.states.key, env_state.states.references)
     return EnvState(jax.tree.map(choose, again, env_state.states), env_state.memories, truncated)
 
@@ -206,8 +210,10 @@ def evaluate_policy(
     _, (forces, distances) = jax.lax.scan(
         act, (states, memories), jnp.asarray(action_ticks(actions))
     )
+    # Each action is padded to the length of the longest one; the series contains only valid ticks.
     series = jnp.swapaxes(drop_padding(forces, actions), 0, 1)
     error = moving_error(series, references[:, None], window)
     average = moving_average(series, window)
+    # A distance above 1 is out of distribution.
     outside = None if plant is None else (distances > 1).mean(axis=0)
     return PolicyEvaluation(error, average.std(axis=-2), outside)

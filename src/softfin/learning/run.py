@@ -116,6 +116,7 @@ def _init(
 
 @eqx.filter_jit
 def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
+    # Only `init` needs the table of gaits; afterwards the policy contains it.
     return jax.vmap(_learner(config, plant, None).update)(agents)
 
 
@@ -123,6 +124,7 @@ def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[Agen
 def _evaluate(
     task: TaskConfig, plant: Plant, policies: Policy, references: Array
 ) -> PolicyEvaluation:
+    # The key is always the same, so that policies of different updates and seeds can be compared.
     evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=named_key(0, "score"))
     return jax.vmap(evaluate)(policies, references)
 
@@ -254,6 +256,7 @@ def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
     results are NumPy arrays."""
     new = np.asarray(evaluation.error).mean(axis=(1, 2))
     old = np.asarray(state.best_evaluation.error).mean(axis=(1, 2))
+    # False for NaN. Axes of length 1 are appended to broadcast along the first axis of each leaf.
     better = new < old
     best, best_evaluation = jax.tree.map(
         lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b),

@@ -57,6 +57,7 @@ def train(
     state = state._replace(agents=run.over_devices(state.agents))
     record = run_directory.log(rewind_to=done * steps_per_update)
     count = min(config.num_evaluations, config.num_updates)
+    # Evenly spaced updates, including the last one.
     due = {round(config.num_updates * (i + 1) / count) for i in range(count)}
     while done < config.num_updates:
         done += 1

@@ -131,34 +131,15 @@ def compare_surrogates(
             progress("compare", next(done) / num_scorings, note)
 
     seeds = _by_group(found)
-    names = _name_groups([members[0] for members in seeds])
+    names = _name_groups(seeds)
     yardstick = _yardstick(seeds)
+    yardstick_cost = seeds[yardstick][0].surrogate.flops_per_tick()
     groups = []
     notes = list[str]()
     for name, members in zip(names, seeds, strict=True):
-        surrogate = members[0].surrogate
-        scores = []
-        readings = []
-        for member in members:
-            member_scores, reading = _score_candidate(member, scored, config, report)
-            scores.append(member_scores)
-            readings.append(reading)
-        cost = surrogate.flops_per_tick()
-        share, furthest = beyond_limits(members, logs)
-        row = {
-            "name": name,
-            "model": surrogate.model,
-            "surrogates": [str(member.folder) for member in members],
-            "seeds": len(members),
-            "parameters": surrogate.parameters(),
-            "flops_per_tick": cost,
-            "flops_ratio": cost / seeds[yardstick][0].surrogate.flops_per_tick(),
-            "commands_beyond_training": share,
-            "furthest_beyond_training": furthest,
-            "horizons": _horizons(config, scores),
-        }
-        groups.append(Group(row, [horizons[-1] for horizons in scores], readings[0]))
-        for note in _notes(row, surrogate):
+        group = _score_group(name, members, scored, config, yardstick_cost, report)
+        groups.append(group)
+        for note in _notes(group.row, members[0].surrogate):
             notes.append(f"{name}: {note}")
     second = None
     if noise_floor is not None:
@@ -210,14 +191,46 @@ def _yardstick(seeds: Sequence[Sequence[Candidate]]) -> int:
     return 0
 
 
-def _name_groups(firsts: Sequence[Candidate]) -> list[str]:
-    """Return the model of each group, with its folder if several groups have that model."""
-    models = [first.surrogate.model for first in firsts]
+def _name_groups(seeds: Sequence[Sequence[Candidate]]) -> list[str]:
+    """Return the model of each group, with its first folder if several groups have that model."""
+    models = [members[0].surrogate.model for members in seeds]
     names = []
-    for first, model in zip(firsts, models, strict=True):
+    for members, model in zip(seeds, models, strict=True):
         is_unique = models.count(model) == 1
-        names.append(model if is_unique else f"{model} ({first.folder})")
+        names.append(model if is_unique else f"{model} ({members[0].folder})")
     return names
+
+
+def _score_group(
+    name: str,
+    members: Sequence[Candidate],
+    scored: ScoredRows,
+    config: CompareConfig,
+    yardstick_cost: int,
+    report: Callable[[str], None],
+) -> Group:
+    surrogate = members[0].surrogate
+    scores = []
+    readings = []
+    for member in members:
+        member_scores, reading = _score_candidate(member, scored, config, report)
+        scores.append(member_scores)
+        readings.append(reading)
+    cost = surrogate.flops_per_tick()
+    share, furthest = beyond_limits(members, scored.logs)
+    row = {
+        "name": name,
+        "model": surrogate.model,
+        "surrogates": [str(member.folder) for member in members],
+        "seeds": len(members),
+        "parameters": surrogate.parameters(),
+        "flops_per_tick": cost,
+        "flops_ratio": cost / yardstick_cost,
+        "commands_beyond_training": share,
+        "furthest_beyond_training": furthest,
+        "horizons": _horizons(config, scores),
+    }
+    return Group(row, [horizons[-1] for horizons in scores], readings[0])
 
 
 def _score_candidate(

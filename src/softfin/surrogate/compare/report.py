@@ -92,16 +92,22 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
         zip(comparison.groups, cycle(STYLES), strict=False)
     ):
         for number, (axis, face) in enumerate(zip(AXES, (colour, "white"), strict=True)):
-            cells = [row[f"force_{axis}_rmse_n"] for row in group.row["horizons"]]
-            intervals = [cell["interval"] for cell in cells if cell["interval"] is not None]
+            means = []
+            half_widths = []
+            for row in group.row["horizons"]:
+                cell = row[f"force_{axis}_rmse_n"]
+                means.append(cell["mean"])
+                # A single seed has no interval.
+                if cell["interval"] is not None:
+                    low, high = cell["interval"]
+                    half_widths.append((high - low) / 2)
             # Shifted so that the error bars do not overlap: 2 * count series, centred on the tick.
             shift = 0.03 * (2 * index + number - count + 0.5)
-            # One seed has no interval, and Matplotlib needs None instead of an empty list.
-            half_widths = [(high - low) / 2 for low, high in intervals] or None
             axes.errorbar(
                 places + shift,
-                [cell["mean"] for cell in cells],
-                half_widths,
+                means,
+                # Matplotlib needs None instead of an empty list.
+                half_widths or None,
                 linestyle=line,
                 marker=marker,
                 color=colour,
