@@ -109,7 +109,7 @@ def test_progress_of_both_parts_rises_to_the_end() -> None:
 
 
 def test_a_fin_without_thrust_has_nothing_to_map() -> None:
-    with pytest.raises(PlantError, match=r"no slope against its commands.*softfin fit"):
+    with pytest.raises(PlantError, match=r"no gradient with respect to its commands.*softfin fit"):
         find_force_map(StrokeFin(gain=0.0), MapConfig())
 
 

@@ -128,7 +128,7 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
     (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "must have two corners"),
     (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "must have two corners"),
     (lambda f: weights(f, actions=None), "actions"),
-    (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "must be finite"),
+    (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "not finite"),
     (lambda f: weights(f, force_n=np.zeros((3, 4), np.float32)), "do not fit"),
 ]
 

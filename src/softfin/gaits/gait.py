@@ -178,7 +178,7 @@ class ForceMap(NamedTuple):
             and (abs(actions) <= 1 + 1e-5).all()
         ):
             raise ValueError(
-                "gaits and forces must be finite, and actions within [-1, 1], the limits of the "
+                "gaits or forces are not finite, or actions are outside [-1, 1], the limits of the "
                 "plant"
             )
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
