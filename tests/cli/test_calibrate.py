@@ -10,10 +10,10 @@ from tests.cli.test_cli import fails
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant takes"),
+        (["tank", "--velocity", "3,2"], "velocity_rad_s = 3, 2: the plant accepts"),
         (
             ["tank", "--set", "parameters.fin.lenght_m=[0.1, 0.3]"],
-            "no 'fin.lenght_m'; did you mean 'fin.length_m'?",
+            "unknown parameter 'fin.lenght_m'; did you mean 'fin.length_m'?",
         ),
         (
             ["tank", "--set", "parameters.fin.length_m=3"],

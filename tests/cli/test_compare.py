@@ -31,7 +31,10 @@ def folders(tmp_path_factory):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["s0", "s1", "s0"], "s0: given twice, or a copy of another; give each surrogate once"),
+        (
+            ["s0", "s1", "s0"],
+            "s0: duplicate surrogate, or a copy of another one; list each surrogate once",
+        ),
         (
             ["s0", "--dataset", "untested"],
             "untested: contains no test logs; put Parquet logs into",

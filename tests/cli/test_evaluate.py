@@ -141,8 +141,8 @@ def test_a_randomization_of_0_is_the_very_same_tank(controller):
 @pytest.mark.parametrize(
     ("part", "told"),
     [
-        ("-1", " -1: give a fraction from 0"),
-        ("5", " 5: give a fraction from 0"),
+        ("-1", " -1: must be at least 0"),
+        ("5", " 5: must be at least 0"),
         ("nan", "randomize = nan: Input should be a"),
     ],
 )

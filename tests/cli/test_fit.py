@@ -90,7 +90,7 @@ def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):
         (["--epochs", "3"], "--epochs: applies only to --model paper, got --model streaming; use"),
         (
             ["--set", "ticks=300", "--set", "burn_in=10"],
-            "has 300 rows; 321 are needed in one piece; record longer",
+            "has 300 rows; at least 321 are required; record longer",
         ),
     ],
 )
@@ -138,7 +138,7 @@ def test_one_log_is_too_few(capsys, tmp_path):
     write_dataset(tmp_path / "one", [small.recorded(700)], [], {})
     line = fails(capsys, "fit", str(tmp_path / "one"), "--out", str(tmp_path / "s"))
     assert (
-        "1 training log: at least 2 are needed, one for training and one held out; record more"
+        "training logs: found 1, expected at least 2, one for training and one held out; record more"
         in line
     )
 

@@ -38,7 +38,7 @@ def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
     [
         (["tank", "--set", "spacing_n=0"], "spacing_n = 0: Input should be greater than 0"),
         (["tank", "--set", "survey.direction=8"], "did you mean 'directions'?"),
-        (["tank", "--set", "box={low: [1, 0], high: [0, 1]}"], "is above high"),
+        (["tank", "--set", "box={low: [1, 0], high: [0, 1]}"], "must not be greater than high"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(capsys, tmp_path, words, expected):

@@ -122,7 +122,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "grid",
             lambda f: edit(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
-            "no radius under 0",
+            "no radius negative",
         ),
         (
             "grid",

@@ -32,11 +32,11 @@ def drawn(known, tolerance_n=0.1):
 
 def test_region_nodes_and_references_stand_where_they_are():
     lines, axes, colours = drawn(with_missed((0, 0), (2, 3)))
-    outline = lines["edge of what the fin can make"]
+    outline = lines["edge of the reachable region"]
     np.testing.assert_allclose(outline[:-1], KNOWN.reachable.corners())
     np.testing.assert_array_equal(outline[0], outline[-1])
-    assert len(lines["a gait makes this force"]) == 10
-    np.testing.assert_allclose(lines["no gait found makes this force"], [(0.5, -1), (2.5, 2)])
+    assert len(lines["a gait produces this force"]) == 10
+    np.testing.assert_allclose(lines["no gait found for this force"], [(0.5, -1), (2.5, 2)])
     np.testing.assert_allclose(lines["the paper's references"], PAPER_REFERENCES)
     assert "[N]" in axes.get_xlabel()
     assert "[N]" in axes.get_ylabel()
@@ -44,11 +44,11 @@ def test_region_nodes_and_references_stand_where_they_are():
 
 
 def test_where_all_are_held_no_cross_is_explained():
-    assert "no gait found makes this force" not in drawn(KNOWN)[0]
+    assert "no gait found for this force" not in drawn(KNOWN)[0]
 
 
 def test_the_tolerance_says_what_is_held():
-    assert len(drawn(KNOWN, 0.001)[0]["no gait found makes this force"]) == 12
+    assert len(drawn(KNOWN, 0.001)[0]["no gait found for this force"]) == 12
 
 
 def test_everything_is_within_the_frame():

@@ -109,7 +109,7 @@ def test_progress_of_both_parts_rises_to_the_end() -> None:
 
 
 def test_a_fin_without_thrust_has_nothing_to_map() -> None:
-    with pytest.raises(PlantError, match=r"no slope against its commands.*softfin fit"):
+    with pytest.raises(PlantError, match=r"no gradient with respect to its commands.*softfin fit"):
         find_force_map(StrokeFin(gain=0.0), MapConfig())
 
 
@@ -136,7 +136,7 @@ def test_forces_that_a_star_leaves_out_are_counted_and_warned_of() -> None:
     gaits = cloud(FINE, RING)
     star, warning = check_star(ForceMap(gaits, held_region(WIDE, gaits, 0.1)), 0.1)
     assert star["held_outside"] > 0.3
-    assert "of the forces that gaits make lie outside it" in (warning or "")
+    assert "of the forces that gaits produce are outside the stored region" in (warning or "")
 
 
 def test_forces_within_a_star_that_no_gait_makes_are_counted_and_warned_of() -> None:

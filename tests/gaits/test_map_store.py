@@ -102,10 +102,10 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
         lambda f: rewrite(f, format=99),
         "format is 99, written by a newer softfin; this softfin reads .; update softfin",
     ),
-    (lambda f: rewrite(f, reachable=None), "reachable is None; it must be an object"),
+    (lambda f: rewrite(f, reachable=None), "reachable = None: must be an object"),
     (
         lambda f: rewrite(f, reachable={"centre_n": [0, 0], "radius_n": [1, -1, 1]}),
-        "no radius under 0",
+        "no radius negative",
     ),
     (lambda f: rewrite(f, limits={}), "angle_min_rad is missing"),
     (
@@ -113,17 +113,20 @@ HARMS: list[tuple[Callable[[Path], None], str]] = [
         "velocity_max_rad_s is 9000",
     ),
     (lambda f: rewrite(f, lattice=lattice(nodes=[4, 3])), r"do not fit a lattice of \(4, 3\)"),
-    (lambda f: rewrite(f, lattice=lattice(nodes=[12])), r"lattice of \(12,\) nodes, two or more"),
+    (
+        lambda f: rewrite(f, lattice=lattice(nodes=[12])),
+        r"lattice of \(12,\) nodes; a lattice must have at least two",
+    ),
     (
         lambda f: rewrite(f, lattice=lattice(nodes=[1, 12])),
-        r"lattice of \(1, 12\) nodes, two or more",
+        r"lattice of \(1, 12\) nodes; a lattice must have at least two",
     ),
     (
         lambda f: rewrite(f, lattice=lattice(high_n=[2.5, -2.0])),
         r"lattice from \[0.5, -1.0\] to \[2.5, -2.0\] N",
     ),
-    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "must be two corners"),
-    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "must be two corners"),
+    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5, float("nan")])), "must have two corners"),
+    (lambda f: rewrite(f, lattice=lattice(low_n=[0.5])), "must have two corners"),
     (lambda f: weights(f, actions=None), "actions"),
     (lambda f: weights(f, actions=np.full((3, 4, 6, 2), np.nan, np.float32)), "not finite"),
     (lambda f: weights(f, force_n=np.zeros((3, 4), np.float32)), "do not fit"),
@@ -154,6 +157,6 @@ def test_a_map_is_known_of_the_very_plant_that_it_was_made_of(tmp_path: Path) ->
     assert loaded.config == config
     with pytest.raises(
         ArtifactError,
-        match=r"of another plant .* than other .* has now; map .*: softfin map other --out DIR",
+        match=r"belongs to another plant .* than those of other .*; map this plant: softfin map other --out DIR",
     ):
         load_force_map(tmp_path / "map", AnalyticFin(), "other")

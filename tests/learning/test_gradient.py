@@ -262,7 +262,7 @@ class Broken(StrokeFin):
         (PlainFin(), None),
         (Direct(), None),
         (Delayed(), None),
-        (Numb(), "its slope is 0 throughout"),
+        (Numb(), "its gradient is 0"),
         (Foreign(), "JAX cannot differentiate it (ValueError: Pure callbacks do not support JVP."),
     ],
     ids=["strokes", "analytic", "plain", "direct", "delayed", "numb", "foreign"],
@@ -378,7 +378,7 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
     check(StrokeFin(), QUICK, (0,), mapped())
     with pytest.raises(
         ConfigurationError,
-        match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not reach over",
+        match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not cover",
     ):
         check(StrokeFin(), wide, (0,), mapped())
 
@@ -386,13 +386,13 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:
     assert choose_preset(StrokeFin(), "single") == (
         GRADIENT_SINGLE,
-        "gradient, as the plant has gradients",
+        "gradient, because the plant has gradients",
     )
     relabelled, reason = choose_preset(Numb())
     assert relabelled.algorithm == "ppo"
     assert relabelled.ppo.relabelling == 1
-    assert reason == "ppo-hindsight, because the plant has no gradient: its slope is 0 throughout"
-    assert choose_preset(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as asked")
+    assert reason == "ppo-hindsight, because the plant has no gradient: its gradient is 0"
+    assert choose_preset(StrokeFin(), "grid", "ppo") == (GRID, "ppo, as requested")
 
 
 def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
@@ -403,7 +403,7 @@ def test_policies_of_a_grid_are_trained_for_all_that_they_hold() -> None:
 def test_members_are_trained_in_only_where_there_are_several() -> None:
     config = TrainConfig(ensemble="each")
     with pytest.raises(
-        ConfigurationError, match="ensemble = each: the plant is not an ensemble of two members or"
+        ConfigurationError, match="ensemble = each: the plant must be an ensemble of at least two"
     ):
         check(StrokeFin(), config, (0,))
     check(streaming.surrogate(), config, (0,))

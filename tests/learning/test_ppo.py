@@ -277,5 +277,7 @@ def test_entropy_is_rewarded_with_its_weight(learnt: Learnt) -> None:
 
 
 def test_minibatches_of_unequal_size_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"num_envs = 10 do not make 4 equal minibatches"):
+    with pytest.raises(
+        ConfigurationError, match=r"num_envs = 10 must be a multiple of num_minibatches = 4"
+    ):
         PPOConfig.build({"num_envs": 10, "num_minibatches": 4})

@@ -36,7 +36,7 @@ def test_a_cluster_without_ray_is_refused(tmp_path: Path):
 def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(
-        ConfigurationError, match=r"^--engine ray needs ray, .*pip install .*\[ray\]"
+        ConfigurationError, match=r"^--engine ray: Ray is not installed; .*pip install .*\[ray\]"
     ):
         check_cluster("127.0.0.1:6399")
 
@@ -46,11 +46,11 @@ def test_without_ray_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch):
     [
         (
             "127.0.0.1:{unused}",
-            r"nothing answers there \(.*refused\); give --cluster HOST:PORT as `ray start --head` ",
+            r"cannot connect \(.*refused\); use --cluster HOST:PORT with the address that `ray start ",
         ),
-        ("no-such-host.invalid:6379", r"nothing answers there \(.*\); give --cluster HOST:PORT"),
-        ("auto", "not an address HOST:PORT; give --cluster HOST:PORT"),
-        ("127.0.0.1:65536", "not an address HOST:PORT"),
+        ("no-such-host.invalid:6379", r"cannot connect \(.*\); use --cluster HOST:PORT"),
+        ("auto", "invalid address; use --cluster HOST:PORT"),
+        ("127.0.0.1:65536", "invalid address"),
     ],
 )
 def test_a_cluster_that_is_not_there_is_told_at_once_in_one_line(
@@ -99,7 +99,7 @@ def test_a_task_that_fails_for_good_is_told_in_one_line_when_the_others_are_done
     kind, message, finished = told["die"]
     assert (kind, finished) == ("RunError", last_step)
     assert message.startswith("seed-0: its worker died 3 times (")
-    assert message.endswith("what is finished is kept: check memory and machines, then --resume")
+    assert message.endswith("finished tasks are kept; check memory and machines, then use --resume")
 
 
 @pytest.mark.slow

@@ -129,7 +129,7 @@ def test_a_loss_that_is_not_finite_stops_with_its_place_and_the_last_good_checkp
     with pytest.raises(Cut):
         trained(tmp_path, (5, 6), progress=cut)
     words = (
-        r"the loss is not finite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 "
+        r"the loss is NaN or infinite in update 2 of 4, seed 5, cell x 0.5 .. 1.5, y -1.5 .. -0.5 "
         r"N; lower ppo.learning"
     )
     with pytest.raises(RunError, match=words):
@@ -148,7 +148,7 @@ def test_scores_that_are_not_finite_stop_it_as_a_loss_does(monkeypatch: pytest.M
     run.plant = None
     run.references = jnp.zeros((2, 1, 2))
     words = (
-        r"^train: the force while the policies are evaluated is not finite in update 3 of 4, "
+        r"^train: the force in the evaluation is NaN or infinite in update 3 of 4, "
         r"seed 5, cell x 1.5 .. 2.5"
     )
     with pytest.raises(RunError, match=words):
@@ -162,13 +162,13 @@ def test_a_budget_under_one_rollout_and_repeated_seeds_are_refused(tmp_path: Pat
     ):
         trained(tmp_path, config=small)
     with pytest.raises(
-        ConfigurationError, match=r"seeds \[3, 3\]: give at least one, and each once"
+        ConfigurationError, match=r"seeds \[3, 3\]: use at least one seed, without duplicates"
     ):
         trained(tmp_path, (3, 3))
 
 
 def test_a_single_controller_of_two_cells_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="a single controller has one cell, not 2"):
+    with pytest.raises(ConfigurationError, match="a single controller must have one cell, not 2"):
         TrainConfig.build({**SMALL.model_dump(), "controller": "single"})
 
 

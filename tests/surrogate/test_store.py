@@ -82,33 +82,36 @@ def test_a_surrogate_from_before_there_was_another_kind_is_the_papers(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(rate_hz=50), "made for 50 Hz; softfin runs at 100 Hz"),
+        (lambda d: d.update(rate_hz=50), "the surrogate runs at 50 Hz; softfin requires 100 Hz"),
         (
             lambda d: d.update(format=2),
             "format is 2, written by a newer softfin; this softfin reads 1; update softfin",
         ),
         (
             lambda d: d.update(model="oracle"),
-            "model 'oracle'; this softfin has paper, streaming; update it",
+            "unknown model 'oracle'; this version of softfin supports paper, streaming; update softfin",
         ),
         (
             lambda d: d["channels"]["out"].pop(),
-            r"channels .*'force_x_n'\]\}; streaming surrogates have .*'force_y_n'",
+            r"unsupported channels .*'force_x_n'\]\}; streaming surrogates must have .*'force_y_n'",
         ),
         (
             lambda d: d["networks"]["force"].update(units=4),
-            r"familiarity\.mean has the shape .* must have .*copy",
+            r"familiarity\.mean has the shape .* expected a finite array of shape .*copy",
         ),
-        (lambda d: d.update(members=3), r"has the shape \(2, .* must have \(3, "),
-        (lambda d: d.update(members="many"), "not a surrogate's description"),
-        (lambda d: d.pop("scales"), r"not a surrogate's description \('scales'\)"),
-        (lambda d: d["scales"].update(force_n=-1), "not a surrogate's description"),
+        (
+            lambda d: d.update(members=3),
+            r"has the shape \(2, .* expected a finite array of shape \(3, ",
+        ),
+        (lambda d: d.update(members="many"), "invalid description of a surrogate"),
+        (lambda d: d.pop("scales"), r"invalid description of a surrogate \('scales'\)"),
+        (lambda d: d["scales"].update(force_n=-1), "invalid description of a surrogate"),
         (
             lambda d: d["networks"]["drive"].update(profile=False),
-            r"networks.drive: profile = False: Input should be True; .* fit it again",
+            r"networks.drive: profile = False: Input should be True; .* fit the surrogate again",
         ),
-        (lambda d: d["limits"].pop("angle_min_rad"), "not a surrogate's description"),
-        (lambda d: d["limits"].update(angle_min_rad="low"), "not a surrogate's description"),
+        (lambda d: d["limits"].pop("angle_min_rad"), "invalid description of a surrogate"),
+        (lambda d: d["limits"].update(angle_min_rad="low"), "invalid description of a surrogate"),
     ],
 )
 def test_a_description_that_does_not_fit_is_one_clear_line(stored, change, words):
@@ -129,6 +132,7 @@ def test_arrays_that_are_missing_or_short_are_named(stored, name):
         changed |= {} if array is None else {name: array}
         (stored / artifacts.WEIGHTS).write_bytes(artifacts.encode(changed))
         with pytest.raises(
-            ArtifactError, match=rf"{name} {held}.* must have .*copy the whole folder again"
+            ArtifactError,
+            match=rf"{name} {held}.* expected a finite array of shape .*copy the complete folder again",
         ):
             load_surrogate(stored)

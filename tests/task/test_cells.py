@@ -107,7 +107,7 @@ def test_a_file_may_leave_gaps_where_it_says_so(tmp_path: Path) -> None:
             "cells: [{low: [0, 0], high: [0, 1]}]",
             r"cell 1 \(x 0 .. 0, y 0 .. 1 N\) has no width in x; use a lower and a higher force",
         ),
-        ("cells: [{low: [0, 0], high: [-1, 1]}]", "low .* is above high"),
+        ("cells: [{low: [0, 0], high: [-1, 1]}]", "low .* must not be greater than high"),
         ("cells: [{low: [.nan, 0], high: [1, 1]}]", r"cells.0.low.0.* = nan: .* finite"),
         ("cells: [{low: [0, 0], high: [1, .inf]}]", r"cells.0.high.1.* = inf: .* finite"),
         ("cells: [{low: [0], high: [1, 1]}]", r"cells.0.low.1"),
@@ -160,7 +160,7 @@ def test_a_range_is_four_numbers() -> None:
         ("1,2,3", "--range 1,2,3: must be four numbers X0,Y0,X1,Y1"),
         ("1,2,3,x", "not four numbers"),
         ("nan,0,1,1", "--range nan,0,1,1: low.0.* = nan: .* finite"),
-        ("2,0,1,1", "--range 2,0,1,1: low .* is above high"),
+        ("2,0,1,1", "--range 2,0,1,1: low .* must not be greater than high"),
     ],
 )
 def test_what_is_no_range_is_refused(text: str, message: str) -> None:

@@ -69,6 +69,7 @@ def test_a_lattice_lies_evenly_within_the_cell() -> None:
 
 def test_a_cell_upside_down_is_refused() -> None:
     with pytest.raises(
-        ConfigurationError, match=r"low .* is above high .*; give the lower corner first"
+        ConfigurationError,
+        match=r"low .* must not be greater than high .*; use the lower corner first",
     ):
         Cell.build({"low": (1, 0), "high": (0, 1)})

@@ -1,1 +1,1 @@
-"""Periodic motions, the mean forces that they make, and the region of all that a fin can make."""
+"""Gaits (periodic motions), their mean forces, and the region of forces that a fin can produce."""

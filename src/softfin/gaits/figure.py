@@ -1,4 +1,4 @@
-"""The figure of a force map: the mean forces that a fin can make, and the Sobolev terms of their
+"""The figure of a force map: the mean forces that a fin can produce, and the Sobolev terms of their
 gaits."""
 
 import numpy as np
@@ -13,17 +13,16 @@ from softfin.storage.figures import BLACK, GREY, new_figure, styled
 
 
 def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
-    """Draw one panel: colour is the Sobolev term (form `mean`, both axes) of the gait at each
-    reachable node.
+    """Plot the Sobolev term (form `mean`, both axes) of the gait at each reachable node.
 
-    A node counts as held where its gait's force error is within the tolerance.
+    Nodes with a force error within the tolerance are marked with dots, all others with crosses.
     """
     gaits, reachable = force_map
     nodes = gaits.table.references()
     cost = gaits.smoothness.sum(axis=-1)
     held = gaits.force_error() <= tolerance_n
     outline = np.concatenate([reachable.corners(), reachable.corners()[:1]])
-    # Round levels over all values, with some breadth where all are the same.
+    # Round numbers as levels; if all values are equal, the range is widened.
     levels = MaxNLocator(12).tick_values(
         float(cost.min()), max(float(cost.max()), float(cost.min()) + 0.01)
     )
@@ -31,10 +30,10 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         figure = new_figure(6.4, 5.2)
         axes = figure.subplots()
         colours = axes.contourf(nodes[..., 0], nodes[..., 1], cost, levels=levels, cmap="Blues")
-        # Nodes beyond reach hold the gait of the nearest force: what lies outside the outline is no
-        # result.
+        # Nodes outside the region have the gait of the nearest reachable force, so their values
+        # must not be shown.
         colours.set_clip_path(Polygon(outline, transform=axes.transData))
-        axes.plot(*outline.T, color=BLACK, linewidth=1.6, label="edge of what the fin can make")
+        axes.plot(*outline.T, color=BLACK, linewidth=1.6, label="edge of the reachable region")
         halo = [withStroke(linewidth=3, foreground="white")]
         axes.plot(
             *nodes[held].T,
@@ -42,7 +41,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
             color=BLACK,
             markersize=2.5,
             path_effects=halo,
-            label="a gait makes this force",
+            label="a gait produces this force",
         )
         if not held.all():
             axes.plot(
@@ -50,7 +49,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
                 "x",
                 color=GREY,
                 markersize=4,
-                label="no gait found makes this force",
+                label="no gait found for this force",
             )
         x, y = np.array(PAPER_REFERENCES, float).T
         axes.plot(
@@ -69,7 +68,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         axes.set(xlabel="mean force x [N]", ylabel="mean force y [N]")
         figure.colorbar(
-            colours, ax=axes, label="Sobolev term of the gait, x and y together [N]", shrink=0.9
+            colours, ax=axes, label="Sobolev term of the gait, sum of x and y [N]", shrink=0.9
         )
         figure.legend(loc="outside lower center", ncols=2)
     return figure

@@ -1,8 +1,7 @@
-"""The force map of a fin: the mean forces that it can make, their Sobolev terms, and the gaits that
-make them.
+"""The force map of a fin: the mean forces that it can produce, with their gaits and Sobolev terms.
 
-Its folder holds ``map.json`` (lattice, region, provenance) and ``weights.safetensors`` (gaits,
-their forces).
+The folder of a map contains ``map.json`` (lattice, region, provenance) and ``weights.safetensors``
+(gaits and their forces).
 """
 
 from pathlib import Path
@@ -27,31 +26,31 @@ from softfin.storage import artifact as artifacts
 MAP_KIND = "map"
 
 RAY_PARTS = 24
-"""Places along the ray to each corner at which the error is interpolated."""
+"""Number of points along the ray to each corner at which the error is interpolated."""
 
 NOT_STAR = 0.05
-"""Fraction from which on a region counts as not star-shaped: a node or two lie on its edge
-anyway."""
+"""Fraction of nodes on the wrong side of the edge above which a region is not considered
+star-shaped. A few nodes are always too close to the edge to tell."""
 
 
 class MapConfig(Configuration):
     """Configuration of a force map."""
 
     box: Cell | None = None
-    """Forces that are mapped [N]; none: all that the survey reached, rounded outwards to whole
-    spacings."""
+    """Range of the mapped forces [N]; null for all forces found by the survey, rounded outwards to
+    multiples of the spacing."""
     spacing_n: PositiveFloat = 0.5
-    """Greatest distance between nodes of the lattice [N] before it is halved (`gaits.halvings`)."""
+    """Maximum distance between nodes of the lattice [N] before it is halved (`gaits.halvings`)."""
     tolerance_n: float = Field(default=0.1, gt=0)
-    """Force error up to which a force counts as reachable [N]."""
+    """Maximum force error of a gait for its force to be reachable [N]."""
     survey: SurveyConfig = SurveyConfig()
-    """Configuration of the survey, which comes first."""
+    """Configuration of the survey, which precedes the search for gaits."""
     gaits: GaitConfig = GaitConfig()
-    """Configuration of the search for the lattice's gaits."""
+    """Configuration of the search for gaits."""
 
     def empty_table(self, surveyed: Reachable) -> GaitTable:
-        """Return a table without gaits over the box or the surveyed region, with the spacing before
-        any halving."""
+        """Return an empty table over the box or the surveyed region, with the spacing before any
+        halving."""
         box = self.box
         if box is None:
             low, high = np.asarray(surveyed.bounds()) / self.spacing_n
@@ -62,46 +61,53 @@ class MapConfig(Configuration):
 
 
 def empty_map(table: GaitTable, directions: int) -> ForceMap:
-    """Return a map of the right shapes, to load a checkpoint into."""
+    """Return an empty map with the shapes of a checkpoint."""
     nothing = np.zeros((*table.nodes, 2), np.float32)
     nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
     return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
 def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None = None) -> ForceMap:
-    """Survey a plant, search a gait for every node, and determine how far the gaits reach."""
+    """Survey a plant, find a gait for each node, and determine the region that the gaits reach.
+
+    Raises:
+        PlantError: the plant has no gradient.
+    """
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
-            "map: the mean force of this plant has no slope against its commands, which the "
-            f"search for gaits follows: {reason}; record it (softfin collect), fit a surrogate "
-            "(softfin fit) and map that"
+            "map: the mean force of this plant has no gradient with respect to its commands, which "
+            f"the search for gaits requires: {reason}; record the plant (softfin collect), fit a "
+            "surrogate (softfin fit), and map the surrogate"
         )
-    told = report or (lambda *_: None)
-    surveyed = survey(plant, config.survey, lambda done, note: told(0.3 * done, note))
+    notify = report or (lambda *_: None)
+    # The survey takes about 30% of the progress bar.
+    surveyed = survey(plant, config.survey, lambda done, note: notify(0.3 * done, note))
     empty = config.empty_table(surveyed.reachable)
     gaits = find_gaits(
-        plant, surveyed, empty, config.gaits, lambda done, note: told(0.3 + 0.7 * done, note)
+        plant, surveyed, empty, config.gaits, lambda done, note: notify(0.3 + 0.7 * done, note)
     )
     return ForceMap(gaits, held_region(surveyed.reachable, gaits, config.tolerance_n))
 
 
 def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float) -> Reachable:
-    """Shorten each ray of a region to where the force error of the nodes round it exceeds the
+    """Shorten each ray of a region to the point where the interpolated force error exceeds the
     tolerance.
 
-    A node beyond the fin's reach makes the nearest force that the fin can make, so its error grows
-    with the distance to the edge, and between the nodes it may be interpolated. Beyond the lattice,
-    where it is 0, the survey's region is kept.
+    A node outside the reachable region has the gait of the nearest reachable force, so its error
+    increases with the distance to the edge and can be interpolated. Outside the lattice the error
+    is set to 0, so the surveyed region is kept there.
     """
     radius = np.asarray(surveyed.radius)
     low = np.asarray(gaits.table.low, float)
     high = np.asarray(gaits.table.high, float)
     parts = np.linspace(0, 1, RAY_PARTS + 1)[1:, None, None]
     force = np.asarray(surveyed.centre) + parts * (radius[:, None] * directions(len(radius)))
+    # In units of nodes, (parts, corners, 2).
     place = (force - low) / np.maximum(high - low, 1e-9) * (np.array(gaits.table.nodes) - 1)
     error = map_coordinates(
         gaits.force_error(), np.moveaxis(place, -1, 0), float, order=1, mode="constant"
     )
+    # Number of parts before the first one that exceeds the tolerance.
     good = np.cumprod(error <= tolerance_n, axis=0).sum(axis=0)
     return surveyed._replace(
         radius=np.asarray(radius * np.maximum(good, 1) / RAY_PARTS, np.float32)
@@ -109,39 +115,41 @@ def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
 
 
 def check_star(force_map: ForceMap, tolerance_n: float) -> tuple[dict[str, float], str | None]:
-    """Compare the nodes of a map with its region: two fractions, and a warning where one of them is
-    large.
+    """Check whether the reachable forces of a map are star-shaped, as its region assumes.
 
-    ``held_outside`` is the fraction of the nodes whose gaits make their force that lie clearly
-    outside the region, ``missed_inside`` the fraction of the nodes within it whose gaits do not.
+    Returns:
+        ``held_outside``, the fraction of nodes with an accurate gait that are clearly outside the
+        region, and ``missed_inside``, the fraction of nodes in the region without an accurate gait;
+        and a warning if one of them is large.
     """
     region = force_map.reachable
     nodes = force_map.gaits.table.references().reshape(-1, 2)
     held = force_map.gaits.force_error().reshape(-1) <= tolerance_n
-    # A ray ends at the last of its parts that is held, which may be one part short of the edge.
+    # A ray ends at its last accurate point, which may be one part short of the edge.
     margin_n = tolerance_n + float(np.max(region.radius)) / RAY_PARTS
     clearly_outside = ~region.contains(nodes, margin_n)
     inside = region.contains(nodes)
     outside = float((held & clearly_outside).sum() / max(held.sum(), 1))
     unmet = float((inside & ~held).sum() / max(inside.sum(), 1))
     warning = (
-        "the region is kept as star-shaped about its centre, which this fin's is not: "
-        f"{outside:.0%} of the forces that gaits make lie outside it, and no gait was found for "
-        f"{unmet:.0%} of the forces inside it"
+        "map: the region is stored as star-shaped about its centre, but that of this fin is not: "
+        f"{outside:.0%} of the forces that gaits produce are outside the stored region, and no "
+        f"gait was found for {unmet:.0%} of the forces inside it"
     )
     star = {"held_outside": outside, "missed_inside": unmet}
     return star, warning if max(outside, unmet) > NOT_STAR else None
 
 
 class LoadedMap(NamedTuple):
-    """Content of a map's folder."""
+    """Content of the folder of a map."""
 
     force_map: ForceMap
     limits: Limits
-    """Limits of the gaits' commands."""
+    """Command limits of the plant; actions of the gaits are relative to them."""
     config: MapConfig
-    """Configuration that the map was made with."""
+    """Configuration of the map."""
     plant_identity: str | None
+    """Identity of the plant, if known."""
 
 
 def save_map(
@@ -152,8 +160,8 @@ def save_map(
     origin: JsonObject,
     overwrite: bool = False,
 ) -> None:
-    """Write a map with its figure, ``map.svg`` and ``map.png``, whole or not at all."""
-    # Who only reads maps need not wait for Matplotlib.
+    """Write a map and its figure, ``map.svg`` and ``map.png``, completely or not at all."""
+    # Imported here, because importing Matplotlib takes time and reading a map does not need it.
     from softfin.gaits.figure import map_figure
     from softfin.storage.figures import save_figure
 
@@ -174,7 +182,7 @@ def save_map(
 
 
 def load_map(path: Path) -> LoadedMap:
-    """Load the map in a folder; raises ArtifactError where there is none, or it is damaged."""
+    """Load the map in a folder; raises ArtifactError if it is missing or damaged."""
     description, weights = artifacts.load(path, MAP_KIND)
     source = str(path / f"{MAP_KIND}.json")
     try:
@@ -186,22 +194,26 @@ def load_map(path: Path) -> LoadedMap:
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ArtifactError(
-            f"{source}: not a valid map ({one_line(error)}); map it again"
+            f"{source}: invalid map ({one_line(error)}); run softfin map again"
         ) from None
 
 
 def load_force_map(path: Path, plant: Plant, name: str) -> LoadedMap:
-    """Load the map of a plant, which messages call `name`; raises ArtifactError where it is a map
-    of another plant.
+    """Load a map and check that it belongs to a plant.
 
-    Gaits are actions over the plant's limits, and another plant makes other forces of them.
+    The actions of gaits are relative to the limits of the plant, and other plants would produce
+    other forces from them. `name` is the name of the plant in error messages.
+
+    Raises:
+        ArtifactError: the map is missing or damaged, or belongs to another plant.
     """
     loaded = load_map(path)
     limits = list(map(float, plant.limits))
     same_limits = np.allclose(loaded.limits, limits, atol=1e-3)
     if not same_limits or not matches_identity(loaded.plant_identity, plant):
         raise ArtifactError(
-            f"{path}: a map of another plant ({loaded.plant_identity}) or for other limits than "
-            f"{name} ({identity(plant)}) has now; map this one: softfin map {name} --out DIR"
+            f"{path}: the map belongs to another plant ({loaded.plant_identity}) or to other "
+            f"limits than those of {name} ({identity(plant)}); map this plant: softfin map {name} "
+            "--out DIR"
         )
     return loaded

@@ -1,9 +1,9 @@
 """Regions of mean forces: the cells for which controllers are trained, and the region that a fin
 can reach.
 
-The reachable region is star-shaped about a force inside it, stored as a radius in equally spaced
-directions, so that one division tells whether a force is inside. It works on NumPy arrays and, for
-`project`, within JAX programs.
+The reachable region is star-shaped about a force inside it. It is stored as radii in equally spaced
+directions, so one division determines whether a force is inside. All functions work on NumPy
+arrays; `Reachable.project` also works in JAX programs.
 """
 
 from collections.abc import Sequence
@@ -30,51 +30,52 @@ PAPER_REFERENCES: tuple[ForceVector, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (
 """Reference forces of the paper's Table II [N]."""
 
 TOLERANCE_N = 1e-3
-"""Forces this close to the edge of a region count as inside."""
+"""Distance outside a region within which forces are still treated as inside [N]."""
 
 MAX_CHUNK_FORCES = 2048
-"""Number of forces whose nearest ones are computed together, which limits the memory."""
+"""Maximum number of forces that `Reachable.nearest_within` processes together, which limits
+memory."""
 
 
 class Cell(Configuration):
     """Axis-aligned box of reference forces."""
 
     low: ForceVector
-    """Least (x, y) [N]."""
+    """Lower corner (x, y) [N]."""
     high: ForceVector
-    """Upper corner (x, y) [N]; not below `low`, equal to it for a single reference."""
+    """Upper corner (x, y) [N]; equal to `low` for a single reference."""
 
     @model_validator(mode="after")
     def _ordered(self) -> "Cell":
         if self.low[0] > self.high[0] or self.low[1] > self.high[1]:
             raise ValueError(
-                f"low {self.low} is above high {self.high}; give the lower corner first"
+                f"low {self.low} must not be greater than high {self.high}; use the lower corner "
+                "first"
             )
         return self
 
     @classmethod
     def around(cls, centre: ForceVector, width_n: float = 1.0) -> "Cell":
-        """Build a square about a force."""
+        """Build a square centred on a force."""
         return cls(low=centre, high=centre).expanded(width_n / 2)
 
     def expanded(self, margin_n: float) -> "Cell":
-        """Build the cell that is larger by the margin on every side."""
+        """Build a cell that extends this one by a margin on all sides."""
         x0, y0 = self.low
         x1, y1 = self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
 
     def lattice(self, count: int) -> tuple[ForceVector, ...]:
-        """Return `count` x `count` references, each in the middle of an equal part of the cell."""
+        """Return the centres of `count` x `count` equal parts of the cell."""
         x0, y0 = self.low
         x1, y1 = self.high
         steps = [(i + 0.5) / count for i in range(count)]
         return tuple((x0 + a * (x1 - x0), y0 + b * (y1 - y0)) for a, b in product(steps, steps))
 
     def distance(self, reference: ForceVector) -> float:
-        """Distance from the cell to a reference [N]; 0 inside and on the edge."""
-        x, y = (
-            max(a - r, 0.0, r - b) for a, r, b in zip(self.low, reference, self.high, strict=True)
-        )
+        """Return the distance from the cell to a reference [N]; 0 inside and on the edge."""
+        x = max(self.low[0] - reference[0], 0.0, reference[0] - self.high[0])
+        y = max(self.low[1] - reference[1], 0.0, reference[1] - self.high[1])
         return float((x**2 + y**2) ** 0.5)
 
     def __str__(self) -> str:
@@ -85,12 +86,12 @@ Cells: TypeAlias = tuple[Cell, ...]
 
 
 def format_force(force: ForceVector | Float[np.ndarray, "2"]) -> str:
-    """Write a force as ``(x, y)``, without its unit."""
+    """Format a force as ``(x, y)``, without its unit."""
     return f"({force[0]:g}, {force[1]:g})"
 
 
 def cell_corners(cells: Sequence[Cell]) -> tuple[Forces, Forces]:
-    """Return the lower and the upper corners of cells, ``(cells, 2)`` float32 [N]."""
+    """Return the lower and upper corners of cells, ``(cells, 2)`` float32 [N]."""
     low = np.array([cell.low for cell in cells], np.float32)
     high = np.array([cell.high for cell in cells], np.float32)
     return low, high
@@ -104,76 +105,87 @@ def bounding_box(cells: Sequence[Cell]) -> Cell:
 
 
 class Reachable(NamedTuple):
-    """Mean forces that a fin can make: a star-shaped polygon."""
+    """Mean forces that a fin can produce, as a star-shaped polygon."""
 
     centre: Float[AnyArray, "2"]
     """Force (x, y) about which the polygon is star-shaped [N]."""
     radius: Float[AnyArray, "directions"]
-    """Distance of each corner from the centre [N]; corner k lies in the direction of 2 pi k /
-    directions from +x."""
+    """Distance of each corner from the centre [N]; corner k is at the angle 2 pi k / directions
+    from +x."""
 
     @classmethod
     def from_dict(cls, description: object) -> "Reachable":
-        """Build it from the result of `to_dict`; raises KeyError, TypeError or ValueError for
-        anything else."""
+        """Build a region from the result of `to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError: the data are not those of a region.
+        """
         if not isinstance(description, dict):
             raise TypeError(
-                f"reachable is {description!r}; it must be an object with centre_n and radius_n"
+                f"reachable = {description!r}: must be an object with centre_n and radius_n"
             )
         centre = np.asarray(description["centre_n"], np.float32)
         radius = np.asarray(description["radius_n"], np.float32)
         if centre.shape != (2,) or radius.ndim != 1 or len(radius) < 3:
             raise ValueError(
-                f"reachable: centre {centre.shape} and radius {radius.shape} do not describe a "
-                "region"
+                f"reachable: centre_n must have 2 numbers and radius_n at least 3; got the shapes "
+                f"{centre.shape} and {radius.shape}"
             )
         if not np.isfinite(centre).all() or not (np.isfinite(radius) & (radius >= 0)).all():
-            raise ValueError("reachable: centre and radius must be finite, and no radius under 0")
+            raise ValueError(
+                "reachable: centre_n and radius_n must be finite, and no radius negative"
+            )
         return cls(centre, radius)
 
     def to_dict(self) -> JsonObject:
-        """Return centre and radii [N] for JSON."""
-        centre, radius = ([round(float(x), 5) for x in part] for part in self)
-        return {"centre_n": centre, "radius_n": radius}
+        """Return the centre and the radii [N] for JSON."""
+        return {
+            "centre_n": [round(float(x), 5) for x in self.centre],
+            "radius_n": [round(float(x), 5) for x in self.radius],
+        }
 
     def corners(self) -> Float[np.ndarray, "directions 2"]:
-        """Corners of the polygon [N], anticlockwise."""
+        """Return the corners of the polygon in counterclockwise order [N]."""
         return np.asarray(
             self.centre + np.asarray(self.radius)[:, None] * directions(len(self.radius))
         )
 
     def project(self, force: Any) -> Any:
-        """Return each force if it is inside, otherwise the point where the line to the centre meets
-        the edge; takes NumPy or JAX arrays."""
+        """Return each force if it is inside, otherwise the intersection of the edge with the line
+        to the centre; works on NumPy and JAX arrays."""
         ops = select_operations(force, self.radius)
         count = self.radius.shape[-1]
         xp = ops.xp
         ways = ops.constant(directions(count))
         radius = ops.constant(self.radius)
-        # Transposed, so that the coordinates of a single force are numbers, which are quicker than
-        # arrays.
+        # Transposed, so that the coordinates of a single force are numbers, which are faster than
+        # arrays in NumPy.
         along = xp.asarray(force).T
         x = along[0] - self.centre[0]
         y = along[1] - self.centre[1]
         turn = xp.arctan2(y, x) / (2 * np.pi) % 1 * count
         first = turn.astype(np.int32) % count
-        (ax, ay), (bx, by) = (
-            (radius[k] * ways[k, 0], radius[k] * ways[k, 1]) for k in (first, (first + 1) % count)
-        )
-        # The ray (x, y) * s meets the side a + (b - a) t where (x, y) x (a - b) s = a x (a - b),
-        # both negative.
+        # The side of the polygon in the direction of the force, from a to b, relative to the
+        # centre.
+        second = (first + 1) % count
+        ax = radius[first] * ways[first, 0]
+        ay = radius[first] * ways[first, 1]
+        bx = radius[second] * ways[second, 0]
+        by = radius[second] * ways[second, 1]
+        # The ray (x, y) * s meets the line a + (b - a) t at (x, y) x (a - b) s = a x (a - b). Both
+        # products are negative, and s >= 1 means that the force is inside.
         across = x * (ay - by) - y * (ax - bx)
         reach = (ax * (ay - by) - ay * (ax - bx)) / xp.minimum(across, -1e-9)
         edge = xp.asarray([self.centre[0] + x * reach, self.centre[1] + y * reach])
         return xp.where(reach >= 1, along, edge).T
 
     def contains(self, force: Any, tolerance_n: float = TOLERANCE_N) -> Bool[np.ndarray, "*forces"]:
-        """Whether each force is inside, or its projection is within the tolerance of it."""
+        """Return whether each force is inside, or at most `tolerance_n` from its projection."""
         force = np.asarray(force, float)
         return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
 
     def nearest(self, force: Any) -> Forces:
-        """Return each force if it is inside, otherwise the nearest point of the edge [N]."""
+        """Return each force if it is inside, otherwise the nearest point on the edge [N]."""
         at = np.asarray(force, float)
         corners = self.corners().astype(float)
         points = _on_sides(corners, at, 0, 1)
@@ -181,12 +193,10 @@ class Reachable(NamedTuple):
         return np.where(inside[..., None], at, _choose_nearest(points, at))
 
     def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
-        """Return, for each force, the nearest one that is inside both the region and a cell; NaN if
-        there is none.
-
-        It is the nearest point of the cell, of one of its sides or corners, or of the region's
-        edge.
-        """
+        """Return for each force the nearest force inside both the region and a cell; NaN if there
+        is none."""
+        # The nearest force is the nearest point of a cell, of one of its sides or corners, or of
+        # the part of the region's edge inside a cell.
         chunks = []
         for start in range(0, max(len(forces), 1), MAX_CHUNK_FORCES):
             chunk = forces[start : start + MAX_CHUNK_FORCES].astype(float)
@@ -199,7 +209,8 @@ class Reachable(NamedTuple):
     def _on_cell(
         self, cell: Cell, forces: Float[np.ndarray, "forces 2"]
     ) -> Float[np.ndarray, "forces candidates 2"]:
-        # Each coordinate is the nearest of the cell, its lower or its upper end.
+        # Each coordinate is clipped to the cell, or is its lower or upper end: the nearest point of
+        # the cell, points on its four sides, and its four corners.
         x, y = zip(np.clip(forces, cell.low, cell.high).T, cell.low, cell.high, strict=True)
         candidates = np.empty((len(forces), 9, 2))
         for index, point in enumerate(product(x, y)):
@@ -211,29 +222,31 @@ class Reachable(NamedTuple):
     ) -> Float[np.ndarray, "forces candidates 2"]:
         corners = self.corners().astype(float)
         side = np.roll(corners, -1, axis=0) - corners
-        # Where each side enters and leaves the cell, as a fraction of its length (Liang and Barsky
-        # 1984).
+        # Positions where each side enters and leaves the cell, as fractions of the side (Liang and
+        # Barsky 1984).
         with np.errstate(divide="ignore", invalid="ignore"):
             one = (np.asarray(cell.low) - corners) / side
             other = (np.asarray(cell.high) - corners) / side
-        # A side along an axis is between the cell's edges all the way or nowhere.
+        # A side parallel to an axis is completely between the two edges of the cell, or completely
+        # outside.
         between = (corners >= cell.low) & (corners <= cell.high)
         first = np.where(side == 0, np.where(between, 0, np.inf), np.minimum(one, other))
         last = np.where(side == 0, np.where(between, 1, -np.inf), np.maximum(one, other))
         enter = first.max(axis=1).clip(0)
         leave = last.min(axis=1).clip(max=1)
         on_side = _on_sides(corners, forces, enter, np.maximum(enter, leave))
-        # Rounding must not leave the cell.
+        # Clipped, because rounding errors could move a point out of the cell.
         return np.where((enter <= leave)[:, None], np.clip(on_side, cell.low, cell.high), np.nan)
 
     def area(self) -> float:
-        """Area of the polygon [N^2]."""
+        """Return the area of the polygon [N^2]."""
+        # The sum of the triangles between neighbouring radii, r_k r_{k+1} sin(angle) / 2.
         turn = 2 * np.pi / len(self.radius)
         radius = np.asarray(self.radius, float)
         return float(np.sin(turn) / 2 * (radius * np.roll(radius, -1)).sum())
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Lower and upper corner (x, y) of the bounding box [N]."""
+        """Return the lower and upper corner (x, y) of the bounding box [N]."""
         x0, y0 = self.corners().min(axis=0).tolist()
         x1, y1 = self.corners().max(axis=0).tolist()
         return (x0, y0), (x1, y1)
@@ -241,7 +254,7 @@ class Reachable(NamedTuple):
 
 @cache
 def directions(count: int) -> Float[np.ndarray, "directions 2"]:
-    """Return equally spaced unit vectors, anticlockwise from +x."""
+    """Return equally spaced unit vectors, counterclockwise from +x."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
 
@@ -249,8 +262,10 @@ def directions(count: int) -> Float[np.ndarray, "directions 2"]:
 def _on_sides(
     corners: Float[np.ndarray, "sides 2"], force: ForcePoints, enter: Any, leave: Any
 ) -> ForcePoints:
-    """Return the nearest point to each force on a part of each side of a polygon, ``(..., sides,
-    2)``."""
+    """Return the point nearest to each force on each side of a polygon, ``(..., sides, 2)``.
+
+    Only the part of a side from the fraction `enter` to `leave` is considered.
+    """
     side = np.roll(corners, -1, axis=0) - corners
     along = ((force[..., None, :] - corners) * side).sum(axis=-1) / np.maximum(
         (side**2).sum(axis=-1), 1e-12
@@ -259,7 +274,7 @@ def _on_sides(
 
 
 def _choose_nearest(points: ForcePoints, force: ForcePoints) -> ForcePoints:
-    """Return the nearest of ``(..., points, 2)`` to each force; points that are NaN come last."""
+    """Return the one of the points ``(..., points, 2)`` nearest to each force, ignoring NaN."""
     distance = np.linalg.norm(points - force[..., None, :], axis=-1)
     nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=-1)
     return np.take_along_axis(points, nearest[..., None, None], axis=-2)[..., 0, :]

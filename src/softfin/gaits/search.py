@@ -1,14 +1,15 @@
-"""The search for the gaits of a whole lattice of reference forces, in one compiled program.
+"""Finds gaits for all nodes of a lattice of reference forces, in one compiled program.
 
 Mean force and Sobolev term of a gait are smooth functions of its twelve numbers, and the plant
-gives their derivatives. Two of the twelve directions change the force; Gauss-Newton steps along
-these bring it to the reference, while the other ten lower the Sobolev term and keep each gait near
-those of its neighbours, so that gaits in between may be blended (null-space projection, as for
-redundant manipulators: Siciliano and Khatib, Handbook of Robotics, Sec. 10.3).
+provides their derivatives. Two of the twelve directions change the force: Gauss-Newton steps along
+them move the force to the reference. Steps along the other ten directions reduce the Sobolev term
+and keep the gait similar to those of its neighbours, so that gaits can be interpolated. This is the
+null-space projection of redundant manipulators (Siciliano and Khatib, Handbook of Robotics, Sec.
+10.3).
 
-The search starts with one family of strokes, so that neighbours are similar from the start. Then
-the spacing is halved: new nodes start as blends of their neighbours and take the shortest steps to
-their own references, which removes the interpolation error.
+All gaits start from one family of strokes, so that neighbours are similar. Finally the spacing is
+halved: new nodes start from the interpolated gaits of their neighbours and take the shortest steps
+to their own references, which removes the interpolation error.
 """
 
 from collections.abc import Callable
@@ -54,43 +55,48 @@ class GaitConfig(Configuration):
     """Configuration of the search for gaits."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest; only the last one counts, after the
-    fin and its wake have settled."""
+    """Number of windows for which a gait is repeated from rest. Only the last window is evaluated,
+    when the fin and its wake are in a steady state."""
     steps: PositiveInt = 8
-    """Gauss-Newton steps; the last `EXACT` of them consider only the force."""
+    """Number of Gauss-Newton steps; the last `EXACT` of them reduce only the force error."""
     smoothness: NonNegativeFloat = 0.05
     """Weight of the Sobolev term (form `mean`) in the directions that do not change the force."""
     likeness: NonNegativeFloat = 1.0
-    """Weight of the distance to the mean of the neighbours, squared."""
+    """Weight of the squared distance to the mean of the neighbours."""
     halvings: NonNegativeInt = 1
-    """Number of times that the spacing of the lattice is halved after these steps."""
+    """Number of times the spacing of the lattice is halved after these steps."""
 
 
 EXACT = 2
-"""Number of last steps that only reduce the force error; a node added by halving also takes this
-many."""
+"""Number of final steps that reduce only the force error; also the number of steps of nodes added
+by halving."""
 
 STUCK_N = 0.05
-"""Force error above which a node starts again from a neighbour [N]."""
+"""Force error above which a node restarts from a neighbour [N]."""
 
 FORCE_STEP = 0.6
+"""Maximum step in the directions that change the force, in the atanh of the actions."""
+
 FREE_STEP = 0.25
-"""Largest steps in the atanh of the actions, along and across the directions that change the
-force."""
+"""Maximum step in the other directions, in the atanh of the actions."""
 
 SWEEPS = 10
+"""Number of rounds in which the initial gaits are chosen."""
+
 UNLIKE_N = 0.5
+"""Cost of an initial gait per rms difference from its neighbours in the atanh of the actions
+[N]."""
+
 LARGE_N = 0.1
-"""Rounds of choosing the gaits of the start; the cost of a difference of 1 (rms, in the atanh of
-the actions) from the neighbours [N], and in the first choice that of the greatest amplitude: large
-strokes make some forces a second time."""
+"""Cost of the largest amplitude in the first round [N]. Some forces can be produced with small and
+with large strokes, and small ones are preferred."""
 
 FINER = 5
-"""Strokes per step of the survey's centres and amplitudes, between which the forces are
+"""Number of strokes per step of the survey's centres and amplitudes; their forces are
 interpolated."""
 
 ENOUGH_N = 0.02
-"""Force error that does not matter before the last steps [N]."""
+"""Force error that is not reduced further before the final steps [N]."""
 
 
 def find_gaits(
@@ -100,11 +106,10 @@ def find_gaits(
     config: GaitConfig,
     report: ReportSearch = lambda *_: None,
 ) -> GaitSearchResult:
-    """Find a gait for every node of an empty table, starting from the gaits of a survey of the same
-    plant.
+    """Find a gait for each node of an empty table, starting from a survey of the same plant.
 
-    The spacing of the returned table is halved as often as the configuration says. A node outside
-    the fin's reach gets the nearest force that the fin can make.
+    The returned table has a finer spacing, halved `config.halvings` times. A node outside the
+    reachable region gets the gait of the nearest reachable force.
     """
     plant = jit_argument(plant)
     total = config.steps + EXACT * config.halvings
@@ -114,7 +119,7 @@ def find_gaits(
         nonlocal done
         done += 1
         error = _force_errors(nodes, target)
-        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N greatest")
+        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N maximum")
 
     nodes = _search(plant, survey, table, config, told)
     for _ in range(config.halvings):
@@ -144,7 +149,7 @@ def _search(
     told: ReportNodes,
 ) -> GaitSensitivity:
     """Find gaits for the nodes of a table, starting from the strokes of the survey."""
-    # The key is not a constant of the module: creating it starts JAX, which an import must not do.
+    # The key is not a constant of the module, because creating it would initialize JAX at import.
     shape = table.nodes
     key = named_key(0, "gaits")
     target = jnp.asarray(survey.reachable.nearest(table.references().reshape(-1, 2)), jnp.float32)
@@ -152,6 +157,7 @@ def _search(
     scale: AnyArray = np.ones(len(target), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
+        # Only every fourth step, so that nodes can improve in between.
         if step % 4 == 3 and not exact:
             nodes, scale = _restarted(nodes, target, scale, shape)
         moved = _stepped(nodes, target, scale, shape, config, exact)
@@ -169,9 +175,10 @@ def _between(
     config: GaitConfig,
     told: ReportNodes,
 ) -> tuple[GaitSensitivity, GaitTable]:
-    """Add nodes halfway between those of a table; they start as blends."""
+    """Add nodes halfway between those of a table, starting from interpolated gaits."""
     finer = table.halved()
     key = named_key(0, "gaits")
+    # Every second node in each direction is a node of the old table.
     new = np.ones(finer.nodes, bool)
     new[::2, ::2] = False
     references = finer.references()[new]
@@ -197,10 +204,11 @@ def _between(
 
 
 def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
-    """Choose the family of strokes that comes closest to the forces, and within it strokes that are
-    close and similar to their neighbours.
+    """Choose the initial gaits: strokes of one family, close to the target forces and similar to
+    their neighbours.
 
-    Centre and amplitude vary within a family, one waveform at one velocity.
+    A family is a waveform at a velocity, with different centres and amplitudes. The family with the
+    lowest mean distance from the target forces is used.
     """
     starts = []
     finer = (_finer(CENTRES), _finer(AMPLITUDES))
@@ -208,6 +216,7 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
     for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
         interpolated = RegularGridInterpolator((CENTRES, AMPLITUDES), force, method="cubic")(places)
         pre_tanh = action_to_pre_tanh(strokes(waveform, velocity, *places.T))
+        # Distance of each stroke's force from each target, (nodes, strokes).
         apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
         nearest = np.argmin(apart + LARGE_N * places[:, 1] / AMPLITUDES[-1], axis=1)
         for _ in range(SWEEPS):
@@ -233,20 +242,21 @@ def _stepped(
     exact: bool,
 ) -> PreTanh:
     """Take one step of every node."""
-    # With the slope J of the force, J^T (J J^T)^-1 is the smallest step to a force. The small
-    # diagonal keeps it finite where a gait has no effect.
+    # With the Jacobian J of the force, the smallest step that changes the force by d is
+    # J^T (J J^T)^-1 d. The small diagonal keeps it finite if a gait has no effect on the force.
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)
 
     def along(force: NodeForces) -> PreTanh:
-        """Return the smallest change of the actions that changes the force by the given amount."""
+        """Return the smallest step that changes the force by the given amount."""
         return jnp.einsum("nij,ni->nj", across, jnp.linalg.solve(gram, force[..., None])[..., 0])
 
     wanted = _shortened(along(target - nodes.out[:, :2]), FORCE_STEP)
     if not exact:
         slope = config.smoothness * nodes.slope[:, 2]
         slope += config.likeness * (nodes.pre_tanh - _neighbours(nodes.pre_tanh, shape))
+        # The projection on the null space of J: (1 - J^T (J J^T)^-1 J) slope.
         free = slope - along(jnp.einsum("nij,nj->ni", across, slope))
         wanted -= _shortened(free, FREE_STEP)
     return nodes.pre_tanh + scale[:, None] * wanted
@@ -260,14 +270,16 @@ def _better(
     scale: StepScales,
     smoothness: float,
 ) -> tuple[GaitSensitivity, StepScales]:
-    """Keep the better one of each node and its trial; the next step is longer after a gain, shorter
-    after none."""
+    """Keep the better of each node and its trial.
+
+    The next step of a node is longer if the trial was better, otherwise shorter.
+    """
 
     def merit(nodes: GaitSensitivity) -> StepScales:
         error = jnp.linalg.norm(nodes.out[:, :2] - target, axis=1)
         return jnp.maximum(error, ENOUGH_N if smoothness else 0) + smoothness * nodes.out[:, 2]
 
-    # Moving towards a neighbour may cost a little.
+    # The tolerance allows steps towards the neighbours, which may increase the error slightly.
     better = merit(trial) < merit(nodes) + (ENOUGH_N if smoothness else 0)
     chosen = jax.tree.map(
         lambda a, b: jnp.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), trial, nodes
@@ -278,7 +290,7 @@ def _better(
 def _restarted(
     nodes: GaitSensitivity, target: NodeForces, scale: StepScales, shape: LatticeShape
 ) -> tuple[GaitSensitivity, StepScales]:
-    """Restart nodes that are stuck from the best of their neighbours."""
+    """Replace nodes that are stuck by their best neighbour, if that neighbour is not stuck."""
     error = _force_errors(nodes, target)
     padded = np.pad(error.reshape(shape), 1, constant_values=np.inf)
     beside = np.stack(
@@ -293,12 +305,14 @@ def _restarted(
 
 @partial(jax.jit, static_argnums=1)
 def _neighbours(pre_tanh: PreTanh, shape: LatticeShape) -> PreTanh:
-    """Average the four neighbours; at the edge a node replaces its missing neighbour."""
+    """Return the mean of the four neighbours of each node; at the edge, the node itself replaces a
+    missing neighbour."""
     grid = jnp.pad(pre_tanh.reshape(*shape, -1), ((1, 1), (1, 1), (0, 0)), mode="edge")
     mean = (grid[2:, 1:-1] + grid[:-2, 1:-1] + grid[1:-1, 2:] + grid[1:-1, :-2]) / 4
     return mean.reshape(pre_tanh.shape)
 
 
 def _shortened(step: PreTanh, longest: float) -> PreTanh:
+    """Scale steps down to a maximum length."""
     length = jnp.linalg.norm(step, axis=1, keepdims=True)
     return step * jnp.minimum(1, longest / (length + 1e-9))

@@ -1,8 +1,8 @@
-"""Simulates gaits in a plant: mean force, Sobolev term and their gradients; and surveys the forces
-that a plant can make.
+"""Simulates gaits in a plant (mean forces, Sobolev terms and their gradients), and surveys the
+forces that a plant can produce.
 
-The survey estimates the reachable mean forces: it simulates a grid of gaits, then pushes the
-boundary outwards by gradient ascent.
+The survey simulates a grid of gaits, then pushes the boundary of their forces outwards by gradient
+ascent.
 """
 
 from collections.abc import Callable
@@ -27,40 +27,44 @@ from softfin.gaits.gait import Gait
 from softfin.gaits.reachable import Reachable, directions
 
 ReportSearch = Callable[[float, str], None]
-"""Function that is called with the completed fraction (0 .. 1) and a note."""
+"""Progress callback: completed fraction (0 to 1) and a note."""
 
 PreTanh = Float[AnyArray, "gaits 12"]
-"""atanh of the actions of gaits."""
+"""atanh of the actions of gaits [-]."""
 
 CYCLES = 3
 """Default number of windows for which a gait is repeated from rest."""
 
 MAX_SEARCHED_ACTION = 0.97
-"""Largest action, because steps are taken in its atanh, which is infinite at 1."""
+"""Maximum magnitude of initial actions; steps are taken in their atanh, which is infinite at 1."""
 
 SIDE_BY_SIDE = 32
-"""Number of gaits in one call of the program that finds their gradients; one size, so that all
-callers share the program."""
+"""Number of gaits per call of the program that computes gradients; the size is fixed, so that all
+callers share the compiled program."""
 
 WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5)])
-"""Angles of a gait relative to its centre, in units of its amplitude: strokes of 0.67 s, 1 s and 2
+"""Angles of a gait relative to its centre, divided by its amplitude; strokes of 0.67 s, 1 s and 2
 s."""
 
 VELOCITIES = (1.0, 0.3, -0.3)
+"""Velocities of the surveyed gaits, as actions."""
+
 CENTRES = np.linspace(-1, 1, 11)
+"""Centre angles of the surveyed gaits, as actions."""
+
 AMPLITUDES = np.linspace(0.05, 0.9, 7)
-"""Parameters with which every waveform is tried, as actions."""
+"""Amplitudes of the surveyed gaits, as actions."""
 
 FAMILIES = tuple(product(WAVEFORMS, VELOCITIES))
-"""Waveform and velocity of each family of gaits; within a family, neighbouring forces come from
-neighbouring gaits."""
+"""Waveform and velocity of each family of gaits. Within a family, similar gaits produce similar
+forces."""
 
 NEAR = 0.2
-"""Fraction of half the diagonal of all forces within which a gait counts as close to their
-middle."""
+"""Maximum distance of a force from the middle of all forces for it to be close to the middle, as a
+fraction of half the diagonal of their bounding box."""
 
 ASIDE = 2.0
-"""Cost of a newton across the direction, relative to the gain of one along it."""
+"""Cost of a force across the direction, relative to the gain of the same force along it."""
 
 
 class GaitResponse(NamedTuple):
@@ -73,7 +77,7 @@ class GaitResponse(NamedTuple):
 
 
 def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> GaitResponse:
-    """Repeat a gait from rest; only only only the last of `cycles` windows counts."""
+    """Repeat a gait from rest for `cycles` windows and return the forces of the last window."""
     last = steady_state_force(plant, gait, cycles, key)[-WINDOW:]
     return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(WINDOW)))
 
@@ -81,7 +85,8 @@ def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> G
 def steady_state_force(
     plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray
 ) -> Float[Array, "ticks 2"]:
-    """Return the forces [N] of a gait that is repeated from rest."""
+    """Return the force at each tick of a gait that is repeated from rest for `cycles` windows
+    [N]."""
     actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
     commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
     return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
@@ -100,7 +105,7 @@ class GaitSensitivity(NamedTuple):
 
 
 def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
-    """Return the atanh of the actions."""
+    """Return the atanh of the actions of gaits, clipped to `MAX_SEARCHED_ACTION`."""
     limited = np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)
     return np.asarray(np.arctanh(limited).reshape(len(gaits), -1))
 
@@ -108,7 +113,7 @@ def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
 def gait_sensitivity(
     plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray
 ) -> GaitSensitivity:
-    """Simulate gaits and differentiate their forces; `plant` is the result of `jit_argument`."""
+    """Simulate gaits and differentiate their forces; `plant` must be a result of `jit_argument`."""
     padded = _batches(np.asarray(pre_tanh), SIDE_BY_SIDE)
     parts = [_respond(plant, jnp.asarray(part), cycles, key) for part in padded]
     found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[: len(pre_tanh)], *parts)
@@ -116,8 +121,8 @@ def gait_sensitivity(
 
 
 def _batches(rows: np.ndarray, size: int) -> np.ndarray:
-    """Split rows into batches of one size, which share a compiled program; the last one begins
-    again from the first row."""
+    """Split rows into batches of equal size, which share a compiled program; the last batch is
+    filled up with the first rows."""
     return np.resize(rows, (-(-len(rows) // size), size, *rows.shape[1:]))
 
 
@@ -130,6 +135,7 @@ def _respond(
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
 
     def each(pre_tanh: Float[Array, "12"]) -> GaitSensitivity:
+        # Reverse mode, because there are 3 outputs but 12 inputs.
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
         slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
         return GaitSensitivity(pre_tanh, value, slope, smoothness)
@@ -139,36 +145,38 @@ def _respond(
 
 
 def missing_gradient(plant: Plant) -> str | None:
-    """Explain why the force of a plant has no gradient with respect to its commands; None if it has
-    one.
+    """Return the reason why the force of a plant has no gradient with respect to its commands; None
+    if it has a gradient.
 
-    Raises PlantError if the plant itself fails.
+    Raises:
+        PlantError: the plant itself fails.
     """
     strokes = action_to_pre_tanh(np.array([[(0.475, 1), (-0.475, 1)] * 3], np.float32))
-    # Raises if the plant itself cannot be run.
+    # Outside the `try`, because an error here is not due to a missing gradient.
     argument = jit_argument(plant)
     try:
         slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0)).slope[:, :2]
     except (TypeError, ValueError, NotImplementedError) as error:
-        # These are the errors that JAX raises if there is no derivative.
+        # JAX raises these errors if a function is not differentiable.
         first_line = str(error).partition("\n")[0]
         return f"JAX cannot differentiate it ({type(error).__name__}: {first_line})"
     if not np.isfinite(slope).all():
-        return "its slope is not finite, as of a square root at 0"
-    return None if slope.any() else "its slope is 0 throughout"
+        return "its gradient is not finite (like that of a square root at 0)"
+    return None if slope.any() else "its gradient is 0"
 
 
 class SurveyConfig(Configuration):
-    """Configuration of the search for reachable forces."""
+    """Configuration of the survey of reachable forces."""
 
     cycles: int = Field(default=CYCLES, ge=2)
-    """Number of windows for which a gait is repeated from rest; only the last one counts."""
+    """Number of windows for which a gait is repeated from rest; only the last is evaluated."""
     batch: PositiveInt = 128
-    """Number of gaits that are simulated at the same time."""
+    """Number of gaits simulated together."""
     directions: int = Field(default=32, ge=8)
-    """Corners of the region."""
+    """Number of corners of the region."""
     pushes: int = Field(default=8, ge=0)
-    """Number of gradient steps that push each corner outwards; 0 keeps the farthest tried force."""
+    """Number of gradient steps that push each corner outwards; 0 keeps the farthest force of the
+    grid."""
 
 
 class Survey(NamedTuple):
@@ -185,7 +193,7 @@ def strokes(
     centre: Float[np.ndarray, "n"],
     amplitude: Float[np.ndarray, "n"],
 ) -> Float[np.ndarray, "n 6 2"]:
-    """Return the gaits of one family."""
+    """Return gaits of one family as actions."""
     angle = np.clip(centre[:, None] + amplitude[:, None] * waveform, -1, 1)
     return np.stack([angle, np.full_like(angle, velocity)], axis=-1).astype(np.float32)
 
@@ -193,7 +201,7 @@ def strokes(
 def survey(
     plant: Plant, config: SurveyConfig | None = None, report: ReportSearch = lambda *_: None
 ) -> Survey:
-    """Simulate all gaits in a plant and find the edge of the forces that it can make."""
+    """Simulate the gaits of all families in a plant and estimate the region of reachable forces."""
     config = config or SurveyConfig()
     plant = jit_argument(plant)
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
@@ -222,11 +230,12 @@ def _pushed(
     force: Float[np.ndarray, "n 2"],
     config: SurveyConfig,
 ) -> Reachable:
-    """Push the farthest gait in each direction further; directions start from the middle of all
+    """Push the farthest gait in each direction further outwards, and return the region of all
     forces.
 
-    It ascends the gradient of the distance along the direction, in the atanh of the actions, by
-    steps of fixed length.
+    Directions start from the middle of all forces. Each step ascends the gradient of the distance
+    along the direction, in the atanh of the actions. The length of a step does not depend on the
+    magnitude of the gradient.
     """
     centre = _middle(force)
     outward = directions(config.directions)
@@ -234,17 +243,18 @@ def _pushed(
     aside = np.abs(_cross(offset[:, None], outward))
     pre_tanh = action_to_pre_tanh(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
     forces = [force]
+    # The step length decreases; the last round, of length 0, only records the final forces.
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
         found = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "survey"))
         forces.append(np.asarray(found.out)[:, :2])
         side = np.sign(_cross(forces[-1] - centre, outward))[:, None]
-        # The gradient of the distance along the direction, minus `ASIDE` times that across it.
+        # The gradient of (distance along the direction) - ASIDE * (distance across it).
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
         pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (
             np.linalg.norm(change, axis=1, keepdims=True) + 1e-6
         )
-    # The largest distance in each direction, over the forces in the sector around it.
+    # The maximum distance along each direction over the forces in the sector around it.
     offset = np.concatenate(forces) - centre
     along = offset @ outward.T
     length = np.linalg.norm(offset, axis=1)
@@ -253,13 +263,14 @@ def _pushed(
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the vector products of plane vectors: how far a lies beside the unit vector b."""
+    """Return the cross products of plane vectors: the distance of a from the line along the unit
+    vector b."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _middle(force: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
-    """Return the middle of the bounding box of all forces; if no gait comes close to it, the
-    nearest force."""
+    """Return the middle of the bounding box of all forces, or the nearest force if none is close to
+    the middle."""
     low = force.min(axis=0)
     high = force.max(axis=0)
     middle = (low + high) / 2

@@ -1,1 +1,1 @@
-"""Training: policies learn the task inside a plant, many at once in one compiled program."""
+"""Training: many policies learn the task in a plant together, in one compiled program."""

@@ -1,4 +1,4 @@
-"""Configuration of a training run: its fields, the presets, the choice between them, and the check
+"""Configuration of a training run: its fields, the presets and how to choose one, and its checks
 against a plant."""
 
 from collections.abc import Mapping, Sequence
@@ -25,89 +25,90 @@ from softfin.task.references import PAPER_CELLS, PAPER_RANGE, check_apart
 from softfin.task.task import TaskConfig
 
 EDGE_ROUNDING_N = 1e-3
-"""Tolerance for the edges of lattices and regions, which are rounded in their files [N]."""
+"""Tolerance for the edges of lattices and regions, which are rounded in files [N]."""
 
 
 class TrainConfig(Configuration):
     """Configuration of a training run; the defaults are those of `GRID`."""
 
     controller: PolicyLayout = "grid"
-    """One policy for a whole range of references, or one for each cell of a grid."""
+    """Type of controller: one policy for all references (`single`), or one per cell (`grid`)."""
     steps: PositiveInt = 10_000
-    """Actions in the plant for each policy, over all its environments; the paper has 10,000 per
-    cell, and 30,000 for single."""
+    """Number of actions in the plant per policy, over all its environments. The paper uses 10,000
+    per cell of a grid, and 30,000 for a single controller."""
     cells: Cells = Field(PAPER_CELLS, min_length=1)
-    """References [N] for which each policy is trained; one cell for `single`."""
+    """Range of references for each policy [N]; one cell for `single`."""
     margin_n: NonNegativeFloat = 0.0
-    """Margin around their cells for which policies are also trained [N], because a grid switches
-    with a hysteresis."""
+    """Margin around the cells in which policies are also trained [N], because a grid switches with
+    hysteresis."""
     switching: SwitchingConfig = SwitchingConfig(margin_n=0.0)
-    """How a grid switches between its policies; a switching margin larger than `margin_n` gives a
-    policy references for which it was not trained, so the paper's grid has neither."""
+    """Switching between the policies of a grid. If its margin is larger than `margin_n`, policies
+    get references for which they were not trained. Both are 0 in the paper's grid."""
     task: TaskConfig = TaskConfig()
-    """The force-tracking task."""
+    """Force-tracking task."""
     policy: PolicyConfig = PolicyConfig()
-    """Size and start of the networks."""
+    """Size and initial values of the networks."""
     ensemble: Literal["mean", "each"] = "mean"
-    """Use of an ensemble in training: each fin is the mean of all members, or one of the members;
-    the mean is evaluated. `each` needs an ensemble of two or more members."""
+    """Use of an ensemble in training: each fin is the mean of all members (`mean`), or one member
+    (`each`, which requires at least two members). Evaluations always use the mean."""
     algorithm: Algorithm = "ppo"
-    """LSTM-PPO or gradients through the plant."""
+    """LSTM-PPO, or gradients through the plant."""
     ppo: PPOConfig = PPOConfig()
-    """Settings of LSTM-PPO."""
+    """Configuration of LSTM-PPO."""
     gradient: GradientConfig = GradientConfig()
-    """Settings of gradient training."""
+    """Configuration of gradient training."""
     num_evaluations: PositiveInt = 10
-    """Number of evaluations of the deterministic policies, evenly spaced over the run; a checkpoint
-    is written each time."""
+    """Number of evaluations of the deterministic policies, evenly spaced over the run; each one
+    writes a checkpoint."""
     lattice: PositiveInt = 2
-    """Policies are evaluated at lattice x lattice references of each cell; these actions do not
-    count as `steps`.
+    """Number of evaluation references per axis of each cell. Actions of evaluations do not count as
+    `steps`.
 
-    The best policy is kept. The defaults avoid the paper's six references, which are the centres of
-    its cells: a policy must not be selected on the references for which its errors are reported.
+    The policy with the lowest error is kept. The default avoids the paper's six references, which
+    are the centres of its cells, because a policy must not be selected on the references for which
+    its errors are reported.
     """
 
     @model_validator(mode="after")
     def _fits(self) -> "TrainConfig":
         if self.controller == "single" and len(self.cells) != 1:
             raise ValueError(
-                f"a single controller has one cell, not {len(self.cells)}; give one, or "
+                f"a single controller must have one cell, not {len(self.cells)}; use one cell, or "
                 "controller=grid"
             )
         check_apart(self.cells, "cells")
         if self.begins_as_gaits and not self.task.phase:
             raise ValueError(
-                "task.phase is false, and a policy that begins as gaits observes the phase; leave "
-                "it true, or give gradient.warm_start=false"
+                "task.phase is false, but a policy that starts from gaits must observe the phase; "
+                "set task.phase=true or gradient.warm_start=false"
             )
         return self
 
     @property
     def num_updates(self) -> int:
-        """Updates of each policy: as many whole rollouts as fit into `steps`."""
+        """Number of updates of each policy: complete rollouts within `steps`."""
         return self.steps // self.learning.steps_per_update
 
     @property
     def learning(self) -> PPOConfig | GradientConfig:
-        """Settings of the algorithm."""
+        """Configuration of the selected algorithm."""
         return self.ppo if self.algorithm == "ppo" else self.gradient
 
     @property
     def begins_as_gaits(self) -> bool:
-        """Whether policies start as copies of gaits, which are found over all their references."""
+        """Whether policies start from gaits."""
         return self.algorithm == "gradient" and self.gradient.warm_start
 
     @property
     def training_range(self) -> Cell:
-        """The bounding box of all references for which policies are trained."""
+        """Bounding box of all references for which policies are trained."""
         return bounding_box(self.cells).expanded(self.margin_n)
 
     def evaluation_references(
         self, reachable: Reachable | None
     ) -> Float[np.ndarray, "cells references 2"]:
-        """The lattice of references of each cell [N], each moved to the nearest force that the fin
-        can make."""
+        """Return the evaluation references of each cell [N], each moved to the nearest reachable
+        force."""
         lattices = [cell.lattice(self.lattice) for cell in self.cells]
         return np.asarray(
             lattices if reachable is None else reachable.nearest(lattices), np.float32
@@ -115,7 +116,7 @@ class TrainConfig(Configuration):
 
 
 GRID = TrainConfig()
-"""The paper's grid-switching controller on its budget."""
+"""The paper's grid-switching controller, with its number of steps."""
 
 SINGLE = TrainConfig(
     controller="single",
@@ -125,7 +126,7 @@ SINGLE = TrainConfig(
     ppo=PPOConfig(num_envs=32, num_epochs=8),
     lattice=4,
 )
-"""The paper's single controller on its budget."""
+"""The paper's single controller, with its number of steps."""
 
 GRADIENT_SINGLE = SINGLE.changed(
     (
@@ -139,7 +140,7 @@ GRADIENT_SINGLE = SINGLE.changed(
         "gradient.map.spacing_n=0.55",
     )
 )
-"""One controller by gradients through the plant: 40 updates."""
+"""A single controller trained by gradients through the plant, in 40 updates."""
 
 GRADIENT_GRID = GRADIENT_SINGLE.merged(
     {
@@ -153,10 +154,10 @@ GRADIENT_GRID = GRADIENT_SINGLE.merged(
     },
     "grid",
 )
-"""One policy per cell by gradients through the plant: 20 updates."""
+"""A grid of policies trained by gradients through the plant, in 20 updates."""
 
 HINDSIGHT = ("ppo.relabelling=1",)
-"""Also learn from each rollout for other references; not in the paper."""
+"""Change to also learn from each rollout for other references; not in the paper."""
 
 TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = MappingProxyType(
     {
@@ -168,19 +169,19 @@ TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = Mapp
         ("gradient", "grid"): GRADIENT_GRID,
     }
 )
-"""Presets by algorithm and kind of controller."""
+"""Presets by algorithm and type of controller."""
 
 
 def choose_preset(
     plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto"
 ) -> tuple[TrainConfig, str]:
-    """Return the preset for a plant, and why its algorithm was chosen; auto uses gradients if the
+    """Return the preset for a plant and the reason for its algorithm; `auto` uses gradients if the
     plant has them."""
     if algorithm != "auto":
-        return TRAIN_PRESETS[algorithm, controller], f"{algorithm}, as asked"
+        return TRAIN_PRESETS[algorithm, controller], f"{algorithm}, as requested"
     missing = missing_gradient(plant)
     if missing is None:
-        return TRAIN_PRESETS["gradient", controller], "gradient, as the plant has gradients"
+        return TRAIN_PRESETS["gradient", controller], "gradient, because the plant has gradients"
     reason = f"ppo-hindsight, because the plant has no gradient: {missing}"
     return TRAIN_PRESETS["ppo-hindsight", controller], reason
 
@@ -188,41 +189,48 @@ def choose_preset(
 def check(
     plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None
 ) -> None:
-    """Raise ConfigurationError if the budget is smaller than one rollout, or anything else does not
-    fit."""
+    """Check a configuration against a plant, seeds and the map of the plant.
+
+    Raises:
+        ConfigurationError: they do not fit together, or the number of steps is less than a rollout.
+    """
     if not seeds or len(set(seeds)) != len(seeds):
-        raise ConfigurationError(f"seeds {list(seeds)}: give at least one, and each once")
+        raise ConfigurationError(f"seeds {list(seeds)}: use at least one seed, without duplicates")
     learning = config.learning
     task = config.task
     if config.num_updates == 0:
         raise ConfigurationError(
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
-            f"({learning.num_envs} environments x {learning.num_steps} actions); give more steps"
+            f"({learning.num_envs} environments x {learning.num_steps} actions); use more steps"
         )
     samples = task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
     if samples < task.window_samples:
         raise ConfigurationError(
-            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples "
-            f"contains no whole window of {task.window_samples} to evaluate; give a longer episode "
-            "or a "
-            "smaller task.window_samples"
+            f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples is "
+            f"shorter than the window of {task.window_samples} samples to evaluate; use longer "
+            "episodes or a smaller task.window_samples"
         )
     members = plant.size if isinstance(plant, EnsemblePlant) else 1
     if config.ensemble == "each" and members < 2:
         raise ConfigurationError(
-            "ensemble = each: the plant is not an ensemble of two members or more; leave it out, "
-            "or fit a streaming surrogate with --set members=5"
+            "ensemble = each: the plant must be an ensemble of at least two members; remove the "
+            "option, or fit a streaming surrogate with --set members=5"
         )
-    if not config.begins_as_gaits or force_map is None:
-        return
+    if config.begins_as_gaits and force_map is not None:
+        _check_map(config, force_map)
+
+
+def _check_map(config: TrainConfig, force_map: ForceMap) -> None:
+    """Raise ConfigurationError if the gaits of a map do not cover the references for training."""
     box = config.training_range
     table = force_map.gaits.table
-    least, greatest = force_map.reachable.bounds()
-    low = np.maximum(box.low, least) + EDGE_ROUNDING_N
-    high = np.minimum(box.high, greatest) - EDGE_ROUNDING_N
+    # References outside the reachable region are moved into it, so gaits need not cover them.
+    reachable_low, reachable_high = force_map.reachable.bounds()
+    low = np.maximum(box.low, reachable_low) + EDGE_ROUNDING_N
+    high = np.minimum(box.high, reachable_high) - EDGE_ROUNDING_N
     if np.any(table.low > low) or np.any(table.high < high):
-        between = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
+        covered = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
         raise ConfigurationError(
-            f"map of {between}: its gaits do not reach over the references to train for ({box}); "
-            "map these too, or all that the fin can make (softfin map without a box)"
+            f"map of {covered}: its gaits do not cover the references for training ({box}); map a "
+            "box that contains them, or the full reachable region (softfin map without a box)"
         )

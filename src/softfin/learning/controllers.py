@@ -1,10 +1,9 @@
-"""Writes trained policies as controller folders, with their scores and a figure of their errors
+"""Writes trained policies to controller folders, with their scores and a figure of the errors
 during training."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -24,48 +23,51 @@ from softfin.storage.run_directory import LOG, read_training_log
 from softfin.surrogate.channels import UNKNOWN
 
 Curve = tuple[Sequence[int | float] | np.ndarray, Sequence[int | float] | np.ndarray]
-"""(steps, values) of one run, steps increasing."""
+"""(steps, values) of a run, with increasing steps."""
 
 REFINED = "refined"
-"""Folder of the logs of a refinement, a run of its own that counts its steps from 0."""
+"""Folder of the logs of a refinement, which is a separate run with steps from 0."""
 
 
 def write_learning(folder: Path) -> None:
-    """Draw ``learning.svg`` next to the logs of a run and of its tasks, with a curve for every seed
-    of each log."""
+    """Write ``learning.svg`` next to the logs of a run and its tasks, with a curve for each seed of
+    each log."""
     runs: dict[str, list[Curve]] = {}
     for log in sorted(folder.rglob(LOG)):
         is_refined = REFINED in log.relative_to(folder).parts
         group = "refined cells" if is_refined else "error without exploration noise"
         runs.setdefault(group, []).extend(curves(read_training_log(log)))
-    if found := {group: each for group, each in runs.items() if each}:
+    # A run that stopped before its first evaluation has no curve.
+    found = {group: group_curves for group, group_curves in runs.items() if group_curves}
+    if found:
         figure = learning_figure(found, "mean error of both axes [N]")
         save_figure(figure, folder, "learning", ("svg",))
 
 
-def curves(entries: Sequence[Mapping[str, Any]]) -> list[Curve]:
-    """Return the error of each seed over the steps at which the policies were evaluated."""
-    first, second = (f"/score_{axis}_n" for axis in AXES)
+def curves(entries: Sequence[JsonObject]) -> list[Curve]:
+    """Return the error of each seed over the steps, for the entries of a log with an evaluation."""
+    first = f"/score_{AXES[0]}_n"
+    second = f"/score_{AXES[1]}_n"
     scored = [entry for entry in entries if any(name.endswith(first) for name in entry)]
-    seeds = (
-        [name.removesuffix(first) for name in scored[0] if name.endswith(first)] if scored else []
-    )
+    if not scored:
+        return []
+    seeds = [name.removesuffix(first) for name in scored[0] if name.endswith(first)]
     steps = [entry["step"] for entry in scored]
-    return [
-        (steps, [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored])
-        for seed in seeds
-    ]
+    seed_curves: list[Curve] = []
+    for seed in seeds:
+        errors = [(entry[seed + first] + entry[seed + second]) / 2 for entry in scored]
+        seed_curves.append((steps, errors))
+    return seed_curves
 
 
 def learning_figure(runs: Mapping[str, Sequence[Curve]], quantity: str) -> Figure:
-    """Draw one line per group of runs, such as seeds: their mean, with each run in a lighter
-    colour."""
+    """Plot the mean of each group of runs, with the individual runs as thinner lines."""
     styles = zip(cycle((BLUE, ORANGE, GREEN, BLACK)), cycle(("-", "--", "-.", ":")), strict=False)
     with styled():
         figure = new_figure(7, 3.4)
         axes = figure.subplots()
         for (name, curves), (colour, line) in zip(runs.items(), styles, strict=False):
-            # On the steps of the first run, as far as all runs reach.
+            # At the steps of the first run, up to the end of the shortest run.
             reach = min(steps[-1] for steps, _ in curves)
             steps = [step for step in curves[0][0] if step <= reach]
             values = np.stack([np.interp(steps, *curve) for curve in curves])
@@ -88,11 +90,11 @@ def save_controller(
     learnt: Mapping[str, object] = UNKNOWN,
     overwrite: bool = False,
 ) -> None:
-    """Write the controller of one seed, completely or not at all; `learnt` describes the data of
-    its plant."""
+    """Write the controller of a seed, completely or not at all; `learnt` describes the training
+    data of its plant."""
     config = trained.config
     index = trained.seeds.index(seed)
-    # Those of a grid have a leading axis of cells.
+    # The policies of a grid have a leading axis of cells.
     is_grid = config.controller == "grid"
     one = (index,) if is_grid else (index, 0)
     policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
@@ -112,8 +114,10 @@ def save_controller(
     }
     arrays = name_policy_arrays(policies)
     if is_grid:
-        # All policies have the same gaits.
-        arrays |= {name: array[0] for name, array in arrays.items() if name.startswith(f"{GAITS}.")}
+        # All policies have the same gaits, which are stored once.
+        for name, array in arrays.items():
+            if name.startswith(f"{GAITS}."):
+                arrays[name] = array[0]
     write_controller(path, config.controller, trained.limits, keys, arrays, extra_files, overwrite)
 
 
@@ -123,12 +127,11 @@ def _scores(
     scored: PolicyEvaluation,
     index: int,
 ) -> list[JsonObject]:
-    """List, for each cell, its references and the force errors in the plant in which it was
-    trained.
+    """List the evaluation references of each cell and the force errors in the training plant.
 
-    Errors are against ``tracked_reference_n``, the nearest force that the fin can make, if its
-    reach is known. ``out_of_distribution_fraction`` is the fraction of actions that left the
-    training data of the plant, if that is a surrogate with such a measure.
+    Errors are relative to ``tracked_reference_n``, the nearest reachable force if the reachable
+    region is known. ``out_of_distribution_fraction`` is the fraction of actions outside the
+    training data of an ensemble.
     """
     rows = []
     outside = scored.out_of_distribution_fraction

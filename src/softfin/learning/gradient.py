@@ -1,14 +1,14 @@
-"""Gradient training: the force error of whole rollouts is differentiated through the plant into the
-policy.
+"""Gradient training: the force error over a rollout is differentiated with respect to the weights
+of the policy, through the plant.
 
-The policy starts as a table of gaits, to whose actions its networks add, so that gradients only
-have to correct errors. The action of a gait depends only on the reference and the phase, so it is
-defined in every state.
+The policy starts from a table of gaits. Its networks add corrections to the actions of the gaits,
+so gradients only have to correct errors. The action of a gait depends only on the reference and the
+phase, so it is defined in all states.
 
-The rest is truncated backpropagation through time, the short horizon of Xu et al. 2022 (SHAC)
-without its critic: an action affects the fin for two or three seconds, and the window of the reward
-has two, so a rollout of six seconds covers nearly all effects of an action. Pure; one agent, `vmap`
-adds agents.
+The algorithm is truncated backpropagation through time, like the short horizon of SHAC (Xu et al.
+2022) but without a critic. An action affects the fin for two or three seconds and the window of the
+reward is two seconds long, so a rollout of six seconds contains nearly all effects of an action.
+All functions are pure and train a single agent; `vmap` adds agents.
 """
 
 from dataclasses import dataclass
@@ -40,49 +40,52 @@ from softfin.task.task import ForceTracking, RewardTerms
 
 
 class GradientConfig(Configuration):
-    """Settings of gradient training."""
+    """Configuration of gradient training."""
 
     num_envs: PositiveInt = 32
-    """Number of fins that each policy moves at the same time."""
+    """Number of parallel environments per policy."""
     num_steps: int = Field(default=18, ge=3, multiple_of=3)
-    """Actions between updates, a multiple of three; gradients reach back as far."""
+    """Number of actions per environment and update, a multiple of three; gradients are propagated
+    through all of them."""
     learning_rate: PositiveFloat = 1e-3
-    """Largest learning rate of Adam."""
+    """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.01, ge=0, le=1)
-    """Learning rate at the end, as a fraction of the largest; it falls as a cosine."""
+    """Final learning rate as a fraction of the initial one (cosine decay)."""
     max_grad_norm: PositiveFloat = 1.0
-    """Norm to which larger gradients are scaled down."""
+    """Maximum norm of the gradient; larger gradients are scaled down."""
     rounding_n: PositiveFloat = 0.05
-    """Force errors below this count quadratically [N]: near 0 the sign of an error is mostly
+    """Force error below which the loss is quadratic [N]; near 0, the sign of an error is mostly
     noise."""
     warm_start: bool = True
-    """Whether the policy starts as a table of gaits, to whose actions it adds."""
+    """Whether the policy starts from a table of gaits."""
     map: MapConfig = MapConfig()
-    """How the table is found; its box is the bounding box of all cells."""
+    """Configuration of the map that provides the gaits; its box is the bounding box of all
+    cells."""
 
     @property
     def steps_per_update(self) -> int:
-        """Actions per update over all environments."""
+        """Number of actions per update over all environments."""
         return self.num_envs * self.num_steps
 
 
 @dataclass(frozen=True)
 class Gradient:
-    """The learner for a task, over a number of updates."""
+    """Gradient training on a task for a number of updates."""
 
     task: ForceTracking
     config: GradientConfig
     policy: PolicyConfig
     num_updates: int
     table: GaitTable | None = None
-    """Gaits with which the policy starts, over references in N."""
+    """Initial gaits, over references in newtons."""
 
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
-        """Return a new policy, with its fins at rest."""
+        """Return the state of an agent with a new policy and fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
         task = self.task.config
         gaits = self.table
         if gaits is not None:
+            # Observed references are scaled, so the lattice of the gaits is scaled in the same way.
             gaits = gaits._replace(
                 low=gaits.low / task.force_scale_n, high=gaits.high / task.force_scale_n
             )
@@ -95,7 +98,7 @@ class Gradient:
         )
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
-        """Run a rollout without noise, and take one step down the gradient of its loss."""
+        """Run a rollout without exploration noise and take one gradient step."""
         gradient, (env_state, metrics) = jax.grad(self.loss, has_aux=True)(
             agent.policy, agent.env_state
         )
@@ -111,11 +114,12 @@ class Gradient:
     def loss(
         self, policy: Policy, env_state: EnvState
     ) -> tuple[Float[Array, ""], tuple[EnvState, Metrics]]:
-        """The negative reward, a mean over the rollout, with force errors rounded near 0 [N]."""
+        """Return the negative mean reward of a rollout [N], with force errors smoothed near 0."""
         task = self.task
         reward = self.task.config.reward
         rounding = self.config.rounding_n
 
+        # The gradient flows through the plant, the observations and the memories of all actions.
         def act(now: EnvState, ticks: Ticks) -> tuple[EnvState, tuple[Array, RewardTerms]]:
             memories = jax.vmap(cleared)(now.memories, now.is_first)
             memories, action = jax.vmap(policy.act)(memories, jax.vmap(task.observe)(now.states))
@@ -127,6 +131,7 @@ class Gradient:
 
         ticks = jnp.asarray(action_ticks(self.config.num_steps))
         env_state, (rewards, terms) = jax.lax.scan(act, env_state, ticks)
+        # sqrt(e^2 + r^2) - r is e^2 / (2 r) near 0 and |e| - r for large errors.
         rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding
         loss = -reward.value(terms._replace(error=rounded)).mean()
         x, y = terms.error.mean(axis=(0, 1))

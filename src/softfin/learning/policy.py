@@ -1,12 +1,11 @@
-"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic, which only training needs;
-both normalise their inputs.
+"""The policy, an LSTM (paper Sec. III-C2: LSTM-PPO), and the critic, which is used only in
+training. Both normalize their inputs.
 
-Actions are squashed Gaussians: a = tanh(u), u ~ N(mean(observations so far), std). The
-deterministic action is tanh(mean). Every action is therefore within the limits, and none is
-clipped.
+Actions are squashed Gaussians: a = tanh(u) with u ~ N(mean(observations so far), std). The
+deterministic action is tanh(mean). All actions are therefore within the limits without clipping.
 
-A policy may start as a table of gaits: its networks then learn a correction that is added to the
-gait for the reference, before the tanh (residual policy learning: Silver et al. 2018; Johannink et
+A policy may start from a table of gaits. Its networks then learn a correction that is added to the
+gait of the reference before the tanh (residual policy learning: Silver et al. 2018; Johannink et
 al. 2019).
 """
 
@@ -27,7 +26,7 @@ from softfin.gaits.gait import GaitTable
 from softfin.learning.layers import LinearLayer, LSTMCell, Normalisation
 
 ACTION_SIZE = 2
-"""Numbers of an action: angle and velocity."""
+"""Size of an action: angle and velocity."""
 
 ActionVector = Float[Array, "actions"]
 ObservationVector = Float[Array, "observations"]
@@ -36,20 +35,20 @@ PrivilegedBatch = Float[Array, "*batch privileged"]
 
 
 class PolicyConfig(Configuration):
-    """Size and start of the networks."""
+    """Size and initial values of the networks."""
 
     units: PositiveInt = 64
-    """Units of the LSTM; the paper does not state its number."""
+    """Number of units of the LSTM; not stated in the paper."""
     width: PositiveInt = 64
-    """Units of the layer after the LSTM."""
+    """Number of units of the layer after the LSTM."""
     critic_width: PositiveInt = 128
-    """Units of both layers of the critic."""
+    """Number of units of each hidden layer of the critic."""
     init_std: float = Field(default=0.6, gt=0)
-    """Standard deviation of the exploration noise before the tanh, at the start."""
+    """Initial standard deviation of the exploration noise before the tanh [-]."""
 
 
 class Layers(eqx.Module):
-    """Layers of the policy: an LSTM, one layer, one linear layer."""
+    """Layers of the policy: an LSTM, a tanh layer and a linear layer."""
 
     lstm: LSTMCell
     hidden: LinearLayer
@@ -57,15 +56,15 @@ class Layers(eqx.Module):
 
 
 class Policy(eqx.Module):
-    """The actor: observations in, actions out."""
+    """The actor, which maps observations to actions."""
 
     net: Layers
     log_std: ActionVector
     normalisation: Normalisation
     """Normalisation of the observations."""
     gaits: GaitTable | None
-    """Gaits to which the networks' outputs are added, over references in units of the observation;
-    not trained."""
+    """Gaits to which the outputs of the networks are added, over references in the unit of the
+    observation; not trained."""
 
     @classmethod
     def create(
@@ -75,12 +74,15 @@ class Policy(eqx.Module):
         observations: int,
         gaits: GaitTable | None = None,
     ) -> "Policy":
-        """Return new weights; at the start the mean action is close to that of the gait, or to 0
-        without gaits, for any observation."""
+        """Initialize a policy.
+
+        For all observations, its mean action is close to that of the gait, or to 0 without gaits.
+        """
         lstm, hidden, output = jax.random.split(key, 3)
         net = Layers(
             LSTMCell.create(lstm, observations, config.units),
             LinearLayer.create(hidden, config.units, config.width, 2**0.5),
+            # A small gain, so that the initial correction is close to 0.
             LinearLayer.create(output, config.width, ACTION_SIZE, 0.01),
         )
         log_std = jnp.full(ACTION_SIZE, jnp.log(config.init_std))
@@ -90,20 +92,20 @@ class Policy(eqx.Module):
         )
 
     def init(self) -> PolicyMemory:
-        """Empty memory."""
+        """Return an empty memory."""
         return self.net.lstm.init()
 
     def act(
         self, memory: PolicyMemory, observation: ObservationVector
     ) -> tuple[PolicyMemory, ActionVector]:
-        """Return the deterministic action, in (-1, 1)."""
+        """Return the new memory and the deterministic action, in (-1, 1)."""
         memory, mean = self.step(memory, observation)
         return memory, jnp.tanh(mean)
 
     def step(
         self, memory: PolicyMemory, observation: ObservationVector
     ) -> tuple[PolicyMemory, ActionVector]:
-        """Return the mean action before the tanh."""
+        """Return the new memory and the mean action before the tanh."""
         memory = self.net.lstm.step(memory, self.normalisation(observation))
         return memory, self._mean(memory.hidden) + self._gait(observation)
 
@@ -113,8 +115,8 @@ class Policy(eqx.Module):
         observation: Float[Array, "time observations"],
         is_first: Bool[Array, "time"],
     ) -> Float[Array, "time actions"]:
-        """Return the outputs of `step` over a sequence; the memory is cleared before every step
-        that `is_first`."""
+        """Return the outputs of `step` over a sequence. The memory is cleared before each step with
+        `is_first` set."""
         hidden = self.net.lstm.sequence(memory, self.normalisation(observation), is_first)
         return self._mean(hidden) + jax.vmap(self._gait)(observation)
 
@@ -122,27 +124,29 @@ class Policy(eqx.Module):
         return self.net.output(jnp.tanh(self.net.hidden(hidden)))
 
     def _gait(self, observation: ObservationVector) -> Array:
-        """Return the action of the gait for the observed reference and phase, before the tanh; 0
+        """Return the action of the gait for the observed reference and phase before the tanh, or 0
         without gaits."""
         if self.gaits is None:
             return jnp.zeros_like(self.log_std)
         gaits = jax.lax.stop_gradient(self.gaits)
+        # The observation ends with the phase, one of the rows of PHASES.
         age = jnp.argmax(PHASES @ observation[-PHASES.shape[1] :])
         return jnp.asarray(gait_before_tanh(jax_operations(), gaits, observation[1:MEASURED], age))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":
-        """Return the policy with its normalisation updated by observations."""
+        """Return the policy with its normalization updated by observations."""
         return self.with_normalisation(self.normalisation.updated(observation))
 
     def with_normalisation(self, normalisation: Normalisation) -> "Policy":
-        """Return the policy with another normalisation."""
+        """Return the policy with another normalization."""
         return cast(Policy, eqx.tree_at(lambda policy: policy.normalisation, self, normalisation))
 
     def log_prob(
         self, mean: Float[Array, "*t actions"], pre_tanh_action: Float[Array, "*t actions"]
     ) -> Float[Array, "*t"]:
-        """Return the log-density of the action before the tanh; the tanh cancels in every ratio of
-        densities."""
+        """Return the log-density of the action before the tanh. The Jacobian of the tanh cancels in
+        ratios of densities."""
+        # log N(u; mean, std) = -z^2 / 2 - log std - log(2 pi) / 2, with z = (u - mean) / std.
         z = (pre_tanh_action - mean) / jnp.exp(self.log_std)
         return -jnp.sum(0.5 * z**2 + self.log_std + 0.5 * jnp.log(2 * jnp.pi), axis=-1)
 
@@ -152,18 +156,20 @@ class Policy(eqx.Module):
 
 
 class Critic(eqx.Module):
-    """The value of a state, from the privileged observation: it needs no memory, and robots do not
-    need it."""
+    """Estimates the value of a state from the privileged observation.
+
+    It needs no memory, and robots do not need the critic.
+    """
 
     layers: tuple[LinearLayer, LinearLayer, LinearLayer]
     inputs: Normalisation
     """Normalisation of the privileged observation."""
     values: Normalisation
-    """Normalisation of the values; the layers compute normalised values."""
+    """Normalization of the values; the layers compute normalized values."""
 
     @classmethod
     def create(cls, key: PRNGKeyArray, privileged: int, width: int) -> "Critic":
-        """Return new weights for `privileged` inputs."""
+        """Initialize a critic with `privileged` inputs."""
         first, second, last = jax.random.split(key, 3)
         layers = (
             LinearLayer.create(first, privileged, width, 1.0),
@@ -173,11 +179,11 @@ class Critic(eqx.Module):
         return cls(layers, Normalisation.create(privileged), Normalisation.create(1))
 
     def __call__(self, privileged: PrivilegedBatch) -> BatchScalars:
-        """Value of each state."""
+        """Return the value of each state."""
         return self.values.inverse(self._normalised(privileged)[..., None])[..., 0]
 
     def loss(self, privileged: PrivilegedBatch, target: BatchScalars) -> Float[Array, ""]:
-        """Return the mean squared error of the normalised values."""
+        """Return the mean square error of the normalized values."""
         error = self._normalised(privileged) - self.values(target[..., None])[..., 0]
         return jnp.mean(error**2)
 
@@ -187,13 +193,15 @@ class Critic(eqx.Module):
         target: BatchScalars,
         most: float | int,
     ) -> "Critic":
-        """Return the critic with its normalisations updated by inputs and values; earlier values
-        count as at most `most`.
+        """Return the critic with its normalizations updated by inputs and values; earlier values
+        have the weight of at most `most` values.
 
-        The last layer is changed so that values in their new unit stay the same (van Hasselt et al.
-        2016); the new normalisation of the inputs still changes the value of the same inputs a
-        little.
+        The last layer is adapted to the new normalization of the values, so that predictions stay
+        the same (van Hasselt et al. 2016). The new normalization of the inputs still changes them
+        slightly.
         """
+        # (x W + b) std + mean is unchanged for W' = W std / std' and
+        # b' = (b std + mean - mean') / std'.
         old = self.values
         new = self.values.updated(target[..., None], most)
         first, second, last = self.layers
@@ -213,7 +221,7 @@ class ActorCritic(eqx.Module):
 
 
 def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
-    """Return the leaves of a policy by their names in files, such as ``net.lstm.kernel``."""
+    """Return the leaves of a policy by their names in files, e.g. ``net.lstm.kernel``."""
     named = {}
     for path, leaf in jax.tree_util.tree_flatten_with_path(policy)[0]:
         name = jax.tree_util.keystr(path, simple=True, separator=".")
@@ -222,17 +230,17 @@ def name_policy_arrays(policy: PyTree) -> dict[str, Any]:
 
 
 STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.deviation"}
-"""Names in files that differ from those in the code, for compatibility with earlier versions."""
+"""Names in files that differ from names in the code, for compatibility with earlier versions."""
 
 
 def policy_memory(policy: Policy) -> dict[str, int]:
-    """Return the memory of one policy or a stack of them, for JSON: weights and optimiser, without
+    """Return the memory of a policy or a stack of policies as JSON: weights and optimizer, without
     critic and rollouts."""
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights = sum(leaf.size for leaf in leaves) // count
     size = sum(leaf.nbytes for leaf in leaves) // count
-    # Adam keeps two numbers for each weight.
+    # Adam stores two moments per weight.
     optimiser = 2 * size
     return {
         "policies": count,
@@ -245,11 +253,11 @@ def policy_memory(policy: Policy) -> dict[str, int]:
 
 
 def describe_memory(memory: Mapping[str, int]) -> str:
-    """Return the numbers of `policy_memory` in one line of text."""
+    """Format the result of `policy_memory` as one line of text."""
     count = f"{memory['policies']} policies" if memory["policies"] > 1 else "1 policy"
     return (
         f"memory: {count} of {memory['weights']:,} weights, "
         f"{memory['weights_bytes'] / 1e3:.0f} kB each, "
-        f"{memory['total_weights_bytes'] / 1e3:.0f} kB in all; "
-        f"{memory['total_bytes'] / 1e3:.0f} kB while training"
+        f"{memory['total_weights_bytes'] / 1e3:.0f} kB in total; "
+        f"{memory['total_bytes'] / 1e3:.0f} kB during training"
     )

@@ -1,9 +1,10 @@
-"""LSTM-PPO (Schulman et al. 2017): collect, advantages, epochs of clipped updates. Pure; one agent,
-`vmap` adds more.
+"""LSTM-PPO (Schulman et al. 2017): collect a rollout, compute advantages, run epochs of clipped
+updates.
 
-The networks' inputs and values are normalised by their running mean and deviation, and the policy
-that is kept is an average over the last updates. Every rollout is also used for other references,
-whose rewards are known.
+Inputs and values of the networks are normalized by their running mean and standard deviation. The
+evaluated policy is an average over the last updates. With `relabelling`, each rollout is also used
+for other references, whose rewards can be computed. All functions are pure and train a single
+agent; `vmap` adds agents.
 """
 
 from dataclasses import dataclass
@@ -32,79 +33,82 @@ from softfin.task.references import References
 from softfin.task.task import ForceTracking, RewardTerms
 
 RECENT_UPDATES = 4
-"""Number of rollouts over which values are normalised, because values rise as the policy learns."""
+"""Number of rollouts over which values are normalized; older values are forgotten, because values
+increase as the policy learns."""
 
 MAX_LOG_RATIO = 20.0
-"""Largest logarithm of a ratio of probabilities; larger ones are clipped."""
+"""Logarithm at which a ratio of probabilities is clipped."""
 
 PerStep = Float[Array, "time environments"]
 
 
 class PPOConfig(Configuration):
-    """Settings of LSTM-PPO, tuned for the paper's budgets: a few tens of updates, each of which
-    learns as much as possible."""
+    """Configuration of LSTM-PPO. The defaults are tuned for the paper's number of steps, which
+    allows only a few tens of updates."""
 
     num_envs: PositiveInt = 16
-    """Number of fins that each policy moves at the same time."""
+    """Number of parallel environments per policy."""
     num_steps: int = Field(default=15, ge=3, multiple_of=3)
-    """Actions of each fin between updates, a multiple of three; gradients reach back as far."""
+    """Number of actions per environment and update, a multiple of three; gradients are propagated
+    through all of them."""
     num_epochs: PositiveInt = 10
-    """Passes over each rollout."""
+    """Number of passes over each rollout."""
     relabelling: NonNegativeFloat = 0.0
-    """Root mean square distance between a rollout's references and the other references for which
-    it is also used (hindsight), in units of the rollout's root mean square force error; 0: none, as
-    in the paper."""
+    """Root mean square distance from the references of a rollout to the other references for which
+    it is also used (hindsight), divided by the root mean square force error of the rollout [-]. 0
+    for no other references, as in the paper."""
     num_minibatches: PositiveInt = 8
-    """Updates per pass; each uses whole sequences of num_envs/num_minibatches fins, and as many
-    relabelled ones."""
+    """Number of updates per epoch. Each minibatch contains complete sequences of
+    num_envs / num_minibatches environments, and as many relabelled sequences."""
     learning_rate: PositiveFloat = 3e-3
-    """Learning rate of Adam, at the start."""
+    """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.03, ge=0, le=1)
-    """Learning rate at the end, as a fraction of that at the start; it falls linearly."""
+    """Final learning rate as a fraction of the initial one (linear decay)."""
     discount: float = Field(default=0.8, gt=0, lt=1)
-    """Gamma per action; 0.8 looks ahead 5 actions, and the window of the reward has the last 6."""
+    """Discount factor gamma per action. 0.8 looks about 5 actions ahead, and the window of the
+    reward covers 6."""
     gae_lambda: float = Field(default=0.8, ge=0, le=1)
-    """Lambda of generalised advantage estimation."""
+    """Lambda of generalized advantage estimation."""
     clip_ratio: PositiveFloat = 0.2
-    """Largest change of the probability ratio that is rewarded."""
+    """Clipping range epsilon of the probability ratio."""
     entropy_coef: NonNegativeFloat = 0.0
-    """Weight of the entropy [1/nat], at the start."""
+    """Initial weight of the entropy [1/nat]."""
     final_entropy_coef: float = Field(default=0.0, ge=0, le=1)
-    """Weight of the entropy at the end, as a fraction of that at the start; it falls linearly."""
+    """Final weight of the entropy as a fraction of the initial one (linear decay)."""
     averaging: NonNegativeFloat = 2.0
-    """Approximate number of updates over which the evaluated policy is averaged; 0 takes the
-    newest."""
+    """Approximate number of updates over which the evaluated policy is averaged; 0 to evaluate the
+    newest policy."""
     value_coef: PositiveFloat = 0.5
     """Weight of the critic's loss."""
     max_grad_norm: PositiveFloat = 0.5
-    """Norm to which larger gradients are scaled down."""
+    """Maximum norm of the gradient; larger gradients are scaled down."""
 
     @model_validator(mode="after")
     def _divides(self) -> "PPOConfig":
         if self.num_envs % self.num_minibatches:
             raise ValueError(
-                f"num_envs = {self.num_envs} do not make {self.num_minibatches} equal minibatches; "
-                "give a multiple of num_minibatches"
+                f"num_envs = {self.num_envs} must be a multiple of num_minibatches = "
+                f"{self.num_minibatches}"
             )
         return self
 
     @property
     def steps_per_update(self) -> int:
-        """Actions per update over all environments."""
+        """Number of actions per update over all environments."""
         return self.num_envs * self.num_steps
 
     @property
     def gradients_per_update(self) -> int:
-        """Optimiser steps per update."""
+        """Number of optimizer steps per update."""
         return self.num_epochs * self.num_minibatches
 
     def learning_rates(self, updates: int) -> optax.Schedule:
-        """Return the learning rate of a run over the optimiser's steps."""
+        """Return the schedule of the learning rate over the optimizer steps of a run."""
         end = self.learning_rate * self.final_learning_rate
         return optax.linear_schedule(self.learning_rate, end, updates * self.gradients_per_update)
 
     def entropy_coefs(self, updates: int) -> optax.Schedule:
-        """Return the weight of the entropy in a run over its updates."""
+        """Return the schedule of the entropy's weight over the updates of a run."""
         return optax.linear_schedule(
             self.entropy_coef, self.entropy_coef * self.final_entropy_coef, updates
         )
@@ -115,18 +119,18 @@ class Batch(NamedTuple):
 
     rollout: Rollout
     advantage: PerStep
-    """Return the advantages with mean 0 and standard deviation 1."""
+    """Advantages, normalized to mean 0 and standard deviation 1."""
     target: PerStep
     """Targets of the critic."""
 
 
 Learners: TypeAlias = tuple[ActorCritic, Policy, PyTree]
-"""Networks that learn, the average of their policies, and the optimiser's state."""
+"""The trained networks, the averaged policy, and the state of the optimizer."""
 
 
 @dataclass(frozen=True)
 class PPO:
-    """The learner for a task, over a number of updates."""
+    """LSTM-PPO on a task for a number of updates."""
 
     task: ForceTracking
     config: PPOConfig
@@ -134,8 +138,9 @@ class PPO:
     num_updates: int
 
     def init(self, key: PRNGKeyArray, references: References) -> AgentState:
-        """Return new networks, with fins at rest."""
+        """Return the state of an agent with new networks and fins at rest."""
         network_key, environment_key, key = jax.random.split(key, 3)
+        # Only the size of the privileged observation is needed, so nothing is simulated.
         state = jax.eval_shape(self.task.reset, environment_key, references)
         privileged = jax.eval_shape(self.task.privileged_observation, state)
         actor_key, critic_key = jax.random.split(network_key)
@@ -151,7 +156,7 @@ class PPO:
         )
 
     def update(self, agent: AgentState) -> tuple[AgentState, Metrics]:
-        """Collect a rollout and learn from it."""
+        """Collect a rollout and train on it."""
         assert agent.networks is not None
         networks = agent.networks
         collect_key, learn_key, key = jax.random.split(agent.key, 3)
@@ -160,6 +165,7 @@ class PPO:
             self.task, networks.policy, agent.env_state, collect_key, cycles
         )
         batch, metrics = self.batch(networks.critic, rollout)
+        # Before training, so that the critic's targets are normalized from the first update on.
         recent = RECENT_UPDATES * self.config.steps_per_update
         critic = networks.critic.update_statistics(
             rollout.privileged_observation, batch.target, recent
@@ -167,7 +173,8 @@ class PPO:
         networks = ActorCritic(networks.policy, critic)
         learners, learning = self._learn(agent, networks, rollout, learn_key)
         networks, averaged, optimiser = learners
-        # Updated after the learning, so that the probabilities in it are those of the rollout.
+        # Updated after training: with other normalized observations, the ratios of probabilities
+        # would not start at 1.
         policy = networks.policy.update_statistics(rollout.observation)
         networks = ActorCritic(policy, networks.critic)
         averaged = averaged.with_normalisation(policy.normalisation)
@@ -175,16 +182,17 @@ class PPO:
         return agent, metrics | learning
 
     def batch(self, critic: Critic, rollout: Rollout) -> tuple[Batch, Metrics]:
-        """Compute the advantages and targets of a rollout.
+        """Compute the advantages and the critic's targets for a rollout.
 
-        With rewards in units of 1 - discount, values are means of the reward ahead [N], whatever
-        the discount.
+        Rewards are multiplied by 1 - discount, so that values are weighted means of future rewards
+        [N] for any discount.
         """
         discount = self.config.discount
         value = critic(rollout.privileged_observation)
         next_value = critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
-        # The later terms of an advantage count as much as the actions there (Munos et al. 2016).
+        # Later terms of an advantage are weighted like the actions there, because the policy would
+        # rarely take some of these actions for a relabelled reference (Munos et al. 2016).
         traces = self.config.gae_lambda * jnp.roll(rollout.weight, -1, axis=0)
         advantage = advantages(reward, value, next_value, rollout.truncated, discount, traces)
         normalised = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -203,14 +211,19 @@ class PPO:
         start: PolicyMemory,
         entropy_coef: Float[Array, ""],
     ) -> tuple[Float[Array, ""], Metrics]:
-        """Return the loss: clipped surrogate objective, squared error of the critic and weighted
-        entropy, over whole sequences from `start`."""
+        """Return the loss and its metrics for complete sequences, which start with the memories
+        `start`.
+
+        The loss is the negative clipped objective plus the weighted loss of the critic, minus the
+        weighted entropy.
+        """
         config = self.config
         rollout = batch.rollout
         mean = _replay(networks.policy, start, rollout.observation, rollout.is_first)
         log_ratio = networks.policy.log_prob(mean, rollout.pre_tanh_action) - rollout.log_prob
         # The objective is min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A), with the ratio of
-        # probabilities and the advantage A. Kept finite, so that a weight of 0 gives 0.
+        # probabilities and the advantage A. The ratio is kept finite, so that its product with a
+        # weight of 0 is 0.
         ratio = jnp.exp(jnp.minimum(log_ratio, MAX_LOG_RATIO))
         clipped = jnp.clip(ratio, 1 - config.clip_ratio, 1 + config.clip_ratio)
         gain = jnp.minimum(ratio * batch.advantage, clipped * batch.advantage)
@@ -222,6 +235,7 @@ class PPO:
             - entropy_coef * networks.policy.action_entropy()
         )
         beyond_clip = jnp.mean(jnp.abs(ratio - 1) > config.clip_ratio)
+        # E[ratio - 1 - log ratio] is an estimate of the KL divergence that is never negative.
         kl = jnp.mean(rollout.weight * (ratio - 1 - log_ratio))
         return loss, {"loss": loss, "value_loss": value_loss, "kl": kl, "clipped": beyond_clip}
 
@@ -233,14 +247,14 @@ class PPO:
         references: References,
         key: PRNGKeyArray,
     ) -> Rollout:
-        """Return the rollout together with a copy of it in which other references had been
-        requested.
+        """Return the rollout together with a copy for other references.
 
-        A reward is known for every reference (hindsight: Andrychowicz et al. 2017, for policy
-        gradients Rauber et al. 2019). Actions are weighted by how often the policy would choose
-        them there, at most 1, and ratios are relative to the policy there, so that clipping works
-        as before (Hilton et al. 2022). The window is scored as if the other reference had been
-        requested from the start.
+        The reward can be computed for any reference (hindsight: Andrychowicz et al. 2017; for
+        policy gradients: Rauber et al. 2019). The weight of an action of the copy is its
+        probability for the other reference, divided by that for the actual one, and at most 1.
+        Their ratios are relative to the policy for the other reference, so that clipping works as
+        usual (Hilton et al. 2022). The reward treats the other reference as if it had been the
+        target during the complete window.
         """
         if not self.config.relabelling:
             return rollout
@@ -249,7 +263,7 @@ class PPO:
         reference = jax.vmap(References.nearest, in_axes=(0, 1), out_axes=1)(references, wanted)
         shift = reference - rollout.reference
         force_error = rollout.force_error - shift
-        # Only the force error depends on the reference; every other term cancels.
+        # Only the force error depends on the reference; all other terms of the reward cancel.
         change = RewardTerms(*(jnp.zeros_like(force_error) for _ in RewardTerms._fields))
         change = change._replace(error=jnp.abs(force_error) - jnp.abs(rollout.force_error))
         observation = self.task.shifted(rollout.observation, shift)
@@ -273,13 +287,13 @@ class PPO:
     def _learn(
         self, agent: AgentState, networks: ActorCritic, rollout: Rollout, key: PRNGKeyArray
     ) -> tuple[Learners, Metrics]:
-        """Run the epochs of minibatches; returns the networks, the averaged policy and the
-        optimiser."""
+        """Run all epochs of minibatches on a rollout."""
         config = self.config
         optimiser = self._optimiser()
         behaviour = agent.networks
         assert behaviour is not None
         entropy_coef = jnp.asarray(config.entropy_coefs(self.num_updates)(agent.num_updates))
+        # Weight of the newest policy in the exponential moving average, per optimizer step.
         newest = 1 / max(1.0, config.averaging * config.gradients_per_update)
         memories = agent.env_state.memories
         references = agent.env_state.states.references
@@ -289,6 +303,7 @@ class PPO:
         ) -> tuple[Learners, Metrics]:
             networks, averaged, state = carry
             part = jax.tree.map(lambda x: x[:, chosen], batch)
+            # Sequence num_envs + k is the relabelled copy of sequence k.
             start = jax.tree.map(lambda x: x[chosen % config.num_envs], memories)
             gradient, metrics = jax.grad(self.loss, has_aux=True)(
                 networks, part, start, entropy_coef
@@ -301,6 +316,8 @@ class PPO:
 
         def epoch(carry: Learners, key: PRNGKeyArray) -> tuple[Learners, Metrics]:
             order_key, relabel_key = jax.random.split(key)
+            # Each epoch uses new references, and advantages of the policy and critic before the
+            # update.
             extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
             order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(
                 config.num_minibatches, -1
@@ -324,7 +341,7 @@ def _replay(
     observation: Float[Array, "time fins observations"],
     is_first: Bool[Array, "time fins"],
 ) -> Float[Array, "time fins actions"]:
-    """Return the mean actions of whole sequences, each from its own memory."""
+    """Return the mean actions over complete sequences, each starting with its own memory."""
     return jax.vmap(policy.sequence, in_axes=(0, 1, 1), out_axes=1)(start, observation, is_first)
 
 
@@ -336,11 +353,12 @@ def advantages(
     discount: float,
     gae_lambda: PerStep | float,
 ) -> PerStep:
-    """A_t = d_t + discount lambda_t A_{t+1},  d_t = r_t + discount V'_t - V_t (Schulman et al.
-    2016).
+    """Return the generalized advantage estimates (Schulman et al. 2016).
 
-    V' is the value of the state after the action, before any reset: the fin could have gone on, so
-    a truncated episode is bootstrapped with it, and only the sum stops there.
+    A_t = d_t + discount lambda_t A_{t+1},  d_t = r_t + discount V'_t - V_t
+
+    V' is the value of the state after the action and before any reset. A truncated episode could
+    have continued, so it is bootstrapped with V', and only the sum over later errors ends.
     """
     errors = reward + discount * next_value - value
 

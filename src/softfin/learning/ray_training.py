@@ -1,10 +1,10 @@
-"""Training on a Ray cluster (extra `ray`): a task for each seed, or for each cell if there is one
+"""Training on a Ray cluster (extra `ray`): one task per seed, or per cell if there is only one
 seed.
 
-Agents do not exchange data, so each task is a separate training run in a part of the run's folder.
-All machines must see that folder at the same path. Ray starts a task again if its worker dies, and
-the task resumes at its last checkpoint. The result of a task depends only on its seed and cells,
-not on the worker.
+Agents do not exchange data, so each task is a separate training run in a subfolder of the run's
+folder. All machines must have access to that folder at the same path. Ray restarts a task if its
+worker dies, and the task resumes from its last checkpoint. The result of a task depends only on its
+seed and cells, not on the worker.
 """
 
 import os
@@ -31,14 +31,14 @@ from softfin.learning.train import find_map, train
 from softfin.storage.run_directory import RunDirectory
 
 STORE_BYTES = 256 * 2**20
-"""Memory for the objects of a cluster that is started here [bytes]; plants and policies are small.
-By default Ray takes a third of all memory."""
+"""Size of the object store of a cluster started by softfin [bytes]. Plants and policies are small,
+but by default Ray would reserve a third of all memory."""
 
 CONNECTION_S = 5.0
-"""Longest wait for a cluster's address to accept a connection [s]."""
+"""Timeout of the connection test to a cluster [s]."""
 
 MAX_RETRIES = 2
-"""Number of times that a task is started again after its worker died."""
+"""Maximum number of restarts of a task whose worker dies."""
 
 CLUSTER_PROGRAM = """
 import os, sys, ray
@@ -48,15 +48,16 @@ os.write(sys.stdout.fileno(), (started.address_info["gcs_address"] + "\\n").enco
 sys.stdin.read()
 ray.shutdown()
 """
-"""Program that runs a cluster on this machine for as long as standard input stays open, and prints
-its address.
+"""Program that starts a cluster on this machine, prints its address, and runs until standard input
+is closed.
 
-It runs in a process without JAX: Ray forks, and JAX's threads do not survive that.
+It must run in a process without JAX, because Ray forks and the threads of JAX do not survive a
+fork.
 """
 
 
 class Task(NamedTuple):
-    """A part of a training run."""
+    """Part of a training run."""
 
     name: str
     config: TrainConfig
@@ -65,7 +66,7 @@ class Task(NamedTuple):
 
 
 def split_into_tasks(config: TrainConfig, seeds: Sequence[int]) -> list[Task]:
-    """Return a task for each seed, or for each cell if there is one seed."""
+    """Return one task per seed, or per cell if there is only one seed."""
     if len(seeds) > 1:
         return [Task(f"seed-{seed}", config, (seed,)) for seed in seeds]
     tasks = []
@@ -84,14 +85,14 @@ def train_on_ray(
     force_map: ForceMap | None = None,
     cluster: str | None = None,
 ) -> TrainingResult:
-    """Train as `softfin.learning.train.train` does, on the cluster at HOST:PORT or on one started
-    for this run.
+    """Train like `softfin.learning.train.train`, on the cluster at HOST:PORT or on one started for
+    this run.
 
-    A failed task is reported when all others are done, so that their checkpoints are kept.
+    If a task fails, the error is raised after all other tasks have finished.
 
     Raises:
-        ConfigurationError: as `check`; Ray or the cluster cannot be used.
-        RunError: a task failed; the last good checkpoints are kept.
+        ConfigurationError: `check` failed, or Ray or the cluster cannot be used.
+        RunError: a task failed; the last valid checkpoints are kept.
     """
     check(plant, config, seeds, force_map)
     if force_map is None:
@@ -99,6 +100,7 @@ def train_on_ray(
     tasks = split_into_tasks(config, seeds)
     with _connected(cluster) as ray:
         results = _run_tasks(ray, plant, tasks, run_directory, force_map, progress or silent)
+    # Tasks are in the order of seeds, then cells, so the leaves become (seeds, cells, ...).
     policies, evaluation = jax.tree.map(
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,
@@ -108,21 +110,20 @@ def train_on_ray(
 
 
 def check_cluster(cluster: str | None) -> None:
-    """Raise ConfigurationError if Ray is not installed, or no program accepts connections at
-    HOST:PORT.
+    """Raise ConfigurationError if Ray is not installed or HOST:PORT does not accept connections.
 
-    Ray itself would wait for minutes.
+    This check takes seconds; Ray would wait for minutes.
     """
     _import_ray(is_own_cluster=cluster is None)
     if cluster is None:
         return
     host, _, port = cluster.rpartition(":")
     if not (host and port.isdecimal() and int(port) < 2**16):
-        raise _cluster_error(cluster, "not an address HOST:PORT")
+        raise _cluster_error(cluster, "invalid address")
     try:
         socket.create_connection((host.strip("[]"), int(port)), CONNECTION_S).close()
     except (OSError, UnicodeError) as error:
-        raise _cluster_error(cluster, f"nothing answers there ({error})") from error
+        raise _cluster_error(cluster, f"cannot connect ({error})") from error
 
 
 def _run_tasks(
@@ -133,47 +134,55 @@ def _run_tasks(
     force_map: ForceMap | None,
     progress: Progress,
 ) -> list[BestPolicies]:
-    # A task without a GPU sees none, and would compute on the CPU.
+    # Ray hides GPUs from tasks that do not request one, and they would run on the CPU.
     gpus_per_task = 1 if jax.default_backend() == "gpu" else 0
     if gpus_per_task and not ray.cluster_resources().get("GPU"):
         raise ConfigurationError(
-            "cluster: has no GPU, and this machine computes on one, so its tasks would never be "
-            "scheduled; give a --cluster with GPUs, or set JAX_PLATFORMS=cpu"
+            "cluster: has no GPU, but this machine uses one, so its tasks would never be "
+            "scheduled; use a --cluster with GPUs, or set JAX_PLATFORMS=cpu"
         )
     remote = ray.remote(num_cpus=1, num_gpus=gpus_per_task, max_retries=MAX_RETRIES)(_run_task)
+    # Copied to the object store once, not once per task.
     shared = ray.put((plant, force_map))
-    running = {
-        remote.remote(shared, task, run_directory.part(task.name)): task.name for task in tasks
-    }
+    running = {}
+    for task in tasks:
+        running[remote.remote(shared, task, run_directory.part(task.name))] = task.name
     results: dict[str, BestPolicies] = {}
     errors: list[SoftfinError] = []
     while running:
         (ready,), _ = ray.wait(list(running), num_returns=1)
         name = running.pop(ready)
-        try:
-            outcome = ray.get(ready)
-        except ray.exceptions.RayTaskError as error:
-            outcome = RunError(f"{name}: its worker failed with {_describe(error)}")
-        except ray.exceptions.RayError as error:
-            outcome = RunError(
-                f"{name}: its worker died {MAX_RETRIES + 1} times ({_describe(error)}); what is "
-                "finished is kept: check memory and machines, then --resume"
-            )
+        outcome = _task_outcome(ray, ready, name)
         if isinstance(outcome, SoftfinError):
             errors.append(outcome)
             progress("failed", 1, str(outcome))
         else:
             results[name] = outcome
-            progress("train", len(results) / len(tasks), f"{name} done, {len(running)} to go")
+            progress("train", len(results) / len(tasks), f"{name} done, {len(running)} remaining")
     if errors:
         raise errors[0]
     return [results[task.name] for task in tasks]
 
 
+def _task_outcome(ray: Any, reference: Any, name: str) -> BestPolicies | SoftfinError:
+    """Return the result of a finished task, or its error."""
+    try:
+        outcome: BestPolicies | SoftfinError = ray.get(reference)
+    except ray.exceptions.RayTaskError as error:
+        return RunError(f"{name}: its worker failed with {_describe(error)}")
+    except ray.exceptions.RayError as error:
+        return RunError(
+            f"{name}: its worker died {MAX_RETRIES + 1} times ({_describe(error)}); finished tasks "
+            "are kept; check memory and machines, then use --resume"
+        )
+    return outcome
+
+
 def _run_task(
     shared: tuple[Plant, ForceMap | None], task: Task, run_directory: RunDirectory
 ) -> BestPolicies | SoftfinError:
-    """Run on a worker; return softfin's own errors as they are, not within a traceback."""
+    """Run a task on a worker. softfin's errors are returned, because Ray would wrap raised errors
+    in a traceback."""
     plant, force_map = shared
     try:
         trained = train(plant, task.config, task.seeds, run_directory, None, force_map)
@@ -184,8 +193,8 @@ def _run_task(
 
 @contextmanager
 def _connected(cluster: str | None) -> Iterator[Any]:
-    """Connect Ray to a cluster, or to one started on this machine; an existing connection of the
-    caller is kept."""
+    """Connect Ray to a cluster, or to one started on this machine; use an existing connection if
+    there is one."""
     ray = _import_ray(is_own_cluster=cluster is None)
     if ray.is_initialized():
         yield ray
@@ -203,8 +212,9 @@ def _connected(cluster: str | None) -> Iterator[Any]:
 
 @contextmanager
 def _started() -> Iterator[str]:
-    """Start a cluster on this machine and yield its address; it ends with this process, no matter
-    how that ends."""
+    """Start a cluster on this machine and yield its address; it ends with this process."""
+    # If this process is killed, its end of the pipe to the cluster's standard input is closed, and
+    # the cluster ends.
     command = [sys.executable, "-P", "-c", CLUSTER_PROGRAM, str(STORE_BYTES)]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -213,16 +223,16 @@ def _started() -> Iterator[str]:
         address = head.stdout.readline().strip()
         if not address:
             raise RunError(
-                "Ray does not start on this machine, for the reason above; --engine local works "
-                "without it"
+                "Ray does not start on this machine; see the error above, or use --engine local, "
+                "which does not need Ray"
             )
         yield address
 
 
 def _cluster_error(cluster: str, reason: str) -> ConfigurationError:
     return ConfigurationError(
-        f"cluster {cluster}: {reason}; give --cluster HOST:PORT as `ray start --head` prints it, "
-        "or none for this machine alone"
+        f"cluster {cluster}: {reason}; use --cluster HOST:PORT with the address that `ray start "
+        "--head` prints, or omit it to use only this machine"
     )
 
 
@@ -235,12 +245,13 @@ def _describe(error: Exception) -> str:
 
 
 def _import_ray(is_own_cluster: bool) -> Any:
-    """Import Ray without usage statistics; a cluster started here accepts work only from this
-    process and its children.
+    """Import Ray with usage statistics disabled.
 
-    Ray reads these settings when it is imported. Without the token it would write one to the user's
-    home.
+    A cluster started by softfin gets a random token, so that it accepts work only from this process
+    and its children.
     """
+    # Ray reads these settings at import. Without RAY_AUTH_TOKEN, it would write a token to the
+    # user's home directory.
     for name in ("RAY_USAGE_STATS_ENABLED", "RAY_ENABLE_UV_RUN_RUNTIME_ENV"):
         os.environ.setdefault(name, "0")
     if is_own_cluster and "RAY_AUTH_MODE" not in os.environ:
@@ -250,6 +261,6 @@ def _import_ray(is_own_cluster: bool) -> Any:
         import ray
     except ImportError:
         raise ConfigurationError(
-            f"--engine ray needs ray, which is not installed: {how_to_add('ray')}"
+            f"--engine ray: Ray is not installed; {how_to_add('ray')}"
         ) from None
     return ray

@@ -1,8 +1,8 @@
-"""A policy in its environments: an agent's state, rollouts with exploration noise, and episodes
-without noise to evaluate it.
+"""A policy in its environments: the state of an agent, rollouts with exploration noise, and
+evaluation episodes without noise.
 
-Environments are in phase on the 33/33/34 clock: a rollout is a scan over cycles of three actions,
-and each action is one vmapped call of the plant.
+All environments have the same phase on the 33/33/34 clock. A rollout is a scan over cycles of three
+actions, and each action is one vmapped call of the plant.
 """
 
 from functools import partial
@@ -25,39 +25,39 @@ from softfin.task.task import ForceTracking, TaskState
 
 
 class EnvState(NamedTuple):
-    """An agent's environments between two actions; every leaf has a leading axis of
+    """State of an agent's environments between two actions; all leaves have a leading axis of
     environments."""
 
     states: TaskState
     memories: PolicyMemory
-    """The policy's memory of the observations before this one."""
+    """Memory of the policy, from all observations before the current one."""
     is_first: Bool[Array, "environments"]
-    """Whether the environment was just reset, so that the memory belongs to another episode."""
+    """Whether the environment was just reset; the memory is then that of the previous episode and
+    must be cleared."""
 
 
 class AgentState(NamedTuple):
-    """Everything that the training of one policy carries from update to update, including its key
-    and environments."""
+    """State of the training of one policy between updates."""
 
     networks: ActorCritic | None
-    """Networks that act and learn; None if the policy itself does."""
+    """Networks that act and learn; None if `policy` acts and learns."""
     policy: Policy
-    """The policy that is evaluated and kept."""
+    """Policy that is evaluated and saved."""
     optimiser: PyTree
     env_state: EnvState
     key: PRNGKeyArray
     num_updates: Int[Array, ""]
-    """Updates done so far."""
+    """Number of updates so far."""
 
 
 Metrics: TypeAlias = dict[str, Float[AnyArray, "*agents"]]
-"""Scalars per update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and others of
+"""Scalars per update: ``loss``, ``error_x_n``, ``error_y_n`` [N], ``gradient_norm``, and metrics of
 the algorithm."""
 
 
 def clipped_adam(rate: optax.Schedule, max_norm: float) -> optax.GradientTransformation:
-    """Return Adam with clipping to a norm, over all weights as one vector, which compiles faster
-    than one by one."""
+    """Return Adam with gradients clipped to a maximum norm."""
+    # All weights as one vector compile faster than one operation per array.
     return optax.flatten(
         optax.chain(optax.clip_by_global_norm(max_norm), optax.adam(rate, eps=1e-5))
     )
@@ -72,9 +72,9 @@ class Rollout(NamedTuple):
     """Log-density of the action before the tanh."""
     reward: BatchScalars
     reference: Float[Array, "*batch 2"]
-    """Reference that was observed [N]."""
+    """Observed reference [N]."""
     force_error: Float[Array, "*batch 2"]
-    """F_e of the window [N]."""
+    """Force error F_e over the window [N]."""
     privileged_observation: PrivilegedBatch
     """Input of the critic before the action."""
     next_privileged_observation: PrivilegedBatch
@@ -84,17 +84,21 @@ class Rollout(NamedTuple):
     truncated: Bool[Array, "*batch"]
     """Whether the episode was truncated just after the action."""
     weight: BatchScalars
-    """Weight of the transition: less than 1 if the policy would rarely act like this, given this
-    reference."""
+    """Weight of the transition; less than 1 for a relabelled reference with which the policy would
+    be less likely to take this action."""
 
 
 def start_episodes(
     task: ForceTracking, policy: Policy, references: References, key: PRNGKeyArray, count: int
 ) -> EnvState:
-    """Return fins at rest; their first episodes are shorter by whole cycles, so that later resets
-    are spread over time."""
+    """Return environments with fins at rest.
+
+    Their first episodes are shortened by different numbers of cycles, so that later resets do not
+    all happen at the same time.
+    """
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
     cycles = task.config.episode_actions // len(ACTION_TICKS)
+    # Environment k starts k / count into its episode, rounded down to complete cycles.
     age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
     return EnvState(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
@@ -103,8 +107,8 @@ def start_episodes(
 def collect_rollout(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
 ) -> tuple[EnvState, Rollout]:
-    """Take `cycles` x 3 actions in every environment; environments whose episodes are over are
-    reset."""
+    """Take `cycles` x 3 actions in each environment; environments are reset at the end of their
+    episodes."""
 
     def cycle(
         env_state: EnvState, noise: Float[Array, "3 environments actions"]
@@ -113,6 +117,7 @@ def collect_rollout(
         env_state, steps = jax.lax.scan(
             lambda now, action: _act(task, policy, now, *action), env_state, held
         )
+        # Episodes end only at the end of a cycle, so that all environments keep the same phase.
         env_state = reset_truncated(task, env_state)
         return env_state, steps._replace(truncated=steps.truncated.at[-1].set(env_state.is_first))
 
@@ -133,6 +138,7 @@ def _act(
     memories = jax.vmap(cleared)(env_state.memories, env_state.is_first)
     observation = jax.vmap(task.observe)(env_state.states)
     memories, mean = jax.vmap(policy.step)(memories, observation)
+    # a = tanh(u) with u ~ N(mean, std). `mean` and log_prob(u) are kept for the ratios of PPO.
     pre_tanh_action = mean + jnp.exp(policy.log_std) * noise
     states, outcome = jax.vmap(partial(task.step, ticks=ticks))(
         env_state.states, jnp.tanh(pre_tanh_action)
@@ -155,33 +161,34 @@ def _act(
 
 
 def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
-    """Return the environments, with the fins of finished episodes at rest again."""
+    """Reset the environments whose episodes are over."""
     truncated = jax.vmap(task.truncated)(env_state.states)
 
     def choose(new: Array, old: Array) -> Array:
         return jnp.where(truncated.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
+    # All environments are reset and the finished ones chosen, because a branch cannot depend on
+    # traced values.
     again = jax.vmap(task.reset)(env_state.states.key, env_state.states.references)
     return EnvState(jax.tree.map(choose, again, env_state.states), env_state.memories, truncated)
 
 
 class PolicyEvaluation(NamedTuple):
-    """Errors of a policy without exploration noise, from one episode per reference, as in the
-    paper's Table II."""
+    """Errors of a policy without exploration noise in one episode per reference, as in the paper's
+    Table II."""
 
     error: Float[AnyArray, "*batch references 2"]
-    """Mean over all whole windows of |moving average - reference| [N]."""
+    """Mean of |moving average - reference| over all complete windows [N]."""
     std: Float[AnyArray, "*batch references 2"]
     """Standard deviation of the moving average [N]."""
     out_of_distribution_fraction: Float[AnyArray, "*batch references"] | None = None
-    """Fraction of the actions that left an ensemble's training data; None for other plants."""
+    """Fraction of actions outside the training data of an ensemble; None for other plants."""
 
 
 def evaluate_policy(
     task: ForceTracking, policy: Policy, references: Float[Array, "references 2"], key: PRNGKeyArray
 ) -> PolicyEvaluation:
-    """Run one episode from rest for each reference, all at the same time, with a constant
-    reference."""
+    """Run one episode from rest for each reference, all in parallel; references are constant."""
     count = len(references)
     window = task.config.window_samples
     states = jax.vmap(task.reset)(
@@ -203,8 +210,10 @@ def evaluate_policy(
     _, (forces, distances) = jax.lax.scan(
         act, (states, memories), jnp.asarray(action_ticks(actions))
     )
+    # Each action is padded to the length of the longest one; the series contains only valid ticks.
     series = jnp.swapaxes(drop_padding(forces, actions), 0, 1)
     error = moving_error(series, references[:, None], window)
     average = moving_average(series, window)
+    # A distance above 1 is out of distribution.
     outside = None if plant is None else (distances > 1).mean(axis=0)
     return PolicyEvaluation(error, average.std(axis=-2), outside)

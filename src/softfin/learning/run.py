@@ -1,7 +1,7 @@
-"""The agents of a training run in one compiled program, on all devices of the machine: init,
-update, evaluation.
+"""Runs all agents of a training run in one compiled program, on all devices of the machine.
 
-Seeds x cells are the agents. Agents do not exchange data, so devices do not communicate.
+There is an agent for each combination of seed and cell. Agents do not exchange data, so devices do
+not communicate.
 """
 
 from functools import partial
@@ -33,16 +33,17 @@ AgentTree = TypeVar("AgentTree")
 
 
 class RunState(NamedTuple):
-    """Checkpoint of a run; every leaf has a leading axis of agents."""
+    """Checkpoint of a run; all leaves have a leading axis of agents."""
 
     agents: AgentState
     best: Policy
+    """Policy with the lowest error so far, for each agent."""
     best_evaluation: PolicyEvaluation
-    """Errors and deviations of `best`, ``(agents, references, 2)``."""
+    """Evaluation of `best`, ``(agents, references, 2)``."""
 
 
 BestPolicies: TypeAlias = tuple[Policy, PolicyEvaluation]
-"""Each agent's policy with the smallest deterministic error, and its evaluation; leaves ``(seeds,
+"""Policy with the lowest deterministic error of each agent, and its evaluation; leaves ``(seeds,
 cells, ...)``."""
 
 
@@ -53,23 +54,22 @@ class TrainingResult(NamedTuple):
     limits: Limits
     seeds: tuple[int, ...]
     policies: Policy
-    """Leaves ``(seeds, cells, ...)``: the policy of each agent with the smallest deterministic
-    error."""
+    """Policy of each agent with the lowest deterministic error; leaves ``(seeds, cells, ...)``."""
     evaluation: PolicyEvaluation
     """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
     force_map: ForceMap | None = None
-    """Map of the fin, if there is one."""
+    """Map of the fin, if any."""
 
 
 MemberState: TypeAlias = tuple[Int[Array, ""], State]
-"""Index of a member, and its state."""
+"""Index of a member and its state."""
 
 
 class OneMember(eqx.Module):
-    """Meets the Plant contract: every fin is a randomly drawn member of an ensemble, so that no
-    policy can exploit the errors of one.
+    """A plant in which each fin is a random member of an ensemble, so that a policy cannot exploit
+    the errors of a single model.
 
-    The key draws the member, which stays for as long as the episode lasts; its index is part of the
+    The member is drawn at `init` and does not change during an episode; its index is part of the
     state.
     """
 
@@ -81,7 +81,7 @@ class OneMember(eqx.Module):
         return self.ensemble.limits
 
     def init(self, key: PRNGKeyArray) -> MemberState:
-        """Return a randomly drawn member, at rest at angle 0."""
+        """Return a random member at rest at angle 0."""
         index = jax.random.randint(key, (), 0, self.ensemble.size)
         return index, self.ensemble.member(index).init(jax.random.fold_in(key, 1))
 
@@ -116,6 +116,7 @@ def _init(
 
 @eqx.filter_jit
 def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[AgentState, Metrics]:
+    # Only `init` needs the table of gaits; afterwards the policy contains it.
     return jax.vmap(_learner(config, plant, None).update)(agents)
 
 
@@ -123,12 +124,13 @@ def _update(config: TrainConfig, plant: Plant, agents: AgentState) -> tuple[Agen
 def _evaluate(
     task: TaskConfig, plant: Plant, policies: Policy, references: Array
 ) -> PolicyEvaluation:
+    # The key is always the same, so that policies of different updates and seeds can be compared.
     evaluate = partial(evaluate_policy, ForceTracking(plant, task), key=named_key(0, "score"))
     return jax.vmap(evaluate)(policies, references)
 
 
 class TrainingRun:
-    """One run over its agents."""
+    """The compiled programs of a training run and their arguments, for all agents."""
 
     def __init__(
         self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None
@@ -139,15 +141,17 @@ class TrainingRun:
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
         self.reachable = None if force_map is None else force_map.reachable
         self.plant = jit_argument(plant)
-        # Tasks that differ only in their cells and seeds share their programs.
+        # The configuration is a static argument. Without cells, runs that differ only in their
+        # cells and seeds share compiled programs.
         self.compiled = config.model_copy(update={"cells": ()})
         self.references = jnp.asarray(
             np.tile(config.evaluation_references(self.reachable), (len(seeds), 1, 1))
         )
 
     def start(self) -> RunState:
-        """Return new agents without any evaluation."""
-        # The key of an agent depends only on its seed and cell, not on other agents.
+        """Return the state of new agents, without evaluation."""
+        # The key of an agent depends only on its seed and cell, so results do not depend on the
+        # other agents of the run.
         keys = jnp.stack([named_key(seed, f"train/{cell}") for seed, cell in self.agents])
         boxes = stack_references(
             [cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable
@@ -156,13 +160,14 @@ class TrainingRun:
         if self.force_map is not None and self.config.begins_as_gaits:
             table = self.force_map.gaits.table
         agents = _init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
+        # The first evaluation is always better.
         worst = np.full(self.references.shape, np.inf, np.float32)
         outside = worst[..., 0] if isinstance(self.plant, EnsemblePlant) else None
         return RunState(agents, agents.policy, PolicyEvaluation(worst, worst, outside))
 
     def over_devices(self, tree: AgentTree) -> AgentTree:
-        """Distribute a tree with a leading axis of agents over as many devices as can have equal
-        parts of it."""
+        """Distribute a tree with a leading axis of agents over the largest number of devices that
+        divides the number of agents."""
         devices = jax.devices()
         used = max(count for count in range(1, len(devices) + 1) if len(self.agents) % count == 0)
         if used == 1:
@@ -172,8 +177,11 @@ class TrainingRun:
         return cast(AgentTree, jax.device_put(tree, parts))
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
-        """Update every agent for the `number`-th time; raises RunError if a loss or its gradient is
-        not finite."""
+        """Do update number `number` of all agents.
+
+        Raises:
+            RunError: a loss or its gradient is not finite.
+        """
         agents, metrics = _update(self.compiled, self.plant, agents)
         self._check_finite(
             "the loss", np.asarray(metrics["loss"]) + np.asarray(metrics["gradient_norm"]), number
@@ -181,17 +189,18 @@ class TrainingRun:
         return agents, metrics
 
     def evaluate(self, policies: Policy, update: int) -> PolicyEvaluation:
-        """Evaluate every agent's policy without noise; raises RunError if the plant's forces are
-        not finite.
+        """Evaluate the policies of all agents without exploration or sensing noise.
 
-        Noise of the sensed angle is also only for learning: the best policy is chosen under the
-        conditions of `softfin evaluate`.
+        Raises:
+            RunError: a force of the plant is not finite.
         """
+        # Sensing noise is used only in training: the best policy is chosen under the conditions of
+        # `softfin evaluate`.
         without_noise = self.config.task.sensing.model_copy(update={"noise_rad": 0.0})
         task = self.config.task.model_copy(update={"sensing": without_noise})
         evaluation = _evaluate(task, self.plant, policies, self.references)
         errors = np.asarray(evaluation.error).sum(axis=(1, 2))
-        self._check_finite("the force while the policies are evaluated", errors, update)
+        self._check_finite("the force in the evaluation", errors, update)
         return evaluation
 
     def _check_finite(self, what: str, of_agents: np.ndarray, update: int) -> None:
@@ -199,13 +208,13 @@ class TrainingRun:
         if bad.size:
             seed, cell = self.agents[bad[0]]
             raise RunError(
-                f"train: {what} is not finite in update {update} of {self.config.num_updates}, "
-                f"seed {seed}, cell {cell}; lower {self.config.algorithm}.learning_rate (the last "
-                "good checkpoint is kept)"
+                f"train: {what} is NaN or infinite in update {update} of "
+                f"{self.config.num_updates}, seed {seed}, cell {cell}; lower "
+                f"{self.config.algorithm}.learning_rate (the last valid checkpoint is kept)"
             )
 
     def by_seed(self, metrics: Metrics) -> dict[str, float]:
-        """Return the means over the cells, named ``seedN/...``."""
+        """Return the means over the cells of each seed, named ``seedN/...``."""
         scalars = {}
         for name, values in metrics.items():
             means = np.reshape(values, (len(self.seeds), -1)).mean(axis=1)
@@ -214,7 +223,7 @@ class TrainingRun:
         return scalars
 
     def note(self, metrics: Metrics, state: RunState) -> str:
-        """Return the newest figures, for a progress bar."""
+        """Return the latest errors as text for a progress bar."""
         note = f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N"
         x, y = np.mean(state.best_evaluation.error, axis=(0, 1))
         return f"{note}, best deterministic {x:.2f}/{y:.2f} N" if np.isfinite(x + y) else note
@@ -230,21 +239,24 @@ class TrainingRun:
 
 
 def summary(evaluation: PolicyEvaluation) -> Metrics:
-    """Return the mean error of each agent over its references, and how often it left an ensemble's
-    training data."""
+    """Return the mean error of each agent over its references, and for ensembles the mean fraction
+    of actions outside the training data."""
     error = np.asarray(evaluation.error)
     outside = evaluation.out_of_distribution_fraction
-    scores: Metrics = {f"score_{axis}_n": error[..., i].mean(-1) for i, axis in enumerate(AXES)}
+    scores: Metrics = {}
+    for index, axis in enumerate(AXES):
+        scores[f"score_{axis}_n"] = error[..., index].mean(-1)
     if outside is not None:
         scores["score_out_of_distribution"] = np.asarray(outside).mean(axis=-1)
     return scores
 
 
 def keep_best(state: RunState, evaluation: PolicyEvaluation) -> RunState:
-    """Return the state with the policy of each agent as its best one if its mean error is lower
-    than before; NumPy arrays."""
+    """Replace the best policy of each agent by the current one if its mean error is lower; the
+    results are NumPy arrays."""
     new = np.asarray(evaluation.error).mean(axis=(1, 2))
     old = np.asarray(state.best_evaluation.error).mean(axis=(1, 2))
+    # False for NaN. Axes of length 1 are appended to broadcast along the first axis of each leaf.
     better = new < old
     best, best_evaluation = jax.tree.map(
         lambda a, b: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b),
@@ -259,14 +271,14 @@ def _is_key(leaf: Any) -> bool:
 
 
 def without_keys(tree: AgentTree) -> AgentTree:
-    """Return the tree with random keys as numbers, for storage."""
+    """Convert the random keys of a tree to integers, because files cannot contain keys."""
     return cast(
         AgentTree, jax.tree.map(lambda x: jax.random.key_data(x) if _is_key(x) else x, tree)
     )
 
 
 def with_keys(tree: AgentTree, like: AgentTree) -> AgentTree:
-    """Return the tree with numbers turned back into keys, where `like` has keys."""
+    """Convert integers back to random keys at the leaves where `like` has keys."""
     return cast(
         AgentTree,
         jax.tree.map(lambda x, y: jax.random.wrap_key_data(x) if _is_key(y) else x, tree, like),

@@ -1,8 +1,7 @@
-"""Training runs: a plant, a configuration and seeds in; one deterministic policy per seed and cell
-out.
+"""Trains one deterministic policy per seed and cell, for a plant and a configuration.
 
-All agents of a run learn in one compiled program. A resumed run ends with the same weights as one
-that was never stopped.
+All agents of a run are trained in one compiled program. A resumed run ends with the same weights as
+an uninterrupted run.
 """
 
 from collections.abc import Sequence
@@ -37,14 +36,13 @@ def train(
     progress: Progress | None = None,
     force_map: ForceMap | None = None,
 ) -> TrainingResult:
-    """Train a policy for every seed and cell; continue from the checkpoint in run_directory if
-    there is one.
+    """Train a policy for each seed and cell; resume from the checkpoint in `run_directory`, if any.
 
-    Without a `force_map` the fin is mapped first, if its policies begin as gaits.
+    If policies start from gaits and there is no `force_map`, the fin is mapped first.
 
     Raises:
-        ConfigurationError: as `check`.
-        RunError: a loss is no longer finite; the last good checkpoint is kept in the run_directory.
+        ConfigurationError: `check` failed.
+        RunError: a loss is not finite; the last valid checkpoint is kept in `run_directory`.
     """
     check(plant, config, seeds, force_map)
     if force_map is None:
@@ -59,6 +57,7 @@ def train(
     state = state._replace(agents=run.over_devices(state.agents))
     record = run_directory.log(rewind_to=done * steps_per_update)
     count = min(config.num_evaluations, config.num_updates)
+    # Evenly spaced updates, including the last one.
     due = {round(config.num_updates * (i + 1) / count) for i in range(count)}
     while done < config.num_updates:
         done += 1
@@ -69,8 +68,8 @@ def train(
             evaluation = run.evaluate(agents.policy, done)
             state = keep_best(state, evaluation)
             scalars |= run.by_seed(summary(evaluation))
-        # Logged before the checkpoint: a resumed run drops surplus entries, but cannot restore a
-        # missing one.
+        # Written before the checkpoint: a resumed run can remove surplus entries, but cannot
+        # restore missing ones.
         record.write(done * steps_per_update, **scalars)
         if done in due:
             run_directory.save(without_keys(state), {"updates": done})
@@ -87,12 +86,13 @@ def train(
 def find_map(
     plant: Plant, config: TrainConfig, run_directory: RunDirectory, progress: Progress | None
 ) -> ForceMap | None:
-    """Map the forces of a fin whose policies start as gaits, or read the map of a stopped run; None
-    for other runs."""
+    """Map the fin if policies start from gaits, or load the map of an interrupted run; otherwise
+    return None."""
     if not config.begins_as_gaits:
         return None
     settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")
     part = run_directory.part("map")
+    # Only the shapes matter here: the box of the map is given, so no survey is needed.
     coarse = settings.empty_table(Reachable(np.zeros(2), np.ones(settings.survey.directions)))
     like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)
     if (resumed := part.load(like)) is not None:

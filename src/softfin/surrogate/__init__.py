@@ -1,4 +1,4 @@
-"""Models of the fin fitted to logs: the paper's networks (Sec. III-B) and streaming ensembles."""
+"""Models of the fin, fitted to logs: the paper's networks (Sec. III-B) and streaming ensembles."""
 
 from softfin.surrogate.paper.fit import FitConfig
 from softfin.surrogate.paper.keras import read_keras_surrogate

@@ -1,8 +1,8 @@
-"""The input and output channels of surrogates, by name: scaling (``scaled = x * scale + offset``),
-and training range.
+"""The input and output channels of surrogates, by name: their scaling (``scaled = x * scale +
+offset``) and their training range.
 
-The range and the name of the fin are stored in every controller trained in a surrogate: a rig
-refuses a controller for another fin, and stops one far outside its training data.
+Every controller trained in a surrogate stores the training range and the name of the fin. A rig
+rejects controllers for other fins, and stops a controller far outside its training data.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,26 +25,27 @@ ANGLE = "angle_rad"
 FORCES = ("force_x_n", "force_y_n")
 READINGS = (ANGLE, "velocity_rad_s", *FORCES)
 COLUMNS = (ANGLE, *COMMAND_COLUMNS, *FORCES)
-"""Channels of the paper's networks: first ForceNet's inputs, which include PosNet's, then
-ForceNet's outputs."""
+"""Channels of the paper's networks: the inputs of ForceNet, which include PosNet's, then its
+outputs."""
 
 SKIPPED = 100
-"""Rows at the start of a log that are not scored in Table I: the first window of PosNet and
+"""Number of rows at the start of a log that Table I does not score: the first window of PosNet and
 ForceNet."""
 
-UNKNOWN: Mapping[str, Any] = {"training_range": None, "fin": None}
-"""Entries for a plant that is not a surrogate, or a surrogate without them."""
+UNKNOWN: Mapping[str, None] = {"training_range": None, "fin": None}
+"""Entries for plants that are not surrogates, and for surrogates without this information."""
 
 
 class NetPrediction(NamedTuple):
-    """Predictions of a network for logs: a row of Table I."""
+    """Predictions of a network for several logs; one row of Table I."""
 
     channels: tuple[str, ...]
     series: Sequence[Float[np.ndarray, "predicted channels"]]
-    """Predicted values of the last rows of each log [rad or N]."""
+    """Predictions for each log [rad or N]; the first rows of a log may have none."""
     window: int | None
-    """Number of past samples that the network sees; None for a network with a state."""
+    """Number of past samples in the input; None for recurrent networks."""
     parameters: int
+    """Number of trainable parameters."""
 
 
 class ChannelScaling(Configuration):
@@ -53,28 +54,34 @@ class ChannelScaling(Configuration):
     scale: float = Field(gt=0)
     offset: float
     data_min: float
-    """Smallest value in the training data, in the channel's unit."""
+    """Minimum of the training data, in the channel's unit."""
     data_max: float
-    """Largest value in the training data."""
+    """Maximum of the training data, in the channel's unit."""
 
 
 class Scaling(Configuration):
-    """Scaling of every channel of the paper's networks."""
+    """Scaling of each channel of the paper's networks."""
 
     channels: dict[str, ChannelScaling]
 
+    # A static field of a JAX module must be hashable, and a dictionary is not.
     def __hash__(self) -> int:
         return hash(tuple(self.channels.items()))
 
     @classmethod
     def fit(cls, logs: Sequence[Log]) -> "Scaling":
-        """Build the scaling that maps each channel's range in the training logs onto 0 .. 1."""
+        """Return the scaling that maps the range of each channel in the training logs to [0, 1].
+
+        Raises:
+            LogError: a channel never changes.
+        """
         channels = {}
         for name, (low, high) in ranges(logs, COLUMNS).items():
+            # Also true for NaN.
             if not high > low:
                 raise LogError(
-                    f"column {name} is {low:g} in every training row: no network can be fitted to "
-                    "it"
+                    f"training logs: column {name} is {low:g} in every row, so no network can be "
+                    "fitted to it; use logs in which it changes"
                 )
             scale = 1 / (high - low)
             channels[name] = ChannelScaling(
@@ -87,21 +94,22 @@ class Scaling(Configuration):
         for name in COLUMNS:
             if name not in self.channels:
                 raise ArtifactError(
-                    f"{source}: no scaling for {name}; there is one for {', '.join(self.channels)}"
+                    f"{source}: missing scaling for {name}; found scaling for "
+                    f"{', '.join(self.channels)}"
                 )
 
     def scaled(self, name: str, values: AnyArray) -> Any:
-        """Scale values given in the channel's unit."""
+        """Return the scaled values of a channel."""
         return values * self.channels[name].scale + self.channels[name].offset
 
     def physical(self, names: Sequence[str], scaled: Float[Array, "*shape {len(names)}"]) -> Array:
-        """Convert scaled values back to the channels' units; the last axis runs over `names`."""
+        """Convert scaled values back to the units of the channels `names`."""
         scale = jnp.asarray([self.channels[name].scale for name in names], jnp.float32)
         offset = jnp.asarray([self.channels[name].offset for name in names], jnp.float32)
         return (scaled - offset) / scale
 
     def table(self, names: Sequence[str], log: Log) -> Float[np.ndarray, "rows {len(names)}"]:
-        """Return some columns of a log, scaled, as float32."""
+        """Return the scaled values of the channels `names` of a log, as float32."""
         columns = to_columns([log])
         return np.stack(
             [self.scaled(name, columns[name]) for name in names], axis=1, dtype=np.float32
@@ -109,30 +117,32 @@ class Scaling(Configuration):
 
 
 def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Return the columns of logs, one log after the other, by channel name."""
+    """Concatenate logs and return their columns by channel name, as float32."""
     return dict(zip((*COMMAND_COLUMNS, *READINGS), stack_channels(logs), strict=True))
 
 
 def stack_channels(logs: Sequence[Log]) -> Float[np.ndarray, "channels rows"]:
-    """Return `Log.channels` of logs, one log after the other, as float32."""
+    """Concatenate `Log.channels` of all logs, as float32."""
     return np.concatenate([np.stack(log.channels) for log in logs], axis=1, dtype=np.float32)
 
 
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:
-    """Return the smallest and largest value of some channels in logs; for the readings this is the
-    training range of a surrogate."""
+    """Return the minimum and maximum of the channels `names` over all logs.
+
+    For the readings of the training logs, this is the training range of a surrogate.
+    """
     columns = to_columns(logs)
     return {name: [float(columns[name].min()), float(columns[name].max())] for name in names}
 
 
 def learnt_from(plant: object) -> JsonObject:
-    """``training_range`` and ``fin`` of a surrogate's folder, if `plant` names one that has them;
-    otherwise unknown."""
+    """Return ``training_range`` and ``fin`` of the surrogate in the folder `plant`; each is None if
+    unknown."""
     if not isinstance(plant, str | Path) or not artifacts.is_kind(Path(plant), "surrogate"):
         return dict(UNKNOWN)
     description = artifacts.load_description(Path(plant), "surrogate")
     entries = {name: description.get(name) for name in UNKNOWN}
-    # Imported surrogates contain the range of their channels in their scaling.
+    # For imported surrogates, only the scaling contains the range of the channels.
     if entries["training_range"] is None and (scaling := description.get("scaling")):
         training_range = {}
         for name in READINGS:

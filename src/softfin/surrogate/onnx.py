@@ -1,9 +1,9 @@
-"""A surrogate's step of 10 ms as ONNX: command and state in, readings and next state out, for
-Simulink or Gazebo.
+"""Exports a 10 ms step of a surrogate to ONNX, for Simulink or Gazebo: command and state in,
+reading and next state out.
 
-The step is traced from the surrogate's own formulas in JAX (`softfin.storage.onnx_graph`); before
-the file is kept, onnxruntime runs free for 30 s of random commands and is compared with JAX. Needs
-the extra ``softfin[onnx]``.
+The step is traced from the surrogate's JAX program (`softfin.storage.onnx_graph`). The file is
+written only if onnxruntime agrees with JAX over a free run of 30 s with random commands. Needs the
+extra ``softfin[onnx]``.
 """
 
 import hashlib
@@ -32,24 +32,23 @@ from softfin.surrogate.store import SURROGATE_KIND, AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
 CHECK_S = 30
-"""Duration of the free run in which onnxruntime is compared with JAX [s]."""
+"""Duration of the free run that compares onnxruntime with JAX [s]."""
 
 MAX_READING_DIFFERENCE = 1e-3
-"""Largest difference from JAX's angle [rad], velocity [rad/s] and force [N] with which a file is
-written."""
+"""Maximum difference between onnxruntime and JAX in angle [rad], velocity [rad/s] and force [N]; if
+it is larger, no file is written."""
 
 COMPARED_OUTPUTS = ("angle", "velocity", "force")
-"""Outputs that are compared."""
+"""Outputs compared with JAX."""
 
 
 def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Exported:
-    """Write the step of the surrogate in a folder to a file, checked by onnx and run by
-    onnxruntime.
+    """Export one step of the surrogate in a folder, and check the file with onnx and onnxruntime.
 
     Raises:
         ConfigurationError: the extra is missing.
-        ArtifactError: there is a file already, or no surrogate.
-        RunError: the exported step gives other readings than JAX; nothing is written.
+        ArtifactError: the file already exists, or the folder contains no surrogate.
+        RunError: the readings of the exported step differ from JAX's; no file is written.
     """
     artifacts.check_file(file, overwrite, "--onnx")
     import_extra("spox", "onnx", "onnxruntime")
@@ -60,7 +59,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
     flat, unpack = ravel_pytree(start[1:])
 
     def step(command_angle: Array, command_velocity: Array, state: PyTree) -> dict[str, Any]:
-        # The first field counts ticks, and only the time needs it.
+        # The exported state omits the first field, the tick counter, which affects only the time.
         now = start._replace(**dict(zip(start._fields[1:], unpack(state), strict=True)))
         command = Command(command_angle, command_velocity)
         after: PyTree
@@ -86,7 +85,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
 
 
 def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
-    """Return the facts that a user of the file must know."""
+    """Return the metadata stored in the file: units, rate, limits and training range."""
     description = artifacts.load_description(folder, SURROGATE_KIND)
     outputs = {
         "angle": "angle of the shaft [rad]",
@@ -95,10 +94,10 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
     }
     if isinstance(surrogate, StreamingSurrogate):
         outputs |= {
-            "force_members": "(members, 2), the force that each member predicts [N]; force is "
-            "their mean",
-            "distance": "distance of the motion from the training data: 1 at their edge, larger "
-            "outside",
+            "force_members": "(members, 2), force predicted by each member [N]; force is their "
+            "mean",
+            "distance": "distance of the motion from the training data; above 1, the motion is out "
+            "of distribution",
         }
     return {
         "surrogate": folder.resolve().name,
@@ -111,7 +110,7 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
         "force_frame": FORCE_FRAME,
         "inputs": {
             "command_angle": "target angle, held for the 10 ms of the step [rad]",
-            "command_velocity": "profile velocity on the way there [rad/s]",
+            "command_velocity": "profile velocity of the move to the target angle [rad/s]",
         },
         "outputs": outputs,
         "weights_sha256": hashlib.sha256((folder / artifacts.WEIGHTS).read_bytes()).hexdigest(),
@@ -119,8 +118,10 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
 
 
 def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarray]) -> float:
-    """Run both free under random commands, each with its own state; returns the largest
-    difference."""
+    """Return the largest difference between onnxruntime and JAX in a free run.
+
+    Each continues from its own state, so that differences may grow as they do in use.
+    """
     commands = Command(*ExcitationConfig()(jax.random.key(0), CHECK_S * RATE_HZ, surrogate.limits))
     start = surrogate.init(jax.random.key(0))
     reading = jax.jit(lambda start, commands: roll(surrogate, start, commands)[1])(start, commands)
@@ -136,6 +137,6 @@ def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarra
         state = {name: found[f"{NEXT}{name}"] for name in state}
         for name, rows in readings.items():
             difference = float(np.abs(found[name] - rows[index]).max())
-            # NaN also counts as a difference.
+            # max() would ignore NaN, which must fail the check.
             worst = max(worst, difference) if difference == difference else np.inf
     return worst

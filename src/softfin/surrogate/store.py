@@ -1,9 +1,9 @@
-"""A surrogate's folder: ``surrogate.json`` (networks, scaling, scores, provenance) and
-``weights.safetensors``."""
+"""Saves and loads surrogates: a folder with ``surrogate.json`` (networks, scaling, scores,
+provenance) and ``weights.safetensors``."""
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from softfin.core.errors import ArtifactError, ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
@@ -17,7 +17,8 @@ SURROGATE_KIND = "surrogate"
 AnySurrogate: TypeAlias = Surrogate | StreamingSurrogate
 
 MODELS: dict[str, type[AnySurrogate]] = {
-    kind.model: kind for kind in (Surrogate, StreamingSurrogate)
+    Surrogate.model: Surrogate,
+    StreamingSurrogate.model: StreamingSurrogate,
 }
 
 
@@ -28,10 +29,19 @@ def save_surrogate(
     provenance: JsonObject,
     extra_files: Callable[[Path], None] | None = None,
     overwrite: bool = False,
-    **metadata: Any,
+    **metadata: object,
 ) -> None:
-    """Write the folder, completely or not at all; `extra_files` are added to it, `metadata` to its
-    JSON."""
+    """Write the folder of a surrogate, completely or not at all.
+
+    Args:
+        path: The folder.
+        surrogate: The surrogate.
+        scores: Scores on test logs, if there are any.
+        provenance: Data, seed and versions that the surrogate comes from.
+        extra_files: Function that writes more files into the folder.
+        overwrite: Replace an existing folder.
+        metadata: More entries of ``surrogate.json``.
+    """
     entries, weights = surrogate.to_files()
     description = {
         "model": surrogate.model,
@@ -46,30 +56,37 @@ def save_surrogate(
 
 
 def load_surrogate(path: Path) -> AnySurrogate:
-    """Load the surrogate in a folder; raises ArtifactError if it is damaged or has another rate or
-    other channels."""
+    """Load the surrogate in a folder.
+
+    Raises:
+        ArtifactError: it is damaged, or has an unsupported rate, model or set of channels.
+    """
     description, weights = artifacts.load(path, SURROGATE_KIND)
     source = str(path / f"{SURROGATE_KIND}.json")
     if description.get("rate_hz") != RATE_HZ:
         raise ArtifactError(
-            f"{source}: made for {description.get('rate_hz')} Hz; softfin runs at {RATE_HZ} Hz"
+            f"{source}: the surrogate runs at {description.get('rate_hz')} Hz; softfin requires "
+            f"{RATE_HZ} Hz"
         )
+    # Folders without this entry contain the paper's networks.
     model = description.get("model", "paper")
     if model not in MODELS:
         raise ArtifactError(
-            f"{source}: model {model!r}; this softfin has {', '.join(MODELS)}; update it"
+            f"{source}: unknown model {model!r}; this version of softfin supports "
+            f"{', '.join(MODELS)}; update softfin"
         )
     try:
         surrogate = MODELS[model].from_files(description, weights, source)
-        # The channels of the paper's networks follow from the scaling.
+        # Validates the limits: those of the paper's networks come from the scaling, unchecked.
         Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate
     except ConfigurationError as error:
         raise ArtifactError(
-            f"{error}; this softfin has no such networks, so fit it again"
+            f"{error}; this version of softfin does not support these networks; fit the surrogate "
+            "again"
         ) from None
     except (KeyError, TypeError, ValueError) as error:
         reason = one_line(error)
         raise ArtifactError(
-            f"{source}: not a surrogate's description ({reason}); fit it again"
+            f"{source}: invalid description of a surrogate ({reason}); fit the surrogate again"
         ) from None

@@ -1,5 +1,5 @@
-"""Functions for both kinds of networks: keeping the best weights during training, and the names of
-weights in files."""
+"""Training and storage shared by both kinds of surrogates: data split, best weights so far, and the
+names of weights in files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,36 +14,45 @@ from softfin.core.quantities import Log
 from softfin.storage.run_directory import name_leaves, name_path
 
 UPDATES_A_CALL = 50
-"""Largest number of updates per call of a compiled program, after which progress is shown."""
+"""Maximum number of updates per call of a compiled program; progress is shown between calls."""
 
 
 class TrainingState(NamedTuple):
-    """Everything needed to resume the training of several networks, or of one with a leading axis
-    ``members``."""
+    """State of a training run, complete enough to resume it.
+
+    It contains either several networks, or one network whose arrays have a leading axis
+    ``members``.
+    """
 
     nets: PyTree
     optimiser: PyTree
     best: PyTree
     """Weights with the lowest held-out loss so far, for each network or member."""
     best_loss: PyTree
-    """Loss of the best weights: one number for each of several networks, or an array
-    ``(members,)``."""
+    """Held-out loss of the best weights: a scalar for each network, or an array ``(members,)``."""
 
 
 def keep_best_nets(
     state: TrainingState, losses: PyTree, held_out: object, name: str
 ) -> tuple[TrainingState, bool]:
-    """Keep each network's weights if its held-out loss is the lowest so far; return whether any is.
-    RunError if one is not finite."""
-    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((losses, held_out))):
-        raise RunError(
-            f"fit: the loss of the {name} is not finite; lower learning_rate (--set) and start "
-            "again"
-        )
+    """Keep the weights of each network or member if its held-out loss is the lowest so far.
 
-    # `better` has an entry for each network or member. It gets the further axes of the weights, so
-    # that it is broadcast along their first one.
-    def pick(better: Array, new: PyTree, old: PyTree) -> Any:
+    Returns:
+        The new state, and whether any loss improved.
+
+    Raises:
+        RunError: a loss is not finite.
+    """
+    for leaf in jax.tree.leaves((losses, held_out)):
+        if not np.isfinite(leaf).all():
+            raise RunError(
+                f"fit: the loss of the {name} is NaN or infinite; lower learning_rate (--set) and "
+                "start again"
+            )
+
+    # `better` is a scalar or has the shape (members,). Axes of length 1 are appended, because NumPy
+    # would otherwise broadcast it along the last axis of the weights instead of the first.
+    def pick(better: Array, new: PyTree, old: PyTree) -> PyTree:
         return jax.tree.map(
             lambda x, y: jnp.where(jnp.expand_dims(better, range(better.ndim, x.ndim)), x, y),
             new,
@@ -58,13 +67,17 @@ def keep_best_nets(
 
 
 def hold_out(logs: Sequence[Log], share: float) -> tuple[Sequence[Log], Sequence[Log]]:
-    """Return the logs for training and, the last ones, to hold out; raises LogError if there are
-    fewer than two."""
+    """Split logs into training logs and held-out logs, which are the last ones.
+
+    Raises:
+        LogError: there are fewer than two logs.
+    """
     if (count := len(logs)) < 2:
         raise LogError(
-            f"{count} training log: at least 2 are needed, one for training and one held out; "
-            "record more, or cut a long file into logs by --rows-per-log"
+            f"training logs: found {count}, expected at least 2, one for training and one held "
+            "out; record more, or split a long file into logs with --rows-per-log"
         )
+    # Whole logs, not rows: neighbouring rows of one log are almost equal, and share its drift.
     held_out = min(count - 1, max(1, round(count * share)))
     return logs[:-held_out], logs[-held_out:]
 
@@ -74,14 +87,17 @@ def check_lengths(logs: Sequence[Log], window: int, part: str) -> None:
     for index, log in enumerate(logs):
         if log.rows <= window:
             raise LogError(
-                f"{part} log {index}: {log.rows} rows; more than a window of {window} are needed; "
-                "record longer"
+                f"{part} log {index}: {log.rows} rows; expected more than the window of {window} "
+                "rows; record longer logs"
             )
 
 
 def window_starts(rows: Sequence[int], window: int, first: int = 0) -> Int[np.ndarray, "windows"]:
-    """Return the rows at which windows begin in concatenated logs, from row `first` of each on,
-    with the row after each window inside the same log."""
+    """Return the first rows of all windows in concatenated logs.
+
+    Windows start at row `first` of each log or later. The row after a window, which is the
+    prediction target, is in the same log.
+    """
     starts = []
     offset = 0
     for count in rows:
@@ -91,15 +107,18 @@ def window_starts(rows: Sequence[int], window: int, first: int = 0) -> Int[np.nd
 
 
 def name_net_arrays(nets: PyTree) -> dict[str, np.ndarray]:
-    """Return the arrays by their paths, such as ``posnet.3.kernel``."""
+    """Return the arrays of networks by path, e.g. ``posnet.3.kernel``."""
     return {name: np.asarray(leaf) for name, leaf in name_leaves(nets).items()}
 
 
 def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> Any:
-    """Return networks of these shapes with the arrays of `named`; ArtifactError if one is missing
-    or does not fit."""
+    """Build networks from their shapes and the arrays of `name_net_arrays`.
 
-    def leaf(path: Any, like: Any) -> Any:
+    Raises:
+        ArtifactError: an array is missing, has another shape, or is not finite.
+    """
+
+    def leaf(path: tuple[object, ...], like: jax.ShapeDtypeStruct) -> Array:
         name = name_path(path)
         array = arrays.get(name)
         if array is None:
@@ -111,7 +130,8 @@ def restored(shapes: PyTree, arrays: Mapping[str, np.ndarray], source: str) -> A
         else:
             problem = "is not finite"
         raise ArtifactError(
-            f"{source}: {name} {problem}, must have {like.shape}; copy the whole folder again"
+            f"{source}: {name} {problem}; expected a finite array of shape {like.shape}; "
+            "copy the complete folder again"
         )
 
     return jax.tree_util.tree_map_with_path(leaf, shapes)

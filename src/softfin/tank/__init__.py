@@ -1,4 +1,4 @@
-"""The virtual tank: a soft fin in still water behind the Plant contract."""
+"""The virtual tank: a simulated soft fin in still water, as a `Plant`."""
 
 from softfin.tank.randomization import (
     DomainRandomization,

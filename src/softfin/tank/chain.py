@@ -1,9 +1,9 @@
-"""A planar chain of rigid plates hinged end to end: its pose, its motion, and the effect of loads
+"""A planar chain of rigid plates, hinged end to end: its pose, its motion, and the effect of loads
 on its plates.
 
-Plate i lies from its inner end, nearer the shaft, along d(phi) = (-cos phi, sin phi); its normal is
-n = d' = (sin phi, cos phi). The absolute angles phi are the only coordinates, so length is kept
-exactly. Loads, momenta and motions of a plate are given along n and d and about its inner end.
+Plate i extends from its inner end, which is nearer the shaft, along d(phi) = (-cos phi, sin phi).
+Its normal is n = d' = (sin phi, cos phi). The absolute angles phi are the only coordinates, so the
+length is conserved exactly. Loads, momenta and motions of a plate refer to n, d and its inner end.
 """
 
 from collections.abc import Callable
@@ -22,46 +22,54 @@ PlateMatrix = Float[Array, "plates plates"]
 
 
 class Pose(NamedTuple):
-    """Effect of the rotation of plate j on the inner end of plate i > j; rows i, columns j, zero
-    elsewhere [m]."""
+    """Velocity of the inner end of plate i per angular velocity of plate j [m]: rows i, columns j,
+    zero unless j < i."""
 
     normal: PlateMatrix
+    """Component along the normal of plate i."""
     along: PlateMatrix
+    """Component along d of plate i."""
 
 
 class PlateMotion(NamedTuple):
-    """Motion of each plate: velocity of its inner end along n and d [m/s], angular velocity
-    [rad/s]."""
+    """Motion of each plate."""
 
     normal: PerPlate
+    """Velocity of the inner end along n [m/s]."""
     along: PerPlate
+    """Velocity of the inner end along d [m/s]."""
     turning: PerPlate
+    """Angular velocity [rad/s]."""
 
 
 class PlateWrench(NamedTuple):
-    """Force on each plate along n and d [N], moment about the inner end [N m]. Also used for
-    momenta [N s, N m s]."""
+    """Force and moment on each plate; also used for momenta [N s, N m s]."""
 
     normal: PerPlate
+    """Force along n [N]."""
     along: PerPlate
+    """Force along d [N]."""
     moment: PerPlate
+    """Moment about the inner end [N m]."""
 
 
 class Moments(NamedTuple):
-    """Moments of each plate's mass [kg] or drag [kg/s]: orders 0 to 2 along n, and the total along
-    d.
+    """Moments of the mass [kg] or drag [kg/s] of each plate about its inner end.
 
-    With m(s) the mass per length along n, they are the integrals of m, m s and m s^2 over the
-    plate.
+    Mass may differ along n and d, because added mass acts only along n. With the mass per length
+    m(s) along n, the moments are the integrals of m, m s and m s^2 over the plate.
     """
 
     zeroth: PerPlate
     first: PerPlate
     second: PerPlate
     along: PerPlate
+    """Integral of the mass per length along d."""
 
     def times(self, motion: PlateMotion) -> PlateWrench:
-        """Return the momentum of a motion, or the force that resists it."""
+        """Return the momentum of a motion, or for drag the force that resists it."""
+        # At s, the velocity along n is normal + s * turning, and that along d is the same as at the
+        # inner end.
         return PlateWrench(
             self.zeroth * motion.normal + self.first * motion.turning,
             self.along * motion.along,
@@ -70,9 +78,11 @@ class Moments(NamedTuple):
 
 
 def pose(angles: PerPlate, plate_length: Scalar) -> Pose:
-    """Return the pose of a chain whose plates are at absolute `angles` [rad]."""
+    """Return the pose of a chain with plates at the absolute `angles` [rad]."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
+    # Plate j moves the inner end of plate i with l phi_j' n_j. Its components are
+    # l cos(phi_i - phi_j) along n_i and l sin(phi_i - phi_j) along d_i.
     lever = jnp.tril(jnp.ones((angles.size, angles.size), angles.dtype), -1) * plate_length
     return Pose(
         lever * (cos[:, None] * cos[None] + sin[:, None] * sin[None]),
@@ -81,12 +91,12 @@ def pose(angles: PerPlate, plate_length: Scalar) -> Pose:
 
 
 def motion(pose: Pose, rates: PerPlate) -> PlateMotion:
-    """Return the motion of plates that rotate at absolute `rates` [rad/s]."""
+    """Return the motion of plates that rotate at the absolute `rates` [rad/s]."""
     return PlateMotion((pose.normal * rates).sum(1), (pose.along * rates).sum(1), rates)
 
 
 def components(angles: PerPlate, velocity: PlanarVector) -> PlateMotion:
-    """Resolve one velocity (x, y) [m/s] along every plate's axes."""
+    """Resolve a velocity (x, y) [m/s] into components along the axes of each plate."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
     x, y = velocity
@@ -94,16 +104,21 @@ def components(angles: PerPlate, velocity: PlanarVector) -> PlateMotion:
 
 
 def project(pose: Pose, wrench: PlateWrench) -> PerPlate:
-    """Return the moment of the wrenches about each absolute angle [N m]."""
+    """Return the generalized force of the wrenches on each absolute angle [N m]."""
+    # The principle of virtual work: the transpose of the map from rates to motion.
     levers = pose.normal * wrench.normal[:, None] + pose.along * wrench.along[:, None]
     return levers.sum(0) + wrench.moment
 
 
 def momentum_matrix(pose: Pose, moments: Moments) -> PlateMatrix:
-    """Return the symmetric matrix that maps angular velocities to generalised momenta, or to the
-    moments that resist them."""
+    """Return the symmetric matrix that maps angular velocities to generalized momenta, or for drag
+    to the moments that resist them.
+
+    It equals ``project(pose, moments.times(motion(pose, rates)))`` as a matrix.
+    """
     normal = pose.normal
     along = pose.along
+    # The axes of `outer` are (i, j, k), where j and k are angles and plate i is summed over.
     outer = normal[:, :, None] * (moments.zeroth[:, None] * normal)[:, None, :]
     outer += along[:, :, None] * (moments.along[:, None] * along)[:, None, :]
     arm = moments.first[:, None] * normal
@@ -111,9 +126,14 @@ def momentum_matrix(pose: Pose, moments: Moments) -> PlateMatrix:
 
 
 def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrench:
-    """Return minus the rate of change of each plate's momentum at constant angular velocities
-    (Kirchhoff's equations)."""
+    """Return minus the rate of change of the momentum of each plate at constant angular velocities,
+    by Kirchhoff's equations.
+
+    In the axes of a plate, the rate of change of a momentum p includes turning x p; that of the
+    angular momentum about a moving point also includes velocity x p.
+    """
     squares = motion.turning**2
+    # Rates of change of the components of the inner end's velocity along n and d.
     rise = (pose.along * squares).sum(1) - motion.along * motion.turning
     slide = motion.normal * motion.turning - (pose.normal * squares).sum(1)
     momentum = inertia.times(motion)
@@ -139,17 +159,22 @@ def resultant(angles: PerPlate, wrench: PlateWrench) -> PlanarVector:
 def condense(
     matrix: PlateMatrix, right: PerPlate
 ) -> tuple[Scalar, Scalar, Callable[[Scalar], PerPlate]]:
-    """Eliminate all plates but the first from ``matrix @ rates = right``, the matrix symmetric
-    positive definite.
+    """Eliminate all plates except the first from ``matrix @ rates = right``, where the matrix is
+    symmetric and positive definite.
 
-    At the root ``inertia * rate = impulse`` remains, to be solved together with whatever holds the
-    fin. Returns inertia, impulse, and the function from the first plate's rate to all rates.
+    The remaining equation of the first plate, ``inertia * rate = impulse``, is solved together with
+    the shaft.
+
+    Returns:
+        Inertia, impulse, and the function from the rate of the first plate to all rates.
     """
     if len(right) == 1:
         return matrix[0, 0], right[0], lambda first: first[None]
     column = matrix[1:, 0]
     inner = matrix[1:, 1:]
-    # Its derivative is one more linear solve, not the derivative of each elimination step.
+    # With the blocks [[a, c^T], [c, B]] of the matrix: free = B^-1 right[1:], dragged = B^-1 c. The
+    # derivative of a custom linear solve is another solve, not the derivative of each elimination
+    # step.
     free, dragged = jax.lax.custom_linear_solve(
         lambda x: x @ inner,
         jnp.stack([right[1:], column]),
@@ -160,15 +185,20 @@ def condense(
     def expand(first: Scalar) -> PerPlate:
         return jnp.concatenate([first[None], free - first * dragged])
 
+    # The Schur complement: (a - c^T B^-1 c) rate = right[0] - c^T B^-1 right[1:].
     return matrix[0, 0] - column @ dragged, right[0] - column @ free, expand
 
 
 def _eliminated(
     matrix: Float[Array, "n n"], rights: Float[Array, "rights n"]
 ) -> Float[Array, "rights n"]:
-    """Elimination without pivoting, unrolled: a batch of such small systems becomes a few long
-    vector operations, while LAPACK would need one call per fin."""
+    """Solve a symmetric positive definite system by unrolled elimination without pivoting.
+
+    A batch of such small systems becomes a few long vector operations, while LAPACK would need one
+    call per fin.
+    """
     size = matrix.shape[0]
+    # From tip to root. Only the lower triangle is updated, because the matrix stays symmetric.
     rows = [[matrix[i, j] for j in range(size)] for i in range(size)]
     sides = [rights[:, i] for i in range(size)]
     for k in reversed(range(1, size)):

@@ -1,11 +1,13 @@
-"""The drive: a positioning controller in profile position mode, motor and gearbox; commands in, the
-shaft's motion out.
+"""The drive: a positioning controller in profile position mode, a motor and a gearbox. Commands in,
+motion of the shaft out.
 
-A trapezoidal velocity profile runs to the target angle at the commanded velocity, within an
-acceleration limit. It is replanned at each step from the present motion, so a command may come at
-any time, even mid-stroke. A servo with a torque limit makes the motor follow it, against the fin's
-load; a gearbox with play stands between motor and fin. The encoder sits on the motor. Angles,
-torques and inertias refer to the fin's side of the gearbox.
+The controller follows a trapezoidal velocity profile to the target angle at the commanded velocity,
+within an acceleration limit. The profile is replanned in each step from its current state, so a
+command may arrive at any time, even mid-stroke. A servo with limited torque makes the motor follow
+the profile against the load of the fin. The gearbox between motor and fin may have backlash. The
+encoder is on the motor. All angles, torques and inertias refer to the fin's side of the gearbox.
+
+Equations: docs/appendix/tank.md, "Drive".
 """
 
 from typing import NamedTuple
@@ -22,42 +24,43 @@ from softfin.tank.fin import Shaft
 from softfin.tank.sensor import config_arrays, to_multiple
 
 DEAD_TICKS = 20
-"""Longest dead time, in ticks of 10 ms."""
+"""Maximum dead time [10 ms]."""
 
 
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.
 
-    Velocity, acceleration, dead time and lag come from a calibration against the published fin
-    (docs/appendix/tank.md); motor and gearbox are catalogue values for a reduction of 111:1, which
-    is assumed.
+    The defaults of velocity, acceleration, dead time and lag come from a calibration against the
+    published fin (docs/appendix/tank.md). Those of motor and gearbox are catalogue values for an
+    assumed reduction of 111:1.
     """
 
     slowest_rad_s: float = Field(1.0, gt=0)
-    """Least profile velocity that the drive takes [rad/s] (paper, Sec. III-A)."""
+    """Minimum profile velocity that the drive accepts [rad/s] (paper, Sec. III-A)."""
     fastest_rad_s: float = Field(7.1, gt=0)
-    """Greatest profile velocity that the drive takes [rad/s]."""
+    """Maximum profile velocity that the drive accepts [rad/s]."""
     acceleration_rad_s2: float = Field(81.0, gt=0)
-    """Acceleration of the profile, speeding up and braking [rad/s2]."""
+    """Acceleration and deceleration of the profile [rad/s2]."""
     dead_time_s: float = Field(0.029, ge=0, le=DEAD_TICKS * TICK_S)
-    """Delay from a command to the profile that follows it [s]: caused by computer and bus."""
+    """Delay from a command to its first effect on the profile [s], caused by computer and bus."""
     lag_s: float = Field(0.001, ge=0)
     """Following error divided by velocity [s], caused by the servo's velocity damping."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
     """Torque of the servo per following error [N m/rad]."""
     inertia_kg_m2: float = Field(0.028, gt=0)
-    """Inertia of rotor and gearbox, times the gear ratio squared [kg m2]: 22.6e-7 at 111:1."""
+    """Inertia of rotor and gearbox times the square of the gear ratio [kg m2]; 22.6e-7 kg m2 at
+    111:1."""
     torque_limit_nm: float = Field(6.0, gt=0)
-    """Largest torque of motor and gearbox [N m]: the limit of a 32 mm planetary gearbox."""
+    """Maximum torque of motor and gearbox [N m]; the limit of a 32 mm planetary gearbox."""
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
-    """Play of the gearbox, from end to end [rad]; catalogues give 0.003 to 0.017."""
+    """Backlash of the gearbox from end to end [rad]; catalogues state 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
-    """Readings of the shaft are multiples of this [rad]: 2000 counts per turn at 111:1; 0: not
-    quantised."""
+    """Resolution of the encoder [rad], for 2000 counts per turn at 111:1; 0 for no
+    quantization."""
 
 
 class DriveState(NamedTuple):
-    """State of the profile and of the motor, and the commands in the queue."""
+    """State of the profile and the motor, and the commands in the queue."""
 
     profile_angle: Scalar
     """Angle of the profile [rad]."""
@@ -70,7 +73,7 @@ class DriveState(NamedTuple):
     torque: Scalar
     """Mean torque of the motor in the last step [N m]."""
     waiting: Command
-    """Commands of the last ticks, newest first."""
+    """Commands of the last `DEAD_TICKS` ticks, newest first."""
 
 
 class Drive(eqx.Module):
@@ -98,20 +101,20 @@ class Drive(eqx.Module):
         ) = config_arrays(config, without=("slowest_rad_s", "fastest_rad_s"))
 
     def rest(self) -> DriveState:
-        """Return the state at rest at angle 0, commanded to stay there."""
+        """Return the state at rest at angle 0, with a queue of commands to stay there."""
         zero = jnp.zeros_like(self.lag)
         waiting = jnp.zeros(DEAD_TICKS, zero.dtype)
         return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
-        """Add the command issued now; also return the one that the profile obeys during the next
+        """Add a command to the queue; also return the command that the profile follows in the next
         tick."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
         waiting = jax.tree.map(lambda channel: channel[:-1], queue)
         return state._replace(waiting=waiting), delayed(queue, self.dead_time / TICK_S)
 
     def plan(self, state: DriveState, command: Command, seconds: float) -> DriveState:
-        """Return the state with the profile advanced by one time step under a command."""
+        """Advance the profile by one time step."""
         velocity = next_velocity(
             state.profile_angle, state.profile_velocity, command, self.acceleration, seconds
         )
@@ -127,11 +130,14 @@ class Drive(eqx.Module):
         seconds: float,
         carried: Scalar | float = 0.0,
     ) -> Shaft:
-        """Return the shaft that drives the fin while the profile goes from one state to the
-        next."""
+        """Return the shaft that drives the fin while the profile advances from `before` to
+        `planned`."""
         half = seconds / 2
         pull, grip, rotor = self._servo(before, planned, half)
 
+        # The implicit midpoint rule for the rotor, with the mean rate w over the step:
+        #   J (w - rate) / (h / 2) = torque + load - drag w,   torque = pull - grip w.
+        # At the torque limit, the torque is constant instead.
         def turn(load: Scalar, drag: Scalar) -> Scalar:
             free = (rotor * before.rate + pull + load) / (rotor + grip + drag)
             torque = pull - grip * free
@@ -145,7 +151,7 @@ class Drive(eqx.Module):
     def follow(
         self, before: DriveState, planned: DriveState, mean: Scalar, seconds: float
     ) -> DriveState:
-        """Return the state after a step in which the motor turned at a mean rate [rad/s]."""
+        """Return the state after a step in which the motor rotated at the rate `mean` [rad/s]."""
         pull, grip, _ = self._servo(before, planned, seconds / 2)
         torque = jnp.clip(pull - grip * mean, -self.torque_limit, self.torque_limit)
         return planned._replace(
@@ -153,18 +159,16 @@ class Drive(eqx.Module):
         )
 
     def read(self, state: DriveState) -> tuple[Scalar, Scalar]:
-        """Return the readings of the encoder: angle [rad] and velocity [rad/s]."""
+        """Return the angle [rad] and velocity [rad/s] that the encoder reads."""
         return to_multiple(state.angle, self.encoder_step), state.rate
 
     def _servo(
         self, before: DriveState, planned: DriveState, half: float
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """The motor's mean torque in a step is pull - grip * (mean rate) [N m]; the third number is
-        its inertia over half a step.
-
-        It is proportional to the following error minus that of the lag, and critically damped about
-        the profile.
-        """
+        """Return `pull`, `grip` and the inertia divided by half a step; the mean torque in the step
+        is pull - grip * (mean rate) [N m]."""
+        # tau = K (theta_p - theta - T_l theta') + D (theta_p' - theta') at the middle of the step,
+        # where theta = before.angle + half * (mean rate). D = 2 sqrt(K J) is critical damping.
         damping = 2 * jnp.sqrt(self.stiffness * self.inertia)
         profile_angle = (before.profile_angle + planned.profile_angle) / 2
         profile_rate = (before.profile_velocity + planned.profile_velocity) / 2
@@ -179,8 +183,11 @@ def next_velocity(
     acceleration: Scalar,
     seconds: float,
 ) -> Scalar:
-    """Return the fastest velocity from which the profile, in discrete time steps, stops at the
-    target without overshoot."""
+    """Return the velocity of the profile after one time step: the highest one from which it can
+    stop at the target without overshoot."""
+    # In time steps h with deceleration a, the stopping distance of a velocity v is
+    # v^2 / (2 a) + v h / 2, so the highest velocity is sqrt((a h / 2)^2 + 2 a |ahead|) - a h / 2.
+    # |ahead| / h reaches the target in one step.
     ahead = command.angle - angle - seconds * velocity / 2
     gain = acceleration * seconds
     braking = jnp.sqrt((gain / 2) ** 2 + 2 * acceleration * jnp.abs(ahead)) - gain / 2
@@ -190,10 +197,10 @@ def next_velocity(
 
 
 def delayed(commands: Command, delay: Scalar) -> Command:
-    """Return the command from `delay` ticks ago, out of the last ones, newest first.
+    """Return the command from `delay` ticks ago; `commands` are ordered from newest to oldest.
 
-    A fractional delay interpolates between the two neighbouring commands, so that it has a
-    derivative.
+    A fractional delay interpolates between two commands, so that the result is differentiable with
+    respect to the delay.
     """
     age = jnp.arange(commands.angle.shape[0], dtype=delay.dtype)
     weights = jnp.maximum(1 - jnp.abs(age - delay), 0.0)

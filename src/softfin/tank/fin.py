@@ -1,11 +1,11 @@
-"""The soft fin: a tapered silicone plate, bending in the plane of beating, modelled as a chain of
-plates with elastic joints.
+"""The soft fin: a tapered silicone plate that bends in the plane of beating, modelled as a chain of
+rigid plates with elastic joints.
 
-The first joint holds the fin on the shaft and transmits its load. One time step treats bending,
-structural damping, the water's resistance and the shaft by the implicit midpoint rule, and the
-remaining nonlinearity at a midpoint predicted from the last accelerations: second order in the
-step, one linear solve. No stiffness and no damping makes it unstable, but a large rotation in one
-step does (docs/appendix/tank.md, "Step of time").
+The first joint connects the fin to the shaft. A time step applies the implicit midpoint rule to
+bending, structural damping, the resistance of the water, and the shaft. All other nonlinear terms
+are evaluated at a midpoint predicted from the last accelerations. The method is of second order and
+needs one linear solve per step. It is stable for any stiffness and damping, but not for large
+rotations in one step (docs/appendix/tank.md, "Step of time").
 """
 
 from collections.abc import Callable
@@ -37,34 +37,33 @@ PlateSeries: TypeAlias = NDArray[np.floating[Any]]
 class FinConfig(Configuration):
     """Geometry and material; thickness and span change linearly from root to tip.
 
-    Length, bracket, modulus and damping come from a calibration against the published fin
-    (docs/appendix/tank.md); span and thickness were fixed, because no recording can separate them
-    from modulus and drag.
+    The defaults of length, bracket, modulus and damping come from a calibration against the
+    published fin (docs/appendix/tank.md). Span and thickness were fixed, because no log can
+    separate them from modulus and drag.
     """
 
     plates: int = Field(8, ge=1, le=32)
-    """Rigid plates in the chain [-]; the error of the force falls at least with their number
-    squared."""
+    """Number of rigid plates [-]. The error of the force decreases at least with its square."""
     length_m: float = Field(0.187, gt=0)
     """Length from the shaft to the tip [m]."""
     root_length_m: float = Field(0.0195, ge=0)
-    """Length of the aluminium bracket that stiffens the root, from the shaft [m]."""
+    """Length of the aluminium bracket that stiffens the root, measured from the shaft [m]."""
     span_m: float = Field(0.081, gt=0)
-    """Span across the plane of beating, at the shaft [m]."""
+    """Span at the shaft, perpendicular to the plane of beating [m]."""
     tip_span_ratio: float = Field(1.0, gt=0)
-    """Span at the tip divided by that at the shaft [-]."""
+    """Span at the tip divided by span at the shaft [-]."""
     root_thickness_m: float = Field(0.019, gt=0)
     """Thickness at the shaft [m]."""
     tip_thickness_ratio: float = Field(1.0, gt=0)
-    """Thickness at the tip divided by that at the shaft [-]."""
+    """Thickness at the tip divided by thickness at the shaft [-]."""
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
-    """Young's modulus in bending [Pa]; the hardness, Shore A 22, gives 0.8e6 (Gent 1958), and 1.1e6
-    in a plate."""
+    """Young's modulus in bending [Pa]. The hardness of Shore A 22 corresponds to 0.8e6 (Gent 1958),
+    or 1.1e6 in a plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
-    """Density of the silicone [kg/m3]; addition silicones have 1050 to 1200."""
+    """Density of the silicone [kg/m3]; 1050 to 1200 for addition silicones."""
     damping_s: float = Field(0.0273, ge=0)
-    """Kelvin-Voigt time: damping divided by stiffness of each joint [s]; a loss factor of 0.27 at
-    1.6 Hz."""
+    """Kelvin-Voigt time: damping of each joint divided by its stiffness [s]. The default is a loss
+    factor of 0.27 at 1.6 Hz."""
 
     def span(self, along: PlateSeries) -> PlateSeries:
         """Return the span of the fin at distances from the shaft [m]."""
@@ -76,16 +75,18 @@ class FinConfig(Configuration):
 
 
 BRACKET_BENDING_N_M = 70e9 * 0.003**3 / 12
-"""Bending stiffness over span of the aluminium bracket [N m]: 70 GPa, taken to be 3 mm thick."""
+"""Bending stiffness of the aluminium bracket divided by its span [N m]: E t^3 / 12, with a modulus
+of 70 GPa and an assumed thickness of 3 mm."""
 
 
 def plate_moments(
     config: FinConfig, density: Callable[[PlateSeries], PlateSeries]
 ) -> tuple[PerPlate, PerPlate, PerPlate]:
-    """Integrate a density per length, times the distance from the inner end to the power 0, 1 and
-    2, over each plate."""
+    """Integrate rho(s), rho(s) s and rho(s) s^2 over each plate, for a density per length rho and
+    the distance s from the inner end."""
     plate = config.length_m / config.plates
-    # Exact for the cubic densities of a linear taper.
+    # Gauss-Legendre with 4 points is exact up to degree 7. The density of a linear taper, span
+    # times thickness or span squared, has degree 2, so the integrands have at most degree 4.
     nodes, weights = np.polynomial.legendre.leggauss(4)
     inside = (nodes[:, None] + 1) / 2 * plate
     mass = weights[:, None] / 2 * plate * density(np.arange(config.plates) * plate + inside)
@@ -94,12 +95,12 @@ def plate_moments(
 
 
 def compliance(config: FinConfig) -> PlateSeries:
-    """Return the compliance of each joint [rad/(N m)]: the beam's, from the middle of one plate to
-    that of the next.
+    """Return the compliance of each joint [rad/(N m)]: that of the beam between the middles of the
+    adjacent plates.
 
-    Joints bend only where plates meet, a beam bends everywhere. Each part of the beam is therefore
-    weighted by the work that a load at the tip does in bending it, so that the deflection under
-    such a load equals that of the beam for any number of plates.
+    The beam bends everywhere, but the chain only at its joints. Each part of the beam is therefore
+    weighted by the work that a load at the tip does in bending it. The deflection under such a load
+    then equals that of the beam for any number of plates.
     """
     plate = config.length_m / config.plates
     joints = np.arange(config.plates) * plate
@@ -107,6 +108,8 @@ def compliance(config: FinConfig) -> PlateSeries:
     start = np.append(0.0, middles)
     stop = np.append(middles, config.length_m)
 
+    # 1 / k = 1 / (L - x_joint)^2 * integral of (L - x)^2 / EI(x), where EI = b (E t^3 / 12 + B)
+    # with the stiffness B of the bracket. The integral is split at the end of the bracket.
     def work(start: PlateSeries, stop: PlateSeries, bracket: float) -> PlateSeries:
         nodes, weights = np.polynomial.legendre.leggauss(8)
         along = start + (nodes[:, None] + 1) / 2 * (stop - start)
@@ -125,62 +128,62 @@ class FinState(NamedTuple):
     """State of the plates."""
 
     angles: PerPlate
-    """Angle of each plate from the axes of the tank [rad]."""
+    """Angle of each plate in the axes of the tank [rad]."""
     rates: PerPlate
     """Angular velocity of each plate, including that of a rotating mount [rad/s]."""
     accelerations: PerPlate
-    """Accelerations in the last step [rad/s2]."""
+    """Mean angular acceleration in the last step [rad/s2]."""
     earlier: PerPlate
-    """Accelerations in the step before that [rad/s2]."""
+    """Mean angular acceleration in the step before the last [rad/s2]."""
 
 
 class Mount(NamedTuple):
-    """Motion of the robot that carries the fin, at the shaft, during a tick; in the axes of the
-    tank, which rotate with it.
+    """Motion of the robot at the shaft during a tick, in the axes of the tank, which rotate with
+    the robot.
 
-    Motion along the shaft and rotation about other axes are left out, because they move the fin
+    Motion along the shaft and rotation about other axes are neglected, because they move the fin
     edgewise.
     """
 
     velocity: PlanarVector
-    """Velocity (x, y) relative to the water far away, which is at rest [m/s]."""
+    """Velocity (x, y) relative to the still water far away [m/s]."""
     acceleration: PlanarVector
-    """Acceleration (x, y) relative to that water [m/s2]."""
+    """Acceleration (x, y) relative to the still water far away [m/s2]."""
     turn: Scalar
-    """Angular velocity about the shaft, in the sense of the shaft's angle [rad/s]."""
+    """Angular velocity about the shaft, with the sign of the shaft's angle [rad/s]."""
 
 
 class Shaft(NamedTuple):
-    """Motion of the shaft at the start of a step."""
+    """The shaft during a time step."""
 
     angle: Scalar
-    """Angle of the shaft [rad]."""
+    """Angle of the shaft at the start of the step [rad]."""
     play: Scalar
-    """Angle over which the joint between shaft and fin transmits nothing [rad]: the gearbox's
-    backlash."""
+    """Backlash of the gearbox, over which the joint between shaft and fin transmits no torque
+    [rad]."""
     turn: Callable[[Scalar, Scalar], Scalar]
-    """Function from load and drag to the shaft's mean rate [rad/s]; the fin exerts load - drag *
-    rate on it."""
+    """Function from load [N m] and drag [N m s/rad] to the mean rate of the shaft [rad/s]. The fin
+    exerts the torque load - drag * rate on the shaft."""
     carried: Scalar | float = 0.0
-    """Angular velocity of the mount, to be added to the shaft's own rate [rad/s]."""
+    """Angular velocity of the mount [rad/s]; the rate of the shaft is relative to the mount."""
 
 
 class Surroundings(NamedTuple):
-    """Water in which the fin moves."""
+    """The water around the fin."""
 
     inertia: Moments
-    """Inertia of the water that each plate carries [kg, kg m, kg m2]."""
+    """Added mass of each plate [kg, kg m, kg m2]."""
     stream: PlanarVector
-    """Velocity (x, y) of the water past the mount [m/s]; inertia and loads are those of the motion
-    relative to it."""
+    """Velocity (x, y) of the water relative to the mount [m/s]. Inertia and loads depend on the
+    motion of the plates relative to it."""
     loads: Callable[[PlateMotion], tuple[Moments, PlateWrench]]
-    """Effects of water on moving plates other than inertia: resistance [kg/s] and forces [N]."""
+    """Function from relative motion to resistance [kg/s] and other forces [N], without inertia."""
     acceleration: PlanarVector | None = None
-    """Acceleration (x, y) of the mount through the water [m/s2]; None if it stands still."""
+    """Acceleration (x, y) of the mount through the water [m/s2]; None if it does not move."""
 
 
 class Fin(eqx.Module):
-    """Plates and joints of the fin as arrays."""
+    """Plates and joints of the fin, as arrays."""
 
     plate_length: Scalar
     stiffness: PerPlate
@@ -188,10 +191,9 @@ class Fin(eqx.Module):
     damping: PerPlate
     """Damping of the joint at the inner end of each plate [N m s/rad]."""
     inertia: Moments
-    """Inertia of the fin itself, without the water [kg, kg m, kg m2]."""
+    """Inertia of the fin without added mass [kg, kg m, kg m2]."""
     thickness: Float[Array, " points"]
-    """Thickness at the shaft and the outer end of each plate [m]: used only for drawing, not for
-    the motion."""
+    """Thickness at the shaft and at the outer end of each plate [m]; used only for drawing."""
 
     def __init__(self, config: FinConfig):
         plate = config.length_m / config.plates
@@ -206,38 +208,39 @@ class Fin(eqx.Module):
         self.thickness = jnp.asarray(config.thickness(np.arange(config.plates + 1) * plate))
 
     def rest(self) -> FinState:
-        """Return the state of a straight fin at angle 0, at rest."""
+        """Return the state of a straight fin at rest at angle 0."""
         still = jnp.zeros_like(self.stiffness)
         return FinState(still, still, still, still)
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
-        """Return the shaft and the outer end of each plate, in the axes of the tank [m]."""
+        """Return the positions of the shaft and of the outer end of each plate, in the axes of the
+        tank [m]."""
         plates = self.plate_length * jnp.stack(
             [-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1
         )
         return jnp.concatenate([jnp.zeros((1, 2), plates.dtype), jnp.cumsum(plates, axis=0)])
 
     def relative(self, state: FinState, around: Surroundings) -> PlateMotion:
-        """Return the motion of each plate relative to the stream."""
+        """Return the motion of each plate relative to the water."""
         stream = chain.components(state.angles, around.stream)
         relative: PlateMotion = jax.tree.map(jnp.subtract, self._motion(state), stream)
         return relative
 
     def momenta(self, state: FinState, around: Surroundings) -> tuple[PlanarVector, PlanarVector]:
-        """Return the momenta of the fin itself and of the water it carries, in the axes of the tank
-        [N s]."""
+        """Return the momenta of the fin and of its added mass, in the axes of the tank [N s]."""
         return (
             chain.resultant(state.angles, self.inertia.times(self._motion(state))),
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
     def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> PlanarVector:
-        """Return the part of the momenta's rate of change that is due to the mount's motion, in its
-        axes [N].
+        """Return the part of the momenta's rate of change that the motion of the mount causes, in
+        the axes of the mount [N].
 
-        The rest is the change of `momenta` in those axes, at the mount's velocity.
+        The other part is the change of `momenta` in these axes.
         """
 
+        # dp/dt in rotating axes: the change of its components plus W x p = W (p_y, -p_x).
         def turned(vector: PlanarVector) -> PlanarVector:
             return mount.turn * jnp.stack([vector[1], -vector[0]])
 
@@ -257,11 +260,16 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, PlanarVector]:
-        """Take one time step; also return the shaft's mean rate [rad/s] and the mean force of the
-        loads [N] in it."""
+        """Advance by one time step; also return the mean rate of the shaft [rad/s] and the mean
+        force of the loads [N] in the step.
+
+        With the mean rates w over a step h, this solves, for the mass matrix M, the resistance R
+        and the joint matrix G = h/2 (C + h/2 K):
+        (M + h/2 R + G) w = M rates + h/2 (centripetal + loads - K bends).
+        """
         half = seconds / 2
-        # The midpoint rule leaves stiff modes ringing from step to step; averaged over two steps
-        # their accelerations cancel.
+        # The midpoint rule leaves stiff modes ringing with a period of two steps. The mean of the
+        # accelerations of two steps does not contain this ringing.
         predicted = state.rates + half * (state.accelerations + state.earlier) / 2
         angles = state.angles + half * (state.rates + predicted) / 2 - half * shaft.carried
         pose = chain.pose(angles, self.plate_length)
@@ -269,6 +277,8 @@ class Fin(eqx.Module):
         motion = chain.motion(pose, predicted)
         relative = jax.tree.map(jnp.subtract, motion, stream)
         resistance, push = around.loads(relative)
+        # The resistance acts on the motion relative to the stream. The part of the stream is known
+        # and moves to the right-hand side.
         push = jax.tree.map(jnp.add, push, resistance.times(stream))
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
         driven = push
@@ -283,6 +293,8 @@ class Fin(eqx.Module):
             chain.centripetal(pose, around.inertia, relative),
             driven,
         )
+        # Angular impulse of the joints over half a step: strains at the initial bend, and grips per
+        # mean rate of bending.
         grips = half * (self.damping + half * self.stiffness)
         bends = state.angles - jnp.concatenate([shaft.angle[None], state.angles[:-1]])
         strains = half * self.stiffness * bends
@@ -290,6 +302,8 @@ class Fin(eqx.Module):
             pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance)
         )
         right = chain.project(pose, impulse) - _between(strains)
+        # The first plate is solved separately, because backlash and torque limit of the shaft are
+        # nonlinear.
         root_inertia, root_impulse, expand = chain.condense(left + _joint_matrix(grips), right)
         bend = state.angles[0] - shaft.angle
         first, rate = _held(
@@ -297,6 +311,7 @@ class Fin(eqx.Module):
         )
         mean = expand(first)
         force = jax.tree.map(lambda f, r: f - r, push, resistance.times(chain.motion(pose, mean)))
+        # The midpoint rule: mean = (rates + rates') / 2.
         after = FinState(
             state.angles + seconds * mean - seconds * shaft.carried,
             2 * mean - state.rates,
@@ -318,15 +333,25 @@ def _held(
     bend: Scalar,
     half: float,
 ) -> tuple[Scalar, Scalar]:
-    """Return the mean rates over a step of the first plate and of the shaft on its mount.
+    """Return the mean rates over a step of the first plate and of the shaft relative to its mount.
 
-    The joint between them has a stiffness [N m/rad], a bend at the start [rad] and, when engaged, a
-    grip: angular impulse per relative rate [N m s2/rad]. If the midpoint of the step, computed with
-    a loose joint, is within the play, the joint is loose; otherwise it is strained from that edge
-    of the play. A contact is therefore found in the step in which it happens, and takes up the
-    motion softly.
+    The step is first computed with a loose joint. If the joint is then within the play at the
+    midpoint of the step, it is loose; otherwise it is strained from that edge of the play. A
+    contact is therefore detected in the step in which it occurs.
+
+    Args:
+        inertia: Inertia at the first plate, from `chain.condense`.
+        impulse: Angular impulse at the first plate, from `chain.condense`.
+        shaft: The shaft.
+        stiffness: Stiffness of the joint between shaft and plate [N m/rad].
+        grip: Angular impulse of the engaged joint per relative rate [N m s2/rad].
+        bend: Bend of the joint at the start of the step [rad].
+        half: Half of the time step [s].
     """
 
+    # inertia * first = impulse - strain - grip * (first - rate - carried). The torque on the shaft,
+    # (strain + grip * (first - rate - carried)) / half, becomes load - drag * rate if `first` is
+    # eliminated.
     def rates(strain: Scalar, grip: Scalar) -> tuple[Scalar, Scalar]:
         total = inertia + grip
         drag = grip * inertia / total
@@ -334,6 +359,8 @@ def _held(
         rate = shaft.turn(load / half, drag / half)
         return (impulse - strain + grip * (rate + shaft.carried)) / total, rate
 
+    # All three cases are computed and one is selected, because a branch cannot depend on traced
+    # values.
     nothing = jnp.zeros_like(grip)
     first, rate = rates(nothing, nothing)
     edge = shaft.play / 2
@@ -346,15 +373,15 @@ def _held(
 
 
 def _between(torques: PerPlate) -> PerPlate:
-    """Return the moments that the joints between plates, all except the first, exert on each
-    plate."""
+    """Return the difference of the joint torques at both ends of each plate, without the joint at
+    the shaft."""
     inner = torques.at[0].set(0.0)
     return inner - jnp.append(inner[1:], 0.0)
 
 
 def _joint_matrix(joints: PerPlate) -> PlateMatrix:
-    """Return the tridiagonal matrix that maps plate angles to the moments of the joints between
-    plates."""
+    """Return the tridiagonal matrix that maps plate angles to the moments of the joints, without
+    the joint at the shaft."""
     inner = joints.at[0].set(0.0)
     below = jnp.diag(inner[1:], -1)
     return jnp.diag(inner + jnp.append(inner[1:], 0.0)) - below - below.T

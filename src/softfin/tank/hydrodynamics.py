@@ -1,19 +1,19 @@
-"""The water around the fin: the loads on each plate of the chain, and the flow that the fin itself
-has caused.
+"""The water around the fin: its loads on the plates of the chain, and the flow that the fin
+causes.
 
-- Reactive: the added mass of a thin plate, along its normal alone, stands in the chain's inertia
-  (Lighthill 1960); its momentum is shed at the tip by the large-amplitude elongated-body theory
-  (Lighthill 1971; Candelier, Boyer and Leroyer 2011): force m w u n - m w^2/2 d there, with w and u
-  the tip's velocities along its n and outwards along d.
-- Resistive: quadratic drag along the normal (Taylor 1952; Morison 1950), with a coefficient that is
-  constant or falls with the Keulegan-Carpenter number of the plate's recent strokes; skin friction
-  along the plate (Blasius).
-- Memory: the momentum that drag, friction and tip take from the fin stays in the water around it,
-  which streams on until it has decayed. All loads are those of the motion relative to this stream;
-  it does not contain the momentum of the added mass, which the fin takes back.
+- Reactive loads: the added mass of a thin plate acts only along its normal and is part of the
+  chain's inertia (Lighthill 1960). Its momentum is shed at the tip according to large-amplitude
+  elongated-body theory (Lighthill 1971; Candelier, Boyer and Leroyer 2011): the force at the tip is
+  m w u n - m w^2/2 d, where w is the velocity along n and u the velocity outwards along d.
+- Resistive loads: quadratic drag along the normal (Taylor 1952; Morison 1950) and skin friction
+  along the plate (Blasius). The drag coefficient is constant, or decreases with the
+  Keulegan-Carpenter number of the recent strokes of the plate.
+- Memory: the momentum that drag, friction and tip transfer to the water moves on as a stream and
+  decays. All loads depend on the motion relative to this stream. It does not contain the momentum
+  of the added mass, which returns to the fin.
 
-Left out: free surface and walls, history (Basset) forces, and the pressure of an accelerating
-stream.
+Not modelled: free surface and walls, history (Basset) forces, and the pressure of an accelerating
+stream. Equations: docs/appendix/tank.md, "Water".
 """
 
 from typing import NamedTuple
@@ -40,62 +40,64 @@ from softfin.tank.sensor import remaining
 
 
 class WaterConfig(Configuration):
-    """The water, the coefficients of its loads, and its memory.
+    """Coefficients of the water's loads, and its memory.
 
-    Drag and stream come from a calibration against the published fin (docs/appendix/tank.md); added
-    mass, tip, friction are theory.
+    The defaults of drag and stream come from a calibration against the published fin
+    (docs/appendix/tank.md). Those of added mass, tip and friction come from theory.
     """
 
     temperature_c: float = Field(20.0, ge=0, le=40)
-    """Temperature of fresh water [degrees Celsius]; gives its density and viscosity."""
+    """Temperature of the fresh water [degrees Celsius]; determines its density and viscosity."""
     added_mass_coefficient: float = Field(1.0, ge=0)
-    """Added mass per length divided by that of a long flat plate, rho pi/4 span^2 [-]."""
+    """Added mass per length, relative to that of a long flat plate, rho pi/4 span^2 [-]."""
     drag_coefficient: float = Field(5.46, ge=0)
-    """Drag coefficient for the motion relative to the stream, at a Keulegan-Carpenter number of 5
-    if it depends on that [-]."""
+    """Drag coefficient for the motion relative to the stream [-]. If it depends on the
+    Keulegan-Carpenter number, this is its value at 5."""
     drag_exponent: float = Field(0.0, ge=0, le=1)
-    """Exponent with which drag falls with the Keulegan-Carpenter number [-]: 0 is constant, 1/3 is
-    for thin plates (Graham 1980)."""
+    """Exponent p of the drag coefficient, which is proportional to (Keulegan-Carpenter number)^-p
+    [-]. 0 for constant drag, 1/3 for thin plates (Graham 1980)."""
     friction_coefficient: float = Field(1.328, ge=0)
-    """Blasius: skin friction is this / sqrt(Reynolds number of the length) on each of both faces
+    """Coefficient of Blasius's skin friction on each face, C / sqrt(Reynolds number of the length)
     [-]."""
     tip_coefficient: float = Field(1.0, ge=0)
-    """Fraction of the elongated-body tip term [-]; 0 leaves it out."""
+    """Factor of the elongated-body tip term [-]; 0 to omit it."""
     wake_memory_s: float = Field(1.0, gt=0)
-    """Time over which strokes are averaged [s]; used if drag depends on them."""
+    """Time over which strokes are averaged [s]; used only if the drag coefficient is not
+    constant."""
     stream_mass_kg: float = Field(2.17, ge=0.2)
-    """Mass of water that takes up the momentum of the fin [kg]: about a cube of 0.13 m. Below 0.2
-    the stream would change too fast for its step of one tick."""
+    """Mass of the water that takes up the momentum of the fin [kg]; the default is a cube of about
+    0.13 m. Below 0.2 kg, the stream would change too fast for its time step of one tick."""
     stream_decay_s: float = Field(0.241, ge=0)
-    """Time constant with which the stream decays [s]; 0: the water stays still."""
+    """Time constant of the stream's decay [s]; 0 for still water."""
 
 
 REFERENCE_STROKE = 5.0
-"""Keulegan-Carpenter number for which the drag coefficient is stated."""
+"""Keulegan-Carpenter number at which the drag coefficient is defined [-]."""
 
 MIN_STROKE = 0.5
-"""Keulegan-Carpenter number below which drag no longer grows."""
+"""Keulegan-Carpenter number below which the drag coefficient does not increase any more [-]."""
 
 SLOWEST_FRICTION_M_S = 0.01
-"""Speed below which skin friction is linear, like Stokes's, so that its slope at rest is finite."""
+"""Speed below which skin friction becomes linear [m/s], so that its slope at rest is finite."""
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-"""Two points along a plate integrate its drag well if its ends move to the same side."""
+"""Gauss points along a plate [-]. Two points integrate drag accurately if both ends of the plate
+move to the same side."""
 
 
 class Flow(NamedTuple):
-    """Motion that the fin has left in the water."""
+    """Motion of the water caused by the fin."""
 
     stream: PlanarVector
-    """Velocity of the water round the fin, (x, y) [m/s]."""
+    """Velocity of the water around the fin, (x, y) [m/s]."""
     excursion: PerPlate
-    """Recent displacement of each plate's middle along its normal [m]."""
+    """Recent displacement of the middle of each plate along its normal [m]."""
     square: PerPlate
-    """Recent mean of the excursion's square [m2]."""
+    """Recent mean square of the excursion [m2]."""
 
 
 class Water(eqx.Module):
-    """Loads of the water as arrays, per length of each plate."""
+    """Parameters of the water's loads on each plate, as arrays."""
 
     plate_length: Scalar
     temperature: Scalar
@@ -103,12 +105,12 @@ class Water(eqx.Module):
     inertia: Moments
     """Added mass of each plate [kg, kg m, kg m2]."""
     drag: Float[Array, "2 plates"]
-    """Normal force per length over velocity squared, at two points of each plate [kg/m2]."""
+    """Normal force per length divided by velocity squared, at two points of each plate [kg/m2]."""
     friction: PerPlate
-    """Tangential force per length over velocity to the power 3/2 [kg/m2 (m/s)^(1/2)]."""
+    """Tangential force per length divided by velocity^(3/2) [kg/m2 (m/s)^(1/2)]."""
     tip: PerPlate
-    """Added mass per length at the outer end of each plate where water leaves the fin: zero except
-    for the last [kg/m]."""
+    """Added mass per length at the outer end of the last plate, where water leaves the fin [kg/m];
+    zero for all other plates."""
     span: PerPlate
     """Span at the middle of each plate [m]."""
     drag_exponent: Scalar
@@ -121,6 +123,7 @@ class Water(eqx.Module):
         nu = _viscosity(config.temperature_c)
         plate = fin.length_m / fin.plates
         inner = np.arange(fin.plates) * plate
+        # Added mass per length of a thin plate of span b: C_a rho pi/4 b^2.
         section = float(config.added_mass_coefficient * rho * np.pi / 4)
         zeroth, first, second = plate_moments(fin, lambda s: section * fin.span(s) ** 2)
         span = fin.span(inner + plate / 2)
@@ -130,6 +133,7 @@ class Water(eqx.Module):
         self.drag = jnp.asarray(
             0.5 * rho * config.drag_coefficient * fin.span(inner + plate * GAUSS[:, None])
         )
+        # Blasius: C_f / sqrt(u L / nu) * rho/2 u^2 on each of two faces, without u^(3/2).
         self.friction = jnp.asarray(
             config.friction_coefficient * np.sqrt(nu / fin.length_m) * rho * span
         )
@@ -144,8 +148,9 @@ class Water(eqx.Module):
     def varied(
         self, temperature: Scalar, added_mass: Scalar | float = 1.0, drag: Scalar | float = 1.0
     ) -> "Water":
-        """Return water of another temperature [degrees Celsius] with its loads multiplied by
-        factors; the tip term uses that of the added mass."""
+        """Return water of another temperature [degrees Celsius], with its loads multiplied by the
+        factors `added_mass` (also used for the tip term) and `drag`."""
+        # All loads are proportional to the density, and friction also to sqrt(viscosity).
         density = _density(temperature) / _density(self.temperature)
         friction = density * jnp.sqrt(_viscosity(temperature) / _viscosity(self.temperature))
         inertia = jax.tree.map(lambda moment: moment * density * added_mass, self.inertia)
@@ -168,8 +173,9 @@ class Water(eqx.Module):
         return Flow(jnp.zeros(2, zero.dtype), zero, zero)
 
     def around(self, flow: Flow) -> Surroundings:
-        """Return the surroundings of the fin for a given flow."""
-        # 2 pi amplitude / span, for the amplitude of a sine with that mean square.
+        """Return the surroundings of the fin for a flow."""
+        # The Keulegan-Carpenter number of a sinusoid is 2 pi amplitude / span, and its mean square
+        # is amplitude^2 / 2. C = C_d (k / 5)^-p with k = sqrt(KC^2 + 0.5^2).
         number = (
             jnp.sqrt(8 * jnp.pi**2 * flow.square / self.span**2 + MIN_STROKE**2) / REFERENCE_STROKE
         )
@@ -177,10 +183,17 @@ class Water(eqx.Module):
         return Surroundings(self.inertia, flow.stream, lambda motion: self._loads(motion, drag))
 
     def stirred(self, flow: Flow, motion: PlateMotion, force: PlanarVector) -> Flow:
-        """Return the flow one tick later, given the plates' motion relative to it and the mean
-        force of its loads [N]."""
+        """Return the flow one tick later.
+
+        Args:
+            flow: The flow.
+            motion: Motion of the plates relative to the flow.
+            force: Mean force of the loads on the fin over the tick [N].
+        """
+        # M V' = -F - M V / T, solved exactly for a constant force over a tick.
         share = remaining(self.stream_decay)
         stream = share * flow.stream - (1 - share) * self.stream_decay / self.stream_mass * force
+        # X <- e X + w dt at the middle of the plate, S <- e S + (1 - e) X^2.
         share = remaining(self.wake_memory)
         excursion = share * flow.excursion + TICK_S * (
             motion.normal + self.plate_length / 2 * motion.turning
@@ -190,16 +203,19 @@ class Water(eqx.Module):
     def _loads(
         self, motion: PlateMotion, drag: Float[Array, "2 plates"]
     ) -> tuple[Moments, PlateWrench]:
-        """Return the resistance to the motion relative to the stream [kg/s], and the suction at the
+        """Return the resistance to the motion relative to the stream [kg/s] and the suction at the
         tip [N]."""
         length = self.plate_length
+        # The drag per length, 1/2 rho C b |w| w, is written as a resistance times w, so that the
+        # implicit time step can solve for w with |w| fixed. Each Gauss point has half the length.
         places = [length * place for place in GAUSS.tolist()]
         drags = [
             d * length / 2 * jnp.abs(motion.normal + s * motion.turning)
             for d, s in zip(drag, places, strict=True)
         ]
-        # Water that flows inwards over the tip is at rest and carries no momentum, so the tip never
-        # adds energy to the fin: the power of its force is -m w^2 |u|/2.
+        # The tip force is m w min(u, 0) n - m w^2/2 d. For u > 0 the first term is zero, because
+        # water at rest brings no momentum. The tip therefore never adds energy to the fin: the
+        # power of the force is -m w^2 |u|/2.
         leaving = self.tip * jnp.maximum(-motion.along, 0.0)
         speed = jnp.sqrt(jnp.sqrt(motion.along**2 + SLOWEST_FRICTION_M_S**2))
         resistance = Moments(
@@ -216,12 +232,12 @@ class Water(eqx.Module):
 
 
 def _density(temperature_c: Scalar | float) -> Scalar | float:
-    """Density of fresh water at 1 atm [kg/m3], 0 to 40 degrees Celsius (Tanaka et al. 2001,
-    Metrologia 38, 301)."""
+    """Return the density of fresh water at 1 atm and 0 to 40 degrees Celsius [kg/m3] (Tanaka et al.
+    2001, Metrologia 38, 301)."""
     t = temperature_c
     return 999.974950 * (1 - (t - 3.983035) ** 2 * (t + 301.797) / (522528.9 * (t + 69.34881)))
 
 
 def _viscosity(temperature_c: Scalar | float) -> Scalar | float:
-    """Kinematic viscosity of fresh water [m2/s] (Vogel's equation)."""
+    """Return the kinematic viscosity of fresh water [m2/s] (Vogel's equation)."""
     return 2.414e-5 * 10 ** (247.8 / (temperature_c + 133.15)) / _density(temperature_c)

@@ -1,7 +1,7 @@
-"""Domain randomization: tanks whose physical parameters are sampled around those of one tank.
+"""Domain randomization: tanks with physical parameters sampled around those of one tank.
 
-Every parameter depends only on the key and its own name, so adding one leaves the others unchanged.
-Sampling is traceable: `jax.vmap` over keys gives one tank with a batch of parameters.
+Each parameter depends only on the key and its own name, so adding a parameter does not change the
+others. Sampling can be traced: `jax.vmap` over keys returns a tank with a batch of parameters.
 """
 
 import zlib
@@ -21,44 +21,49 @@ from softfin.tank.drive import DEAD_TICKS
 from softfin.tank.tank import Tank, TankState
 
 USUAL_PART = 0.15
-"""Relative half-width from which temperature, drift and mount have their usual ranges [-]."""
+"""Relative half-width above which temperature, drift and misalignment have their default ranges
+[-]."""
 
 ADDED_PARAMETERS = ("temperature_c", "misalignment_rad")
-"""Parameters that are added to the tank's own; the others multiply them."""
+"""Parameters that are sampled as offsets; all others are sampled as factors."""
 
 
 class DomainRandomization(Configuration):
-    """Half-width of the uniform range of each physical parameter; 0 keeps the tank's own value."""
+    """Half-widths of the uniform distributions of the physical parameters; 0 keeps the value of the
+    tank."""
 
     temperature_c: float = Field(5.0, ge=0, le=20)
-    """Temperature of the water, around the tank's [degrees Celsius]."""
+    """Half-width of the water temperature [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
-    """Stiffness, relative: silicone of another batch, age and temperature [-]."""
+    """Relative half-width of the stiffness, which depends on batch, age and temperature of the
+    silicone [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
-    """Drag, relative [-]."""
+    """Relative half-width of the drag [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
-    """Added mass, relative [-]."""
+    """Relative half-width of the added mass [-]."""
     lag: float = Field(0.2, ge=0, lt=1)
-    """Lag of the servo, relative [-]."""
+    """Relative half-width of the servo's lag [-]."""
     dead_time: float = Field(0.2, ge=0, lt=1)
-    """Delay from a command to the motion that follows it, relative [-]."""
+    """Relative half-width of the delay from a command to its first effect [-]."""
     drift: float = Field(0.5, ge=0, lt=1)
-    """Standard deviation of the force sensor's drift, relative [-]."""
+    """Relative half-width of the standard deviation of the force sensor's drift [-]."""
     misalignment_rad: float = Field(0.02, ge=0, le=0.5)
-    """Misalignment of the force sensor, around the tank's [rad]; for a mount fitted by hand."""
+    """Half-width of the force sensor's misalignment [rad], for a manually aligned mount."""
 
     @classmethod
     def of(cls, part: float) -> "DomainRandomization":
-        """Return widths with the same fraction for material, water and servo; the geometry of the
-        fin is not changed.
+        """Return half-widths with the same fraction for material, water and servo.
 
-        Temperature, drift and mount have their usual range from a fraction of 0.15; below, it is
-        proportionally smaller, so that 0 gives exactly the same tank. Raises ConfigurationError
-        outside 0 <= part < 1.
+        Temperature, drift and misalignment have their default ranges for fractions of 0.15 or more.
+        Below 0.15 their ranges decrease proportionally, so that 0 gives exactly the same tank. The
+        geometry of the fin does not change.
+
+        Raises:
+            ConfigurationError: `part` is negative, or 1 or more.
         """
         if not 0 <= part < 1:
             raise ConfigurationError(
-                f"--randomize {part:g}: give a fraction from 0 (the same tank) to less than 1"
+                f"--randomize {part:g}: must be at least 0 (the same tank) and less than 1"
             )
         usual = cls()
         share = min(1.0, part / USUAL_PART)
@@ -75,7 +80,7 @@ class DomainRandomization(Configuration):
 
     @property
     def is_none(self) -> bool:
-        """Whether all widths are 0, so that every sampled tank is the same."""
+        """Whether all half-widths are 0, so that all sampled tanks are identical."""
         return not any(self.model_dump().values())
 
 
@@ -91,7 +96,8 @@ def with_parameters(
     drift: Scalar | float = 1.0,
     misalignment_rad: Scalar | float = 0.0,
 ) -> Tank:
-    """Return the tank with other parameters: offsets if the name has a unit, otherwise factors."""
+    """Return the tank with changed parameters: offsets if the name ends in a unit, otherwise
+    factors."""
     water = tank.water
     fin = tank.fin
     changed: Tank = eqx.tree_at(
@@ -107,11 +113,11 @@ def with_parameters(
         tank,
         (
             fin.stiffness * stiffness,
-            # Damping keeps its time.
+            # The Kelvin-Voigt time, damping / stiffness, stays the same.
             fin.damping * stiffness,
             water.varied(water.temperature + temperature_c, added_mass, drag),
             tank.drive.lag * lag,
-            # The delay cannot exceed the queue of waiting commands.
+            # The delay cannot be longer than the queue of commands.
             jnp.minimum(tank.drive.dead_time * dead_time, DEAD_TICKS * TICK_S),
             tank.sensor.drift * drift,
             tank.sensor.misalignment + misalignment_rad,
@@ -121,13 +127,13 @@ def with_parameters(
 
 
 def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | None = None) -> Tank:
-    """Return the tank with parameters sampled within `widths`; bit for bit the same tank if all are
-    0."""
+    """Return the tank with parameters sampled within `widths`; if all are 0, the tank itself."""
     widths = widths or DomainRandomization()
     if widths.is_none:
         return tank
 
     def one(name: str, width: float) -> Scalar:
+        # CRC-32 instead of hash(), which differs from process to process.
         own = jax.random.fold_in(key, zlib.crc32(name.encode()))
         return (name not in ADDED_PARAMETERS) + jax.random.uniform(own, minval=-width, maxval=width)
 
@@ -137,15 +143,14 @@ def sample_tank(tank: Tank, key: PRNGKeyArray, widths: DomainRandomization | Non
 
 
 RandomizedTankState: TypeAlias = tuple[Tank, TankState]
-"""The sampled tank, and its state."""
+"""A sampled tank and its state."""
 
 
 class RandomizedTank(eqx.Module):
-    """A plant that becomes a new tank at every `init`, whose key samples the physical
-    parameters."""
+    """A plant that samples new physical parameters at each `init`."""
 
     tank: Tank
-    """The tank around which the others are sampled."""
+    """Tank around which parameters are sampled."""
     widths: DomainRandomization = eqx.field(static=True)
 
     @property
@@ -154,13 +159,13 @@ class RandomizedTank(eqx.Module):
         return self.tank.limits
 
     def init(self, key: PRNGKeyArray) -> RandomizedTankState:
-        """Sample a tank, its fin at rest at angle 0."""
+        """Sample a tank and return it with its fin at rest at angle 0."""
         parameters, own = jax.random.split(key)
         tank = sample_tank(self.tank, parameters, self.widths)
         return tank, tank.init(own)
 
     def true_force(self, state: RandomizedTankState) -> PlanarVector:
-        """Return the mean force of the sampled tank's fin on its mount over the last tick [N]."""
+        """Return the mean force of the fin on its mount over the last tick [N]."""
         tank, inner = state
         return tank.true_force(inner)
 

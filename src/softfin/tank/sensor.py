@@ -1,11 +1,10 @@
-"""The force sensor under the fin, modelled on an ATI Axia80-M20: the true force goes in, its
-readings at 100 Hz come out.
+"""The force sensor under the fin, modelled after an ATI Axia80-M20: true force in, readings at
+100 Hz out.
 
-Low-pass filter, mounting misalignment, slow drift (Ornstein-Uhlenbeck), white noise, resolution,
-range, in this order. Before each experiment the sensor is zeroed while the fin rests, when the true
-force is known to be zero. The numbers are assumptions of the right order of magnitude, not from a
-datasheet; `IDEAL` turns them all off. Drive and water share the sampling functions of this module:
-relaxation within a sample, and rounding to a resolution.
+The model applies, in this order: low-pass filter, misalignment, slow drift (Ornstein-Uhlenbeck),
+white noise, resolution and range. Before each experiment, the sensor is zeroed while the fin is at
+rest and the true force is zero. The defaults are assumed and correct only in order of magnitude;
+`IDEAL` disables all of them. The drive and the water also use the helper functions of this module.
 """
 
 from collections.abc import Collection, Iterator
@@ -23,11 +22,11 @@ from softfin.core.quantities import TICK_S
 from softfin.tank.chain import PlanarVector, Scalar
 
 MIN_TIME_CONSTANT_S = 1e-6
-"""Shortest time constant [s] in computations; it keeps derivatives finite where one is zero."""
+"""Minimum time constant in computations [s]; keeps derivatives finite if a time constant is 0."""
 
 
 def config_arrays(config: Configuration, without: Collection[str] = ()) -> Iterator[Scalar]:
-    """Yield the numbers of a configuration as arrays, in the order of its fields."""
+    """Return the numbers of a configuration as arrays, in the order of its fields."""
     return (
         jnp.asarray(value, float)
         for name, value in config.model_dump().items()
@@ -36,28 +35,32 @@ def config_arrays(config: Configuration, without: Collection[str] = ()) -> Itera
 
 
 def remaining(time_constant: Scalar) -> Scalar:
-    """Return the fraction of a deviation that remains after a sample of 10 ms; 0 if the time
-    constant [s] is 0."""
+    """Return the fraction of a deviation that remains after a tick, exp(-10 ms / time constant); 0
+    if the time constant [s] is 0."""
     return jnp.exp(-TICK_S / jnp.maximum(time_constant, MIN_TIME_CONSTANT_S))
 
 
 def to_multiple(value: Float[Array, "*shape"], step: Scalar) -> Float[Array, "*shape"]:
-    """Return the nearest multiple of `step`, or `value` itself if the step is 0; its derivative is
+    """Return the nearest multiple of `step`, or `value` itself if the step is 0; the derivative is
     1 in both cases."""
+    # The inner `where` avoids a division by 0, whose NaN would reach the gradient even if not
+    # selected. The last line is a straight-through estimator.
     positive = jnp.where(step > 0, step, 1.0)
     rounded = jnp.where(step > 0, jnp.round(value / positive) * positive, value)
     return value + jax.lax.stop_gradient(rounded - value)
 
 
 def mean_of_past(duration: Scalar) -> tuple[Scalar, Scalar]:
-    """Return how the mean of an Ornstein-Uhlenbeck process over its last a time constants depends
-    on its present value.
+    """Return the distribution of the mean of an Ornstein-Uhlenbeck process over its past.
 
-    The process has variance 1. Given the value x, the mean is normally distributed around c x, with
-    c = (1 - exp(-a)) / a, with variance V - c^2, where V = 2 (a - 1 + exp(-a)) / a^2 is the
-    variance of the mean for any x. Returns c and V - c^2.
+    The process has variance 1, and the mean is taken over the last `duration` a, in time constants.
+    Given the current value x, the mean is normally distributed around c x with variance V - c^2,
+    where c = (1 - exp(-a)) / a, and V = 2 (a - 1 + exp(-a)) / a^2 is the unconditional variance.
+
+    Returns:
+        c and V - c^2.
     """
-    # Terms cancel if a is small; there the series in a is exact to 1e-4 of V - c^2 in single
+    # The terms cancel for small a. There, the series in a is accurate to 1e-4 of V - c^2 in single
     # precision.
     is_short = duration < 0.1
     a = jnp.where(is_short, 1.0, duration)
@@ -68,25 +71,24 @@ def mean_of_past(duration: Scalar) -> tuple[Scalar, Scalar]:
 
 
 class SensorConfig(Configuration):
-    """Imperfections of the sensor; 0 turns one off."""
+    """Errors of the sensor; a value of 0 disables an error."""
 
     filter_s: float = Field(0.01, ge=0)
-    """Time constant of the low-pass filter [s]: 16 Hz."""
+    """Time constant of the low-pass filter [s]; 0.01 s corresponds to 16 Hz."""
     misalignment_rad: float = Field(0.0, ge=-np.pi, le=np.pi)
-    """Angle from the tank's axes to the sensor's [rad], from x to y."""
+    """Angle from the axes of the tank to those of the sensor [rad]; positive from x to y."""
     noise_n: float = Field(0.05, ge=0)
-    """Standard deviation of the white noise on each axis [N]: 1e-4 of the range of 500 N."""
+    """Standard deviation of the white noise on each axis [N]; the default is 1e-4 of the range."""
     drift_n: float = Field(0.05, ge=0)
     """Standard deviation of the drift on each axis [N]."""
     drift_s: float = Field(300.0, gt=0)
     """Time constant of the drift [s]."""
     resolution_n: float = Field(0.02, ge=0)
-    """Readings are multiples of this before the zero is subtracted [N]."""
+    """Resolution of readings before the zero is subtracted [N]."""
     range_n: float = Field(500.0, ge=0)
-    """Readings saturate at this magnitude before the zero is subtracted, on each axis [N]."""
+    """Magnitude at which each axis saturates before the zero is subtracted [N]."""
     zero_s: float = Field(2.0, ge=0)
-    """Time at rest whose mean reading becomes the zero before each experiment [s]; 0: not
-    zeroed."""
+    """Duration of the rest whose mean reading is the zero [s]; 0 for no zeroing."""
 
 
 IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, range_n=0.0)
@@ -94,18 +96,18 @@ IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, r
 
 
 class SensorState(NamedTuple):
-    """State of the sensor, each (x, y) [N]."""
+    """State of the sensor."""
 
     filtered: PlanarVector
-    """Output of the low-pass filter."""
+    """Output of the low-pass filter, (x, y) [N]."""
     drift: PlanarVector
-    """Drift since the sensor was installed."""
+    """Drift since the sensor was installed, (x, y) [N]."""
     zero: PlanarVector
-    """Mean reading at rest before the experiment; it is subtracted from every reading."""
+    """Mean reading at rest before the experiment, (x, y) [N]; subtracted from every reading."""
 
 
 class Sensor(eqx.Module):
-    """Parameters of the sensor as arrays."""
+    """Parameters of the sensor, as arrays."""
 
     filter_time: Scalar
     misalignment: Scalar
@@ -129,17 +131,18 @@ class Sensor(eqx.Module):
         ) = config_arrays(config)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
-        """Return the state at rest after zeroing; the drift starts at a value from its stationary
+        """Return the state at rest after zeroing, with a drift sampled from its stationary
         distribution.
 
-        The zero is the mean reading over the last T seconds: the mean drift, whose relation to the
-        present drift `mean_of_past` gives, plus the mean of T / TICK_S samples of white noise.
+        The zero is the mean reading over the last T seconds. It is sampled as the mean drift, which
+        depends on the current drift (`mean_of_past`), plus the mean of T / TICK_S samples of white
+        noise.
         """
         drift = self.drift * jax.random.normal(key, (2,), self.drift.dtype)
         samples = jnp.maximum(self.zero_time / TICK_S, 1.0)
         slope, spread = mean_of_past(self.zero_time / self.drift_time)
         variance = self.noise**2 / samples + spread * self.drift**2
-        # Noise and drift may both be 0, and the square root has no derivative there.
+        # Noise and drift may both be 0, where the square root has no derivative.
         deviation = jnp.where(variance > 0, jnp.sqrt(jnp.where(variance > 0, variance, 1.0)), 0.0)
         zero = slope * drift + deviation * jax.random.normal(
             jax.random.fold_in(key, 1), (2,), self.drift.dtype
@@ -149,9 +152,11 @@ class Sensor(eqx.Module):
     def read(
         self, state: SensorState, force: PlanarVector, key: PRNGKeyArray
     ) -> tuple[SensorState, PlanarVector]:
-        """Read one sample of 10 ms, in which the mean force was `force` [N]."""
+        """Return the reading of a tick with the mean force `force` [N]."""
         white, walk = jax.random.normal(key, (2, 2), force.dtype)
+        # The exact response of a first-order filter to a constant force over the tick.
         filtered = force + (state.filtered - force) * remaining(self.filter_time)
+        # The exact step of an Ornstein-Uhlenbeck process: its variance stays at drift^2.
         share = remaining(self.drift_time)
         drift = (
             share * state.drift

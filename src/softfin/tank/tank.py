@@ -1,7 +1,7 @@
-"""The virtual tank: drive, soft fin, water and force sensor composed behind the Plant contract.
+"""The virtual tank: drive, soft fin, water and force sensor combined into a `Plant`.
 
-A `Tank` is a pytree of arrays, so tanks that differ in their parameters can be stacked and run side
-by side by `vmap`.
+A `Tank` is a pytree of arrays, so tanks with different parameters can be stacked and simulated
+together with `vmap`.
 """
 
 from typing import NamedTuple
@@ -34,22 +34,23 @@ class TankConfig(Configuration):
     sensor: SensorConfig = SensorConfig()
     """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Time steps in each sample of 10 ms [-]; the error of the force falls with their square: 0.4%
-    (rms) at 2."""
+    """Number of time steps per tick of 10 ms [-]. The rms error of the force decreases with its
+    square and is 0.4% at 2."""
 
 
 class TankState(NamedTuple):
-    """State of all moving parts, the number of samples so far, and the key of the sensor's
-    noise."""
+    """State of a tank."""
 
     ticks: Int[Array, ""]
+    """Time since `init` [10 ms]."""
     drive: DriveState
     fin: FinState
     flow: Flow
     sensor: SensorState
     force: PlanarVector
-    """True mean force on the mount over the last tick (x, y) [N]."""
+    """True mean force on the mount over the last tick, (x, y) [N]."""
     key: PRNGKeyArray
+    """Key of the sensor's noise."""
 
 
 class Load(NamedTuple):
@@ -58,11 +59,11 @@ class Load(NamedTuple):
     force: PlanarVector
     """Force (x, y) [N]."""
     torque: Scalar
-    """Torque about the shaft, in the sense of the shaft's angle [N m]."""
+    """Torque about the shaft, with the sign of the shaft's angle [N m]."""
 
 
 class Tank(eqx.Module):
-    """A soft fin in still water; meets the Plant contract."""
+    """A soft fin in still water; implements `Plant`."""
 
     drive: Drive
     fin: Fin
@@ -70,7 +71,7 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """The commands that the drive accepts: angles of the paper (Sec. III-A), velocities of its
+    """Limits of commands: the paper's angles (Sec. III-A), and the velocities of the drive's
     configuration."""
 
     def __init__(self, config: TankConfig | None = None):
@@ -85,8 +86,8 @@ class Tank(eqx.Module):
         )
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """Return the fin at rest at angle 0, with the sensor just zeroed; the key determines the
-        sensor's drift and noise."""
+        """Return the state of a fin at rest at angle 0 with a zeroed sensor; the key determines the
+        drift and noise of the sensor."""
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
         return TankState(
@@ -100,8 +101,8 @@ class Tank(eqx.Module):
         )
 
     def advance(self, state: TankState, command: Command, ticks: int) -> tuple[TankState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each; fields have the shape
-        ``(ticks,)``."""
+        """Hold the command for `ticks` samples of 10 ms and return a reading after each, with
+        fields ``(ticks,)``."""
         check_commands(self.limits, command)
         dtype = state.fin.angles.dtype
         command = Command(jnp.asarray(command.angle, dtype), jnp.asarray(command.velocity, dtype))
@@ -113,26 +114,26 @@ class Tank(eqx.Module):
         return jax.lax.scan(tick, state, length=ticks)
 
     def true_force(self, state: TankState) -> PlanarVector:
-        """Return the mean force on the mount over the last tick, without the errors of the sensor
-        [N]."""
+        """Return the mean force on the mount over the last tick, without sensor errors [N]."""
         return state.force
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
-        """Return where the fin is: the shaft and the outer end of each plate, in the axes of the
+        """Return the positions of the shaft and of the outer end of each plate, in the axes of the
         tank [m]."""
         return self.fin.shape(state.fin)
 
     def tick(
         self, state: TankState, command: Command, mount: Mount | None = None
     ) -> tuple[TankState, Reading, Load]:
-        """Hold a command for one sample of 10 ms, on a mount that moves or stands still.
+        """Hold a command for one tick of 10 ms, on a fixed mount or a moving `mount`.
 
-        The mount's motion is constant within the tick; all forces are in its axes. The wake stays
-        with the fin.
+        The motion of the mount is constant within the tick, and all forces are in its axes. The
+        wake moves with the mount.
         """
         seconds = TICK_S / self.steps_per_tick
         around = self.water.around(state.flow)
         carried = 0.0 if mount is None else mount.turn
+        # Stream and drag coefficients stay constant during the tick.
         if mount is not None:
             around = around._replace(
                 stream=around.stream - mount.velocity, acceleration=mount.acceleration
@@ -153,8 +154,8 @@ class Tank(eqx.Module):
         (drive, fin), (forces, torques) = jax.lax.scan(
             step, (drive, state.fin), length=self.steps_per_tick
         )
-        # The force of the fin on its mount is that of the water on the fin, minus the change of the
-        # fin's own momentum.
+        # The momentum balance of the fin and its added mass over the tick gives the force on the
+        # mount: the loads of the water minus the rate of change of the momenta.
         own, added = jax.tree.map(
             lambda before, after: (after - before) / TICK_S,
             self.fin.momenta(state.fin, around),
@@ -170,8 +171,8 @@ class Tank(eqx.Module):
         angle, velocity = self.drive.read(drive)
         ticks = state.ticks + 1
         reading = Reading(ticks * jnp.asarray(TICK_S, angle.dtype), angle, velocity, measured)
-        # The torque of the motor that does not accelerate its own inertia reacts on the gearbox's
-        # housing.
+        # The reaction of the motor's torque on the housing, without the part that accelerates the
+        # rotor.
         torque = self.drive.inertia * (drive.rate - state.drive.rate) / TICK_S - torques.mean()
         return (
             TankState(ticks, drive, fin, flow, sensor, force, state.key),

@@ -146,5 +146,7 @@ def test_a_fin_that_pulls_has_no_constant():
 
 
 def test_amplitudes_in_the_wrong_order_are_refused():
-    with pytest.raises(ConfigurationError, match=r"must not be above amplitude_max_rad = 1\.2"):
+    with pytest.raises(
+        ConfigurationError, match=r"must not be greater than amplitude_max_rad = 1\.2"
+    ):
         InverseConfig.build({"amplitude_min_rad": 1.3})

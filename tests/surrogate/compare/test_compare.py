@@ -95,22 +95,23 @@ def test_seeds_of_one_configuration_and_dataset_are_one_group(tmp_path):
 def test_a_folder_given_twice_is_refused(tmp_path, again):
     folder = saved(tmp_path / "here" / "a")
     with pytest.raises(
-        ConfigurationError, match="a: given twice, or a copy of another; give each surrogate once"
+        ConfigurationError,
+        match="a: duplicate surrogate, or a copy of another one; list each surrogate once",
     ):
         candidates([folder, tmp_path / "here" / again])
-    with pytest.raises(ConfigurationError, match="given twice"):
+    with pytest.raises(ConfigurationError, match="duplicate surrogate"):
         candidates([folder, folder])
 
 
 def test_a_copy_of_a_surrogate_is_no_second_seed(tmp_path):
     one = saved(tmp_path / "a")
     copy = saved(tmp_path / "b")
-    with pytest.raises(ConfigurationError, match="b: given twice, or a copy of another"):
+    with pytest.raises(ConfigurationError, match="b: duplicate surrogate, or a copy of another"):
         candidates([one, copy])
 
 
 def test_no_surrogate_at_all_is_refused():
-    with pytest.raises(ConfigurationError, match="no surrogate: give the folders"):
+    with pytest.raises(ConfigurationError, match="missing surrogates: add the folders"):
         candidates([])
 
 
@@ -194,7 +195,7 @@ def test_the_noise_floor_runs_from_rest_and_is_scored_on_the_same_segments():
 def test_few_seeds_and_commands_beyond_training_are_noted():
     few, floor = compared().summary["notes"]
     assert few == "attentive: 1 seed; fit at least 3 before you trust a difference"
-    assert floor.startswith("second recording (fin): its own noise and drift count too")
+    assert floor.startswith("second recording (fin): contains its own noise and drift")
     angle = LOGS[0].command.angle.copy()
     angle[:28] = 2.1
     beyond = [LOGS[0]._replace(command=LOGS[0].command._replace(angle=angle)), LOGS[1]]
@@ -202,8 +203,8 @@ def test_few_seeds_and_commands_beyond_training_are_noted():
     assert beyond_limits([candidate(0)], beyond) == pytest.approx((28 / 1120, 0.2), rel=1e-4)
     notes = compare_surrogates([candidate(0), candidate(1)], beyond, CONFIG).summary["notes"]
     assert notes[0].startswith("paper: 2 seeds; fit at least 3")
-    assert "2.5% of the test commands lie outside" in notes[1]
-    assert "by 20% of their range" in notes[1]
+    assert "2.5% of the test commands are outside" in notes[1]
+    assert "by up to 20% of that range" in notes[1]
 
 
 def test_logs_shorter_than_the_longest_horizon_are_refused():
@@ -220,7 +221,7 @@ def test_logs_shorter_than_the_longest_horizon_are_refused():
         ((), "at least 0.1 s"),
         ((1, 0), "at least 0.1 s"),
         ((-1,), "at least 0.1 s"),
-        ((1.005,), "whole numbers of 10 ms samples"),
+        ((1.005,), "multiples of 10 ms"),
     ],
 )
 def test_horizons_that_mean_nothing_are_refused(horizons, words):

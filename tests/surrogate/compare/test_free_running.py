@@ -59,9 +59,7 @@ def test_only_the_last_rows_of_a_history_matter():
     long = plant.warm(log)
     short = plant.warm(valid_rows(log, 100 - plant.memory, 100))
     assert all(np.array_equal(a, b) for a, b in zip(long, short, strict=True))
-    with pytest.raises(
-        LogError, match="11 rows of history; this surrogate needs 12 rows to warm up"
-    ):
+    with pytest.raises(LogError, match="history: 11 rows; this surrogate needs 12 rows to warm up"):
         plant.warm(valid_rows(log, 0, 11))
 
 

@@ -170,7 +170,7 @@ def test_damaged_work_is_refused_by_name(tmp_path):
 
 
 def test_one_log_is_too_few(tmp_path):
-    with pytest.raises(LogError, match="1 training log: at least 2 are needed"):
+    with pytest.raises(LogError, match="training logs: found 1, expected at least 2"):
         fit_paper(LOGS[:1], CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
@@ -186,7 +186,7 @@ def test_a_column_that_never_changes_is_named(tmp_path):
         log._replace(command=log.command._replace(velocity=np.full(600, 2, np.float32)))
         for log in LOGS
     ]
-    with pytest.raises(LogError, match="column command_velocity_rad_s is 2 in every training row"):
+    with pytest.raises(LogError, match="column command_velocity_rad_s is 2 in every row"):
         fit_paper(still, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
 
@@ -198,7 +198,9 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return state._replace(nets=jax.tree.map(lambda x: x * np.float32(1e38), state.nets))
 
     monkeypatch.setattr(PaperLearner, "start", far_off)
-    message = r"loss of the networks is not finite; lower learning_rate \(--set\) and start again"
+    message = (
+        r"loss of the networks is NaN or infinite; lower learning_rate \(--set\) and start again"
+    )
     with pytest.raises(RunError, match=message):
         fit_paper(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 
@@ -226,5 +228,5 @@ def test_a_folder_that_is_no_surrogate_is_refused(tmp_path):
         load_surrogate(tmp_path)
     (tmp_path / "surrogate.json").write_text('{"rate_hz": 50}')
     (tmp_path / artifacts.WEIGHTS).write_bytes((8).to_bytes(8, "little") + b"{}      ")
-    with pytest.raises(ArtifactError, match="made for 50 Hz; softfin runs at 100 Hz"):
+    with pytest.raises(ArtifactError, match="the surrogate runs at 50 Hz; softfin requires 100 Hz"):
         load_surrogate(tmp_path)

@@ -122,11 +122,11 @@ def test_weights_by_name_make_the_same_network():
     [
         (
             lambda a: a.pop("0.kernel"),
-            r"here: 0.kernel is missing, must have \(5, 100, 128\); copy",
+            r"here: 0.kernel is missing; expected a finite array of shape \(5, 100, 128\); copy",
         ),
         (
             lambda a: a.update({"0.bias": np.zeros(3)}),
-            r"0.bias has the shape \(3,\), must have \(128,\)",
+            r"0.bias has the shape \(3,\); expected a finite array of shape \(128,\)",
         ),
         (lambda a: a["0.bias"].fill(np.nan), "0.bias is not finite"),
     ],

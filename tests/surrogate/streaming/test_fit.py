@@ -131,17 +131,21 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
 @pytest.mark.parametrize(
     ("logs", "changes", "words"),
     [
-        (LOGS[:1], [], "1 training log: at least 2 are needed, one for training and one held out"),
+        (
+            LOGS[:1],
+            [],
+            "training logs: found 1, expected at least 2, one for training and one held out",
+        ),
         (
             LOGS,
             ["ticks=390"],
-            "the longest of 3 training logs has 400 rows; 411 are needed in one piece; .* shorter "
+            "training logs: the longest of 3 has 400 rows; at least 411 are required; .* shorter "
             ".--set ticks=N",
         ),
         (
             [*LOGS[:2], small.valid_rows(LOGS[2], 0, 209)],
             [],
-            r"none of 1 held-out logs has 210 rows: .* behind burn_in = 10 need as many; record "
+            r"held-out logs: none of 1 has 210 rows, .* after burn_in = 10 require; record "
             r"longer",
         ),
     ],
@@ -156,7 +160,9 @@ def test_a_loss_that_explodes_stops_the_fit(tmp_path, monkeypatch):
         return jax.tree.map(lambda x: x + np.float32(1e30), ensemble(*parts))
 
     monkeypatch.setattr(module, "ensemble", far_off)
-    message = r"loss of the drive networks is not finite; lower learning_rate \(--set\) and start"
+    message = (
+        r"loss of the drive networks is NaN or infinite; lower learning_rate \(--set\) and start"
+    )
     with pytest.raises(RunError, match=message):
         fit_streaming(LOGS, CONFIG, 0, RunDirectory(tmp_path / "s", {}))
 

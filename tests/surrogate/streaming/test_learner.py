@@ -140,7 +140,10 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
     ("change", "words"),
     [
         ("burn_in=400", r"burn_in must be less than ticks = 250"),
-        ("free_running=[0.8, 0.2]", r"two parts of the training in order, such as 0\.2, 0\.8"),
+        (
+            "free_running=[0.8, 0.2]",
+            r"two fractions from 0 to 1 in ascending order, e\.g\. 0\.2, 0\.8",
+        ),
         ("free_running=[0.5, 1.2]", r"two parts of the training in order"),
         ("members=0", r"members = 0: Input should be greater than 0"),
         ("force.unit=3", r"did you mean 'units'"),

@@ -23,7 +23,7 @@ def test_segments_may_begin_wherever_all_of_them_lies_in_one_log(rows, ticks):
     logs = [numbered(count, i) for i, count in enumerate(rows)]
     if not fitting:
         with pytest.raises(
-            LogError, match=f"has {max(rows)} rows; {ticks + MAX_DELAY + 1} are needed"
+            LogError, match=f"has {max(rows)} rows; at least {ticks + MAX_DELAY + 1} are required"
         ):
             Table.of(logs, ticks)
         return

@@ -109,7 +109,7 @@ def test_warm_takes_a_unix_clock_and_counts_within_its_day(advance):
 
 
 def test_a_short_history_is_refused():
-    with pytest.raises(LogError, match="history: 299 rows; 300 are needed"):
+    with pytest.raises(LogError, match="history: 299 rows; this surrogate needs 300 rows"):
         PLANT.warm(small.valid_rows(LOG, 101, None))
 
 

@@ -189,7 +189,7 @@ def test_a_plant_is_moved_within_the_velocities_that_are_asked_for():
         (
             {"block_s": 3.0, "segments": 2},
             LogError,
-            "2 segments make 2 blocks of 3 s, which cannot determine 3 parameters",
+            "2 segments contain 2 blocks of 3 s; 3 parameters need at least 6",
         ),
     ],
 )
@@ -204,8 +204,8 @@ def test_what_cannot_be_fitted_is_refused_before_anything_is_simulated(
 @pytest.mark.parametrize(
     ("velocity", "message"),
     [
-        ((0.5, 2.0), "velocity_rad_s = 0.5, 2: the plant takes 1 to"),
-        ((3.0, 2.0), "the lower first"),
+        ((0.5, 2.0), "velocity_rad_s = 0.5, 2: the plant accepts 1 to"),
+        ((3.0, 2.0), "lower value first"),
     ],
 )
 def test_velocities_that_a_plant_does_not_take_are_refused(velocity, message):
@@ -218,10 +218,10 @@ def test_material_that_is_neither_logs_nor_a_plant_is_refused(dataset, tmp_path)
         material(tmp_path, CONFIG, 0)
     with pytest.raises(PlantError, match="plant nothing: unknown"):
         material("nothing", CONFIG, 0)
-    with pytest.raises(ConfigurationError, match="brings its own commands"):
+    with pytest.raises(ConfigurationError, match="contains its own commands"):
         material(dataset.path, CONFIG.merged({"velocity_rad_s": (1.0, 2.0)}, "test"), 0)
     lonely = write_dataset(tmp_path / "lonely", dataset.load(dataset.train), [], {})
-    with pytest.raises(ArtifactError, match="holds no test logs"):
+    with pytest.raises(ArtifactError, match="missing test logs"):
         material(lonely.path, CONFIG, 0)
 
 

@@ -57,7 +57,7 @@ def test_tanks_that_fail_are_the_worst_and_do_not_stop_it():
 
 
 def test_a_generation_without_a_single_tank_is_an_error():
-    with pytest.raises(RunError, match="no tank of a generation has finite readings"):
+    with pytest.raises(RunError, match="no tank in this generation produced finite readings"):
         search(lambda points: np.full(len(points), np.nan), np.full(3, 0.5), 0.2, unknown(3), 0)
 
 

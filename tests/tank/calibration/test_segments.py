@@ -28,7 +28,8 @@ def test_segments_come_from_all_logs_in_turn_and_end_with_them():
 
 def test_logs_too_short_for_a_segment_are_refused():
     with pytest.raises(
-        LogError, match=r"test logs: none has 11 rows, one segment of 0.1 s; lower segment_s"
+        LogError,
+        match=r"test logs: none has 11 rows, as a segment of 0.1 s requires; lower segment_s",
     ):
         cut([log(10)], 2, 10, 0, "test")
 

@@ -1,1 +1,1 @@
-"""Comparison of surrogates on test logs."""
+"""Comparison of surrogates on test logs: free runs, scores and a report."""

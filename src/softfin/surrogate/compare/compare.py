@@ -1,15 +1,14 @@
-"""Compares surrogates on the same unseen logs, free-running over several horizons: an extension of
-Table I.
+"""Compares surrogates in free runs over several horizons of the same test logs; extends Table I.
 
-A group consists of the seeds of one configuration on the same data. All surrogates are scored on
-the same rows, no matter how long their warm-up is.
+A group contains the surrogates that differ only in their seed. All surrogates are scored on the
+same rows, regardless of how long their warm-up is.
 """
 
 import itertools
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pydantic
@@ -38,29 +37,33 @@ from softfin.surrogate.store import AnySurrogate, load_surrogate
 from softfin.surrogate.streaming.ensemble import COVERAGE
 
 ENOUGH_SEEDS = 3
-"""Smallest number of seeds in a group; with fewer, a difference between two groups may be luck."""
+"""Minimum number of seeds per group; with fewer, a difference may be due to chance."""
 
 FAR = 0.01
-"""Distance outside the range of the training commands, relative to that range, from which a test
-command gets a note."""
+"""Distance beyond the range of the training commands, relative to that range, above which a note
+is added."""
 
 
 class CompareConfig(Configuration):
-    """How surrogates are compared."""
+    """Configuration of a comparison of surrogates."""
 
     horizons_s: tuple[float, ...] = (1.0, 5.0, 30.0)
-    """Durations of the free runs [s], multiples of 10 ms; the last is much longer than any memory
-    of the fin."""
+    """Durations of the free runs [s], in multiples of 10 ms. 30 s is much longer than the memory of
+    the fin."""
     seed: int = pydantic.Field(default=0, ge=0)
-    """Seed of the noise in the plant that gives the noise floor."""
+    """Seed for the noise of the plant used as the noise floor."""
 
     @pydantic.field_validator("horizons_s")
     @classmethod
     def _on_the_grid(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if not value or any(h < 0.1 or abs(h * RATE_HZ - round(h * RATE_HZ)) > 1e-6 for h in value):
-            raise ValueError(
-                "horizons are at least 0.1 s and whole numbers of 10 ms samples, such as 1, 5, 30"
-            )
+        problem = "horizons must be at least 0.1 s and multiples of 10 ms, e.g. 1, 5, 30"
+        if not value:
+            raise ValueError(problem)
+        for horizon in value:
+            ticks = horizon * RATE_HZ
+            # 1e-6 allows for rounding: 0.29 * 100 is not exactly 29.
+            if horizon < 0.1 or abs(ticks - round(ticks)) > 1e-6:
+                raise ValueError(problem)
         return tuple(sorted(set(value)))
 
 
@@ -70,11 +73,11 @@ class Candidate(NamedTuple):
     folder: Path
     surrogate: AnySurrogate
     group: str
-    """Key of the group: equal for seeds of one configuration on the same data."""
+    """Key of the group; the same for all seeds of one configuration on the same data."""
 
 
 class Group(NamedTuple):
-    """The seeds of one configuration, or the plant of the noise floor."""
+    """All seeds of one configuration, or the plant used as the noise floor."""
 
     row: JsonObject
     """Entry of the group in the summary."""
@@ -85,14 +88,26 @@ class Group(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """All groups on the same rows."""
+    """Scores of all groups on the same rows."""
 
     summary: JsonObject
-    """Return the content of ``comparison.json``, which docs/files.md describes."""
+    """Content of ``comparison.json``; docs/files.md describes it."""
     groups: list[Group]
     noise_floor: Group | None
     measured: Log
-    """The segments of the longest horizon."""
+    """Measured segments of the longest horizon."""
+
+
+class ScoredRows(NamedTuple):
+    """Rows of the test logs that every surrogate predicts, by horizon."""
+
+    logs: Sequence[Log]
+    parts: list[tuple[list[Segment], int]]
+    """Segments of each horizon and their length [ticks]."""
+    measured: list[Log]
+    """Measured values, with fields ``(segments, ticks, ...)``."""
+    spans: dict[str, float]
+    """Range of the measured values of each channel."""
 
 
 def compare_surrogates(
@@ -102,93 +117,153 @@ def compare_surrogates(
     noise_floor: tuple[str, Plant] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Score every surrogate free-running over the same segments of the logs; `noise_floor`: a plant
-    by its name."""
-    warm_up = max(candidate.surrogate.memory for candidate in found)
-    rows = [log.rows for log in logs]
-    ticks = [round(horizon * RATE_HZ) for horizon in config.horizons_s]
-    # The longest horizon comes first, because a log may be too short for it.
-    parts = [(plan_segments(rows, each, warm_up), each) for each in reversed(ticks)][::-1]
-    spans = measured_ranges(logs)
-    measured = [take(logs, *part) for part in parts]
-    num_scorings = len(found) * len(parts) + (noise_floor is not None)
+    """Score every surrogate in free runs over the same segments of the logs.
+
+    `noise_floor` is the name of a plant, and the plant: its predictions are scored like those of
+    a surrogate, as if the measurement had been repeated.
+    """
+    scored = _plan_rows(found, logs, config)
+    num_scorings = len(found) * len(scored.parts) + (noise_floor is not None)
     done = itertools.count(1)
 
     def report(note: str) -> None:
         if progress is not None:
             progress("compare", next(done) / num_scorings, note)
 
-    def run(candidate: Candidate) -> tuple[list[HorizonScores], Reading]:
-        surrogate = candidate.surrogate
-        scores = []
-        for part, actual, horizon in zip(parts, measured, config.horizons_s, strict=True):
-            reading, members = free_run(surrogate, logs, *part)
-            widths = None
-            if members is not None and isinstance(surrogate, EnsemblePlant):
-                widths = np.asarray(surrogate.interval.half_width(moving_average(members)))
-            scores.append(score_segments(actual, reading, spans, widths))
-            report(f"{candidate.folder}, {horizon:g} s")
-        return scores, reading
-
     seeds = _by_group(found)
-    firsts = [members[0] for members in seeds]
-    models = [first.surrogate.model for first in firsts]
-    # Costs are relative to the paper's networks if they are compared, otherwise to the first group.
-    yardstick = firsts[models.index("paper") if "paper" in models else 0]
-
-    def name_group(first: Candidate) -> str:
-        model = first.surrogate.model
-        return model if models.count(model) == 1 else f"{model} ({first.folder})"
-
+    names = _name_groups(seeds)
+    yardstick = _yardstick(seeds)
+    yardstick_cost = seeds[yardstick][0].surrogate.flops_per_tick()
     groups = []
     notes = list[str]()
-    for members in seeds:
-        name = name_group(members[0])
-        surrogate = members[0].surrogate
-        cost = surrogate.flops_per_tick()
-        scores, readings = zip(*map(run, members), strict=True)
-        share, furthest = beyond_limits(members, logs)
-        row = {
-            "name": name,
-            "model": surrogate.model,
-            "surrogates": [str(member.folder) for member in members],
-            "seeds": len(members),
-            "parameters": surrogate.parameters(),
-            "flops_per_tick": cost,
-            "flops_ratio": cost / yardstick.surrogate.flops_per_tick(),
-            "commands_beyond_training": share,
-            "furthest_beyond_training": furthest,
-            "horizons": _horizons(config, scores),
-        }
-        groups.append(Group(row, [each[-1] for each in scores], readings[0]))
-        notes += [f"{name}: {note}" for note in _notes(row, surrogate)]
+    for name, members in zip(names, seeds, strict=True):
+        group = _score_group(name, members, scored, config, yardstick_cost, report)
+        groups.append(group)
+        for note in _notes(group.row, members[0].surrogate):
+            notes.append(f"{name}: {note}")
     second = None
     if noise_floor is not None:
-        name = f"second recording ({noise_floor[0]})"
-        whole = run_from_rest(noise_floor[1], logs, named_key(config.seed, "compare/floor"))
-        scores = []
-        for part, actual in zip(parts, measured, strict=True):
-            reading = take(whole, *part)
-            scores.append(score_segments(actual, reading, spans))
-        second = Group(
-            {"name": name, "horizons": _horizons(config, [scores])}, scores[-1:], reading
-        )
+        second = _noise_floor_group(noise_floor, scored, config)
+        name = second.row["name"]
+        # Two independent recordings with errors of equal variance differ by sqrt(2) of each.
         notes.append(
-            f"{name}: its own noise and drift count too: up to sqrt(2) times the error of a "
+            f"{name}: contains its own noise and drift: up to sqrt(2) times the error of a "
             "perfect model"
         )
         report(name)
+    num_rows = sum(log.rows for log in logs)
     summary = {
         "horizons_s": list(config.horizons_s),
-        "scored": [_count_rows(sum(rows), *part) for part in parts],
-        "ranges": spans,
+        "scored": [_count_rows(num_rows, *part) for part in scored.parts],
+        "ranges": scored.spans,
         "stated_confidence": COVERAGE,
-        "flops_ratio_to": name_group(yardstick),
+        "flops_ratio_to": names[yardstick],
         "groups": [group.row for group in groups],
         "noise_floor": None if second is None else second.row,
         "notes": notes,
     }
-    return Comparison(summary, groups, second, measured[-1])
+    return Comparison(summary, groups, second, scored.measured[-1])
+
+
+def _plan_rows(
+    found: Sequence[Candidate], logs: Sequence[Log], config: CompareConfig
+) -> ScoredRows:
+    # The longest warm-up applies to all, so that all are scored on the same rows.
+    warm_up = max(candidate.surrogate.memory for candidate in found)
+    rows = [log.rows for log in logs]
+    parts = []
+    # The longest horizon comes first, because its error message states how long logs must be.
+    for horizon in reversed(config.horizons_s):
+        ticks = round(horizon * RATE_HZ)
+        parts.append((plan_segments(rows, ticks, warm_up), ticks))
+    parts.reverse()
+    spans = measured_ranges(logs)
+    measured = [take(logs, *part) for part in parts]
+    return ScoredRows(logs, parts, measured, spans)
+
+
+def _yardstick(seeds: Sequence[Sequence[Candidate]]) -> int:
+    """Return the group to which costs are relative: the paper's networks if they are compared,
+    otherwise the first."""
+    for index, members in enumerate(seeds):
+        if members[0].surrogate.model == "paper":
+            return index
+    return 0
+
+
+def _name_groups(seeds: Sequence[Sequence[Candidate]]) -> list[str]:
+    """Return the model of each group, with its first folder if several groups have that model."""
+    models = [members[0].surrogate.model for members in seeds]
+    names = []
+    for members, model in zip(seeds, models, strict=True):
+        is_unique = models.count(model) == 1
+        names.append(model if is_unique else f"{model} ({members[0].folder})")
+    return names
+
+
+def _score_group(
+    name: str,
+    members: Sequence[Candidate],
+    scored: ScoredRows,
+    config: CompareConfig,
+    yardstick_cost: int,
+    report: Callable[[str], None],
+) -> Group:
+    surrogate = members[0].surrogate
+    scores = []
+    readings = []
+    for member in members:
+        member_scores, reading = _score_candidate(member, scored, config, report)
+        scores.append(member_scores)
+        readings.append(reading)
+    cost = surrogate.flops_per_tick()
+    share, furthest = beyond_limits(members, scored.logs)
+    row = {
+        "name": name,
+        "model": surrogate.model,
+        "surrogates": [str(member.folder) for member in members],
+        "seeds": len(members),
+        "parameters": surrogate.parameters(),
+        "flops_per_tick": cost,
+        "flops_ratio": cost / yardstick_cost,
+        "commands_beyond_training": share,
+        "furthest_beyond_training": furthest,
+        "horizons": _horizons(config, scores),
+    }
+    return Group(row, [horizons[-1] for horizons in scores], readings[0])
+
+
+def _score_candidate(
+    candidate: Candidate,
+    scored: ScoredRows,
+    config: CompareConfig,
+    report: Callable[[str], None],
+) -> tuple[list[HorizonScores], Reading]:
+    """Score a surrogate at each horizon; also return its prediction for the longest."""
+    surrogate = candidate.surrogate
+    scores = []
+    for part, actual, horizon in zip(scored.parts, scored.measured, config.horizons_s, strict=True):
+        reading, members = free_run(surrogate, scored.logs, *part)
+        widths = None
+        if members is not None and isinstance(surrogate, EnsemblePlant):
+            widths = np.asarray(surrogate.interval.half_width(moving_average(members)))
+        scores.append(score_segments(actual, reading, scored.spans, widths))
+        report(f"{candidate.folder}, {horizon:g} s")
+    return scores, reading
+
+
+def _noise_floor_group(
+    noise_floor: tuple[str, Plant], scored: ScoredRows, config: CompareConfig
+) -> Group:
+    name, plant = noise_floor
+    # A plant cannot be warmed up from a log, so it replays each log from its first row.
+    replayed = run_from_rest(plant, scored.logs, named_key(config.seed, "compare/floor"))
+    scores = []
+    for part, actual in zip(scored.parts, scored.measured, strict=True):
+        reading = take(replayed, *part)
+        scores.append(score_segments(actual, reading, scored.spans))
+    row = {"name": f"second recording ({name})", "horizons": _horizons(config, [scores])}
+    return Group(row, scores[-1:], reading)
 
 
 def _by_group(found: Sequence[Candidate]) -> list[list[Candidate]]:
@@ -199,7 +274,7 @@ def _by_group(found: Sequence[Candidate]) -> list[list[Candidate]]:
 
 
 def _count_rows(rows: int, segments: Sequence[Segment], ticks: int) -> dict[str, int]:
-    """Return how many rows of all logs are scored in segments of `ticks`, and how many are not."""
+    """Return the number of segments, and of rows inside and outside them."""
     used = len(segments) * ticks
     return {"segments": len(segments), "rows": used, "rows_left": rows - used}
 
@@ -207,17 +282,18 @@ def _count_rows(rows: int, segments: Sequence[Segment], ticks: int) -> dict[str,
 def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[JsonObject]:
     """Return the scores at each horizon, as mean and 95% interval over the seeds."""
     rows = []
-    for horizon, each in zip(config.horizons_s, zip(*scores, strict=True), strict=True):
+    for index, horizon in enumerate(config.horizons_s):
+        seeds = [horizons[index] for horizons in scores]
         row: JsonObject = {"horizon_s": horizon}
-        for name in each[0].scores:
-            values = np.array([seed.scores[name] for seed in each])
+        for name in seeds[0].scores:
+            values = np.array([seed.scores[name] for seed in seeds])
             row[name] = {"mean": float(values.mean()), "interval": interval(values)}
         rows.append(row)
     return rows
 
 
-def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
-    """Caveats for a reader of a group's scores."""
+def _notes(row: JsonObject, surrogate: AnySurrogate) -> Iterator[str]:
+    """Yield caveats about the scores of a group."""
     if (seeds := row["seeds"]) < ENOUGH_SEEDS:
         yield (
             f"{seeds} seed{'s' * (seeds > 1)}; fit at least {ENOUGH_SEEDS} before you trust a "
@@ -225,35 +301,42 @@ def _notes(row: Mapping[str, Any], surrogate: AnySurrogate) -> Iterator[str]:
         )
     if row["furthest_beyond_training"] > FAR:
         yield (
-            f"{row['commands_beyond_training']:.1%} of the test commands lie outside its training "
-            f"commands, the furthest by {row['furthest_beyond_training']:.0%} of their range; "
-            "there it extrapolates"
+            f"{row['commands_beyond_training']:.1%} of the test commands are outside the range of "
+            f"its training commands, by up to {row['furthest_beyond_training']:.0%} of that range; "
+            "the surrogate extrapolates there"
         )
     if isinstance(surrogate, EnsemblePlant) and (caveat := surrogate.interval.caveat()) is not None:
         yield caveat
 
 
 def candidates(folders: Sequence[Path]) -> list[Candidate]:
-    """Load surrogates; raises ConfigurationError if none or a duplicate is given."""
+    """Load surrogates and assign them to groups.
+
+    Raises:
+        ConfigurationError: there are no surrogates, or duplicates.
+    """
     if not folders:
-        raise ConfigurationError("no surrogate: give the folders of the surrogates to compare")
+        raise ConfigurationError(
+            "missing surrogates: add the folders of the surrogates to compare to the command"
+        )
     found = []
     seen = set[str]()
     for folder in folders:
         surrogate = load_surrogate(folder)
         description = artifacts.load_description(folder, "surrogate")
         data = (description.get("provenance") or {}).get("data_hash")
-        # Nothing says whether two imported surrogates are seeds of the same configuration.
+        # Imported surrogates have no configuration, so each one is a group by itself.
         group = str(folder.resolve())
         if description.get("configuration") is not None and data is not None:
-            # The networks count too, because seeds may have chosen different candidates.
+            # The networks are part of the key, because a search may have chosen different
+            # architectures for different seeds.
             networks = description.get("networks")
-            parts = [surrogate.model, description["configuration"], networks, data]
-            group = json.dumps(parts, sort_keys=True)
-        # A copy would count as a second seed and make the interval too narrow.
+            key = [surrogate.model, description["configuration"], networks, data]
+            group = json.dumps(key, sort_keys=True)
+        # A copy would count as a second seed and make the interval over seeds too narrow.
         if (which := identity(surrogate)) in seen:
             raise ConfigurationError(
-                f"{folder}: given twice, or a copy of another; give each surrogate once"
+                f"{folder}: duplicate surrogate, or a copy of another one; list each surrogate once"
             )
         seen.add(which)
         found.append(Candidate(folder, surrogate, group))
@@ -261,13 +344,20 @@ def candidates(folders: Sequence[Path]) -> list[Candidate]:
 
 
 def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[float, float]:
-    """Return the fraction of the logs' commands outside the training commands of a group, and the
-    largest distance relative to their range."""
+    """Return how far the commands of the logs go beyond the training commands of a group.
+
+    Returns:
+        The fraction of commands outside the training range, and the largest distance from it
+        relative to the range; the maximum over the members of both.
+    """
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
+    # (members, 1, angle or velocity, minimum or maximum), against commands (rows, 2).
     limits = np.array([member.surrogate.limits for member in members]).reshape(-1, 1, 2, 2)
     low = limits[..., 0]
     high = limits[..., 1]
-    # If the training commands never changed, relative to 1 rad or rad/s.
+    # If the training commands never changed, distances are relative to 1 rad or 1 rad/s.
     span = np.where(high > low, high - low, 1)
+    # (members, rows): negative inside the range.
     excess = np.maximum((low - commands) / span, (commands - high) / span).max(axis=-1)
-    return float((excess > 0).mean(axis=1).max()), max(float(excess.max()), 0.0)
+    outside = (excess > 0).mean(axis=1)
+    return float(outside.max()), max(float(excess.max()), 0.0)

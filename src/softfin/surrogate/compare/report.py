@@ -1,4 +1,4 @@
-"""Writes a comparison as a folder: ``comparison.json``, and a figure of the predicted forces and
+"""Writes the folder of a comparison: ``comparison.json`` and a figure of the predicted forces and
 their errors."""
 
 from collections.abc import Mapping
@@ -26,27 +26,30 @@ from softfin.surrogate.compare.compare import Comparison, Group
 from softfin.surrogate.streaming.ensemble import COVERAGE
 
 SHOWN_FORCE_S = 8
-"""Length of the force that is shown, measured and predicted [s]."""
+"""Duration of the plotted force traces [s]."""
 
 TRACES = 3
-"""Number of groups whose traces are shown; more would cover each other."""
+"""Maximum number of groups with a force trace; more traces would overlap."""
 
 SHARES = np.linspace(0, 1, 401)
-"""Quantiles at which distributions are drawn."""
+"""Quantiles at which the error distributions are plotted."""
 
 STYLES = ((ORANGE, "--", "o"), (BLUE, "-", "s"), (GREEN, "-.", "^"), (BLACK, ":", "D"))
-"""Colours, lines and markers of the groups, in turn."""
+"""Colours, line styles and markers for the groups, in order."""
 
 
 def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str, object]) -> None:
-    """Fill the folder with the summary and the figure."""
+    """Write the summary and the figure to the folder."""
     artifacts.write_description(folder, "comparison", summary)
     save_figure(comparison_figure(comparison), folder, "comparison")
 
 
 def comparison_figure(comparison: Comparison) -> Figure:
-    """Draw the force over a segment, measured and predicted; below it the errors by horizon, of the
-    mean force, and relative to the intervals."""
+    """Plot the measured and predicted force, and below it up to three panels of errors.
+
+    The panels show errors against the horizon, the distribution of errors of the mean force, and
+    errors relative to the intervals.
+    """
     longest = [group.longest[0] for group in comparison.groups]
     draw = [_draw_horizons]
     if longest[0].mean_errors is not None:
@@ -58,15 +61,15 @@ def comparison_figure(comparison: Comparison) -> Figure:
         parts: Any = figure.subfigures(2, 1, height_ratios=(1.35, 1))
         above, below = parts
         _draw_traces(above.subplots(2, 1, sharex=True), comparison)
-        for draw_panel, axes in zip(
-            draw, below.subplots(1, len(draw), squeeze=False)[0], strict=True
-        ):
+        panels = below.subplots(1, len(draw), squeeze=False)[0]
+        for draw_panel, axes in zip(draw, panels, strict=True):
             draw_panel(axes, comparison)
     return figure
 
 
-def _draw_traces(panels: Any, comparison: Comparison) -> None:
+def _draw_traces(panels: np.ndarray, comparison: Comparison) -> None:
     measured = np.asarray(comparison.measured.reading.force)[0, : SHOWN_FORCE_S * RATE_HZ]
+    # The free run starts at tick 0 with a command; its first reading follows one tick later.
     time = np.arange(1, len(measured) + 1) / RATE_HZ
     for axis, axes in enumerate(panels):
         axes.plot(time, measured[:, axis], color="#BBBBBB", linewidth=2.6, label="measured")
@@ -76,10 +79,10 @@ def _draw_traces(panels: Any, comparison: Comparison) -> None:
         axes.set(ylabel=f"force {AXES[axis]} [N]", xlim=(time[0], time[-1]))
     rest = len(comparison.groups) - TRACES
     others = f"; {rest} more not shown" if rest > 0 else ""
-    title = f"The first segment, free-running, the first seed of each{others}"
+    title = f"Free run over the first segment, first seed of each group{others}"
     panels[0].set_title(title, weight="bold", pad=22)
     panels[0].legend(ncols=1 + TRACES, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0)
-    panels[1].set_xlabel("time since the surrogate began to run free [s]")
+    panels[1].set_xlabel("time since the start of the free run [s]")
 
 
 def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
@@ -89,14 +92,22 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
         zip(comparison.groups, cycle(STYLES), strict=False)
     ):
         for number, (axis, face) in enumerate(zip(AXES, (colour, "white"), strict=True)):
-            cells = [row[f"force_{axis}_rmse_n"] for row in group.row["horizons"]]
-            intervals = [cell["interval"] for cell in cells if cell["interval"] is not None]
-            # Shifted, so that the bars of intervals do not cover each other.
+            means = []
+            half_widths = []
+            for row in group.row["horizons"]:
+                cell = row[f"force_{axis}_rmse_n"]
+                means.append(cell["mean"])
+                # A single seed has no interval.
+                if cell["interval"] is not None:
+                    low, high = cell["interval"]
+                    half_widths.append((high - low) / 2)
+            # Shifted so that the error bars do not overlap: 2 * count series, centred on the tick.
             shift = 0.03 * (2 * index + number - count + 0.5)
             axes.errorbar(
                 places + shift,
-                [cell["mean"] for cell in cells],
-                [(high - low) / 2 for low, high in intervals] or None,
+                means,
+                # Matplotlib needs None instead of an empty list.
+                half_widths or None,
                 linestyle=line,
                 marker=marker,
                 color=colour,
@@ -105,32 +116,37 @@ def _draw_horizons(axes: Axes, comparison: Comparison) -> None:
                 capsize=2,
                 label=f"{group.row['name']}, {axis}",
             )
-    if (second := comparison.noise_floor) is not None:
-        errors = np.zeros((len(AXES), len(places)))
-        for number, axis in enumerate(AXES):
-            for index, row in enumerate(second.row["horizons"]):
-                errors[number, index] = row[f"force_{axis}_rmse_n"]["mean"]
-        label = f"{second.row['name']}, mean of x and y"
-        axes.plot(places, errors.mean(axis=0), color=GREY, linewidth=1.6, label=label)
+    if comparison.noise_floor is not None:
+        _draw_noise_floor(axes, comparison.noise_floor)
     axes.set_xticks(places, [f"{horizon:g}" for horizon in comparison.summary["horizons_s"]])
     axes.set(
         xlabel="horizon [s]",
         ylabel="RMSE of the force [N]",
         ylim=(0, None),
-        title="Error by the horizon",
+        title="Error vs. horizon",
     )
     axes.margins(x=0.12)
-    # Room for the legend, clear of the bars.
+    # Space for the legend above the error bars.
     axes.set_ylim(0, 1.6 * axes.get_ylim()[1])
     axes.legend(fontsize=7, loc="upper right")
 
 
+def _draw_noise_floor(axes: Axes, noise_floor: Group) -> None:
+    horizons = noise_floor.row["horizons"]
+    errors = np.zeros((len(AXES), len(horizons)))
+    for number, axis in enumerate(AXES):
+        for index, row in enumerate(horizons):
+            errors[number, index] = row[f"force_{axis}_rmse_n"]["mean"]
+    label = f"{noise_floor.row['name']}, mean of x and y"
+    places = np.arange(len(horizons))
+    axes.plot(places, errors.mean(axis=0), color=GREY, linewidth=1.6, label=label)
+
+
 def _draw_means(axes: Axes, comparison: Comparison) -> None:
-    """Draw the fraction of mean forces with an error up to each value."""
-    styled_groups = [
-        (group, *style[:2], 1.4)
-        for group, style in zip(comparison.groups, cycle(STYLES), strict=False)
-    ]
+    """Plot the cumulative distribution of the errors of the mean force."""
+    styled_groups = []
+    for group, (colour, line, _) in zip(comparison.groups, cycle(STYLES), strict=False):
+        styled_groups.append((group, colour, line, 1.4))
     if comparison.noise_floor is not None:
         styled_groups.append((comparison.noise_floor, GREY, "-", 1.6))
     for group, colour, line, width in styled_groups:
@@ -149,18 +165,20 @@ def _draw_means(axes: Axes, comparison: Comparison) -> None:
     )
     axes.set(
         xlabel="error of the mean force over 2 s [N]",
-        ylabel="share within",
+        ylabel="fraction within",
         ylim=(0, 1.02),
         xlim=(0, None),
     )
     axes.locator_params(axis="x", nbins=5)
-    axes.set_title(f"Mean force, free-running for {comparison.summary['horizons_s'][-1]:g} s")
+    axes.set_title(f"Mean force in free runs of {comparison.summary['horizons_s'][-1]:g} s")
     axes.legend(fontsize=7, loc="lower right")
 
 
 def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
-    """Draw the fraction of errors within a multiple of the stated half-widths: at 1 it should equal
-    the stated coverage."""
+    """Plot the cumulative distribution of errors divided by the stated half-widths.
+
+    At a ratio of 1 it should equal the stated coverage.
+    """
     for group, (colour, line, marker) in zip(comparison.groups, cycle(STYLES), strict=False):
         if group.longest[0].half_widths is None:
             continue
@@ -178,14 +196,15 @@ def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
         label="85% to 95%",
     )
     axes.set(
-        xlabel="error over the stated half-width",
-        ylabel="share within",
+        xlabel="error / stated half-width",
+        ylabel="fraction within",
         xlim=(0, 3),
         ylim=(0, 1.02),
     )
-    axes.set_title(f"Intervals stated at {COVERAGE:.0%}")
+    axes.set_title(f"Coverage of the {COVERAGE:.0%} intervals")
     axes.legend(fontsize=7, loc="lower right")
 
 
 def _pooled(group: Group, field: str) -> np.ndarray:
+    """Return a field of the scores at the longest horizon, of all seeds together."""
     return np.concatenate([np.ravel(getattr(scores, field)) for scores in group.longest])

@@ -1,1 +1,1 @@
-"""The paper's surrogate: PosNet and ForceNet, window by window (paper Sec. III-B)."""
+"""The paper's surrogate: PosNet and ForceNet, which see a window of past samples (Sec. III-B)."""

@@ -1,11 +1,11 @@
 """Fits PosNet and ForceNet to logs: both are trained together on the same windows to predict one
 step ahead (Sec. III-B).
 
-Adam on the mean square error of the scaled outputs; early stopping per network on held-out logs,
-best weights kept.
+Adam minimizes the mean square error of the scaled outputs. Each network keeps the weights with the
+lowest error on held-out logs, and training stops early if neither improves.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -37,28 +37,28 @@ from softfin.surrogate.training import (
 
 
 class FitConfig(Configuration):
-    """How the paper's networks are fitted."""
+    """Configuration of the fit of the paper's networks."""
 
     posnet: NetworkConfig = POSNET
-    """Commands to angle."""
+    """Network from commands to angle."""
     forcenet: NetworkConfig = FORCENET
-    """Motion to force."""
+    """Network from angle and commands to force."""
     epochs: PositiveInt = 12
-    """Largest number of passes over all windows, during which the learning rate falls to zero
+    """Maximum number of passes over all windows. The learning rate decays to zero over them
     (cosine)."""
     patience: PositiveInt = 4
-    """Number of passes without a lower held-out error of either network after which training
+    """Number of epochs without a lower held-out error in either network after which training
     stops."""
     batch: PositiveInt = 512
-    """Windows an update."""
+    """Number of windows per update."""
     learning_rate: float = Field(default=1e-3, gt=0)
-    """Learning rate of Adam at the start."""
+    """Initial learning rate of Adam."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
     """Fraction of the training logs held out for early stopping; at least one log."""
 
 
 class Nets(NamedTuple):
-    """Both networks, or a value for each: losses, counts."""
+    """Both networks, or a value for each, such as its loss."""
 
     posnet: PyTree
     forcenet: PyTree
@@ -71,11 +71,12 @@ def fit_paper(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Surrogate:
-    """Fit both networks to the training logs; continue from the checkpoint in run_directory if
-    there is one."""
+    """Fit both networks to the training logs; resume from the checkpoint in `run_directory`, if
+    any."""
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
-    # Calls of equal size, so that one compiled program does them all.
+    # All calls have the same number of updates, so that one compiled program runs them all. The
+    # windows left over differ from epoch to epoch, because each epoch has another order.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
     learner = PaperLearner(config, updates)
@@ -84,20 +85,24 @@ def fit_paper(
     if (resumed := run_directory.load(state)) is not None:
         state, done = resumed
     record = run_directory.log(rewind_to=done["epoch"])
+
+    def report(call: int, mse: Nets) -> None:
+        if progress is not None:
+            note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
+            progress("fit", (epoch + call / calls) / config.epochs, note)
+
     while done["epoch"] < config.epochs and done["stale"] < config.patience:
         epoch = done["epoch"]
-        losses = []
-        order = named_generator(seed, f"fit/epoch/{epoch}").permutation(starts)[
-            : updates * config.batch
-        ]
+        # Order and dropout depend only on the seed and the epoch, so a resumed run equals an
+        # uninterrupted one.
+        shuffled = named_generator(seed, f"fit/epoch/{epoch}").permutation(starts)
+        batches = shuffled[: updates * config.batch].reshape(calls, -1, config.batch)
         key = named_key(seed, f"fit/dropout/{epoch}")
-        for call, batches in enumerate(order.reshape(calls, -1, config.batch), 1):
-            state, mse = learner.run(state, table, jnp.asarray(batches), key)
-            losses.append(mse)
-            if progress is not None:
-                note = f"epoch {epoch + 1}, rms {mse.posnet**0.5:.4f} / {mse.forcenet**0.5:.4f}"
-                progress("fit", (epoch + call / calls) / config.epochs, note)
-        held_out = Nets(*(_mean_square_error(net, scaling, holding) for net in state.nets))
+        state, losses = _run_epoch(learner, state, table, batches, key, report)
+        held_out = Nets(
+            _mean_square_error(state.nets.posnet, scaling, holding),
+            _mean_square_error(state.nets.forcenet, scaling, holding),
+        )
         state, improved = keep_best_nets(state, losses, held_out, "networks")
         done = {"epoch": epoch + 1, "stale": 0 if improved else done["stale"] + 1}
         scalars = {}
@@ -105,29 +110,50 @@ def fit_paper(
             for net, value in zip(Nets._fields, values, strict=True):
                 scalars[f"{part}/{net}_mse"] = float(value)
         record.write(epoch + 1, **scalars)
+        # After the log, so that an interrupted epoch is repeated and its line rewound.
         run_directory.save(state, done)
     record.close()
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
 
 
+def _run_epoch(
+    learner: "PaperLearner",
+    state: TrainingState,
+    table: Float[Array, "rows channels"],
+    batches: Int[np.ndarray, "calls updates batch"],
+    key: PRNGKeyArray,
+    report: Callable[[int, Nets], None],
+) -> tuple[TrainingState, list[Nets]]:
+    """Train on all batches; return the mean losses of each call."""
+    losses = []
+    for call, call_batches in enumerate(batches, 1):
+        state, mse = learner.run(state, table, jnp.asarray(call_batches), key)
+        losses.append(mse)
+        report(call, mse)
+    return state, losses
+
+
 def split(
     logs: Sequence[Log], config: FitConfig
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
-    """Return training logs, held-out logs, and the scaling and window starts of the former; raises
-    LogError."""
+    """Return training logs, held-out logs, the scaling, and the first rows of the training windows.
+
+    Raises:
+        LogError: there are too few logs or rows, or a channel never changes.
+    """
     check_lengths(logs, config.posnet.window, "training")
     training, holding = hold_out(logs, config.held_out)
     starts = window_starts([log.rows for log in training], config.posnet.window)
     if len(starts) < config.batch:
         raise LogError(
-            f"{len(starts)} training windows are fewer than one batch of {config.batch}; record "
-            "more rows"
+            f"training logs: {len(starts)} windows are fewer than one batch of {config.batch}; "
+            "record more rows"
         )
     return training, holding, Scaling.fit(training), starts
 
 
 class PaperLearner:
-    """The training step of both networks, compiled once."""
+    """Training step of both networks, compiled once."""
 
     def __init__(self, config: FitConfig, updates: int) -> None:
         self.config = config
@@ -137,7 +163,7 @@ class PaperLearner:
 
     @jit("none")
     def start(self, key: PRNGKeyArray) -> TrainingState:
-        """Fresh weights."""
+        """Return the state before the first update, with new weights."""
         posnet_key, forcenet_key = jax.random.split(key)
         nets = Nets(
             Network.create(self.config.posnet, posnet_key),
@@ -150,13 +176,20 @@ class PaperLearner:
     def _run(
         self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray
     ) -> tuple[TrainingState, Nets]:
-        """Do one update for each of the batches ``(updates, batch)`` of windows in the table; also
-        return the mean losses."""
+        """Do one update per batch and return the losses averaged over them.
+
+        Args:
+            state: State before the updates.
+            table: Scaled rows of all training logs, ``(rows, channels)``.
+            batches: First rows of the windows, ``(updates, batch)``.
+            key: Key of the epoch, for dropout.
+        """
 
         def update(
             carry: tuple[Nets, PyTree], batch: Int[Array, "batch"]
         ) -> tuple[tuple[Nets, PyTree], Nets]:
             nets, optimiser = carry
+            # Each window starts one batch per epoch at most, so batch[0] identifies the update.
             dropout_key = jax.random.fold_in(key, batch[0])
             (_, losses), gradient = eqx.filter_value_and_grad(loss, has_aux=True)(
                 nets, table, batch, dropout_key
@@ -171,12 +204,15 @@ class PaperLearner:
 def loss(
     nets: Nets, table: Float[Array, "rows channels"], starts: Int[Array, "batch"], key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], Nets]:
-    """Return the mean square error of the scaled outputs, summed over both networks, which do not
-    depend on each other."""
+    """Return the mean square error of the scaled outputs, summed over both networks.
+
+    The networks share no weights, so the gradient of each depends only on its own error.
+    """
     window = nets.posnet.config.window
     # The columns of the table are `COLUMNS`: angle, commands, forces.
     num_inputs = 1 + len(COMMAND_COLUMNS)
     inputs = gather(table[:, :num_inputs], starts, window)
+    # The target is the row after the window.
     target = table[starts + window]
     # With one key for both, networks with similar layers would drop the same units.
     posnet_key, forcenet_key = jax.random.split(key)
@@ -186,10 +222,15 @@ def loss(
     return losses.posnet + losses.forcenet, losses
 
 
+# A diverged network overflows here; keep_best_nets then stops with its own error message.
 @np.errstate(over="ignore", invalid="ignore")
 def _mean_square_error(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
-    tables = [scaling.table((*net.config.channels, *net.config.outputs), log) for log in logs]
-    inputs = len(net.config.channels)
-    window = net.config.window
-    errors = [net.over_table(table[:, :inputs]) - table[window:, inputs:] for table in tables]
+    """Return the mean square error of the scaled outputs for the rows after the first window."""
+    channels = (*net.config.channels, *net.config.outputs)
+    num_inputs = len(net.config.channels)
+    errors = []
+    for log in logs:
+        table = scaling.table(channels, log)
+        target = table[net.config.window :, num_inputs:]
+        errors.append(net.over_table(table[:, :num_inputs]) - target)
     return float(np.mean(np.concatenate(errors) ** 2))

@@ -1,7 +1,8 @@
-"""Imports Keras 2 ``.keras`` files: a zip with the layers as JSON and the weights as HDF5. No
-TensorFlow, no pickle.
+"""Imports Keras 2 ``.keras`` files, zip archives with the layers as JSON and the weights as HDF5,
+without TensorFlow.
 
-The scaler values come as a JSON file of ``{channel: {scale, offset, data_min, data_max}}``.
+The scalers are read from a JSON file, ``{channel: {scale, offset, data_min, data_max}}``. Pickled
+scalers are not read, because loading a pickle can execute code.
 """
 
 import io
@@ -10,7 +11,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -56,19 +56,24 @@ LAYERS: dict[str, tuple[Callable[[JsonObject], JsonObject], JsonObject]] = {
     "Flatten": (lambda _: {"kind": "flatten"}, {}),
     "GlobalAveragePooling1D": (lambda _: {"kind": "mean_pool"}, {}),
 }
-"""Layers by their names in Keras, and the values that their options must have if given."""
+"""Layers by Keras class name: the conversion of a layer's options, and the required values of
+options that softfin does not support otherwise."""
 
 
 def read_keras_surrogate(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
-    """Read a surrogate from two ``.keras`` files and the scalers' JSON; raises SoftfinError if it
-    cannot."""
+    """Read a surrogate from two ``.keras`` files and the JSON file of the scalers.
+
+    Raises:
+        SoftfinError: a file is missing, damaged or unsupported.
+    """
     try:
         channels = json.loads(scalers.read_bytes())
     except OSError as error:
         raise ArtifactError(f"{scalers}: cannot be read ({error.strerror or error})") from None
     except (ValueError, RecursionError) as error:
         raise ArtifactError(
-            f"{scalers}: not JSON ({error}); give the scalers as JSON, never as pickle"
+            f"{scalers}: invalid JSON ({error}); convert the scalers to JSON; softfin does not "
+            "read pickles"
         ) from None
     scaling = Scaling.build({"channels": channels}, str(scalers))
     scaling.require(str(scalers))
@@ -79,20 +84,21 @@ def read_keras_surrogate(posnet: Path, forcenet: Path, scalers: Path) -> Surroga
     surrogate = Surrogate(*nets, scaling)
     if problem := surrogate.limits.problem():
         raise ArtifactError(
-            f"{scalers}: {problem}; they are data_min and data_max of the commands' channels"
+            f"{scalers}: {problem}; check data_min and data_max of the command channels"
         )
     return surrogate
 
 
 def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]) -> Network:
-    """Read one ``.keras`` file as a network."""
+    """Read the network in a ``.keras`` file."""
     try:
         with zipfile.ZipFile(path) as archive:
             layers, groups, shape = _layers(path, json.loads(archive.read("config.json")))
             content = io.BytesIO(archive.read("model.weights.h5"))
         if shape[0] != len(channels):
             raise ArtifactError(
-                f"{path}: takes {shape[0]} channels; this network must take {', '.join(channels)}"
+                f"{path}: has {shape[0]} input channels; expected {len(channels)}: "
+                f"{', '.join(channels)}"
             )
         values = {"channels": channels, "outputs": outputs, "window": shape[1], "layers": layers}
         config = NetworkConfig.build(values, str(path))
@@ -111,16 +117,19 @@ def read_network(path: Path, channels: tuple[str, ...], outputs: tuple[str, ...]
         # Damaged files fail anywhere in zip, JSON and HDF5, and h5py raises many kinds of
         # exceptions.
         reason = one_line(error)
-        raise ArtifactError(f"{path}: not a whole Keras 2 .keras file ({reason})") from None
+        raise ArtifactError(
+            f"{path}: invalid or incomplete Keras 2 .keras file ({reason})"
+        ) from None
 
 
-def _layers(path: Path, description: JsonObject) -> tuple[list[Any], list[str], tuple[int, int]]:
-    """Return the layers, the places of their weights in the HDF5 file, and the shape of the
-    input."""
+def _layers(
+    path: Path, description: JsonObject
+) -> tuple[list[JsonObject], list[str], tuple[int, int]]:
+    """Return the layers, the HDF5 groups of their weights, and the input shape (channels,
+    samples)."""
     if description.get("class_name") != "Sequential":
         raise ArtifactError(
-            f"{path}: is a {description.get('class_name')} model; only Sequential ones can be "
-            "imported"
+            f"{path}: {description.get('class_name')} model; only Sequential models can be imported"
         )
     layers = []
     groups = list[str]()
@@ -134,16 +143,23 @@ def _layers(path: Path, description: JsonObject) -> tuple[list[Any], list[str], 
         if kind == "InputLayer":
             continue
         if kind not in LAYERS:
-            raise ArtifactError(f"{path}: layer {kind} is not known; known are {', '.join(LAYERS)}")
-        build, expected = LAYERS[kind]
-        for name, value in expected.items():
-            if (met := config.get(name, value)) != value:
-                raise ArtifactError(
-                    f"{path}: layer {config.get('name')} has {name} = {met}; it must be {value}"
-                )
+            raise ArtifactError(
+                f"{path}: unsupported layer {kind}; supported layers are {', '.join(LAYERS)}"
+            )
+        build, required = LAYERS[kind]
+        _check_options(path, config, required)
         layers.append(build(config))
-        # Numbered within its class, as Keras 2.15 saves them.
+        # Keras 2.15 numbers the layers of each class: dense, dense_1, dense_2.
         number = f"_{counts[kind]}" if counts[kind] else ""
         counts[kind] += 1
         groups.append(f"layers/{kind.lower()}{number}/{'cell/vars' if kind == 'LSTM' else 'vars'}")
     return layers, groups, shape
+
+
+def _check_options(path: Path, config: JsonObject, required: JsonObject) -> None:
+    for name, value in required.items():
+        if (actual := config.get(name, value)) != value:
+            raise ArtifactError(
+                f"{path}: layer {config.get('name')}: {name} = {actual} is not supported; must be "
+                f"{value}"
+            )

@@ -1,8 +1,8 @@
-"""Networks over a window of samples, described by their configuration: the channels are the steps
-of the sequence, the window its features.
+"""Networks whose input is a window of past samples, built from their configuration.
 
-This is the layout of the published weights (paper Sec. III-B): a window (channels, samples) goes
-into the first layer as a sequence of `channels` steps with `samples` features each.
+As in the published weights (paper Sec. III-B), the first layer sees a window (channels, samples) as
+a sequence of `channels` steps with `samples` features each. Convolutions and LSTMs therefore run
+over the channels, not over time.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ from softfin.core.configuration import Configuration
 from softfin.surrogate.channels import ANGLE, COMMAND_COLUMNS, FORCES
 
 MAX_CHUNK_WINDOWS = 2048
-"""Number of windows that a network takes from a table at once: enough for efficient matrix
-products, few enough for the caches."""
+"""Number of windows per batch in `Network.over_table`: enough for efficient matrix products, and
+few enough for the caches."""
 
 Activation = Literal["linear", "relu", "tanh"]
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
@@ -37,25 +37,28 @@ Shape = tuple[int, ...]
 
 
 def abstract(*shape: int) -> Any:
-    """Stand-in for an array of this shape."""
+    """Return a placeholder for a float32 array."""
     return cast(Any, jax.ShapeDtypeStruct)(shape, jnp.float32)
 
 
 class BaseLayer(Configuration):
-    """A layer that works on a whole batch with few, large products, faster than Equinox's. This
-    base class passes its input through."""
+    """Base class of layers; it returns its input.
+
+    Layers process a batch with a few large matrix products, which is faster than mapping a layer of
+    Equinox over the examples.
+    """
 
     def shapes(self, example: Shape) -> Shapes:
-        """Shapes of the parameters by name."""
+        """Return the shapes of the parameters by name, for inputs with the shape `example`."""
         return {}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch *example"]) -> Array:
-        """Output of the layer for a batch of examples."""
+        """Return the output of the layer for a batch."""
         return x
 
 
 class Conv1D(BaseLayer):
-    """Convolution over the steps, stride 1, zero-padded to the same length."""
+    """Convolution over the steps with stride 1, zero-padded to the same length."""
 
     kind: Literal["conv1d"] = "conv1d"
     filters: PositiveInt
@@ -63,57 +66,66 @@ class Conv1D(BaseLayer):
     activation: Activation = "relu"
 
     def shapes(self, example: Shape) -> Shapes:
-        """Kernel (taps, features, filters) and bias."""
+        """Return the shapes of the kernel (taps, features, filters) and the bias."""
         return {
             "kernel": abstract(self.kernel, example[1], self.filters),
             "bias": abstract(self.filters),
         }
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """Compute the convolution as one matrix product: with few steps nearly every block of its
-        matrix is used."""
+        """Compute the convolution as one product with a block matrix.
+
+        The sequences are not longer than the kernel, so almost no block of the matrix is zero.
+        """
         batch, steps, features = x.shape
         kernel = parameters["kernel"]
-        # Keras's padding "same": an even kernel reaches one step further to the right.
+        # Keras's padding "same": an even kernel extends one step further to the right.
         left = (self.kernel - 1) // 2
         empty = jnp.zeros((features, self.filters), kernel.dtype)
 
         def block(tap: int) -> Array:
             return kernel[tap] if 0 <= tap < self.kernel else empty
 
-        # Blocks instead of an index: with one fin a step is an eighth faster.
-        matrix = jnp.block(
-            [[block(source - target + left) for target in range(steps)] for source in range(steps)]
-        )
+        # y[target] = sum over source of x[source] kernel[source - target + left]. Building the
+        # matrix from blocks makes a step of one fin an eighth faster than indexing the kernel.
+        def row(source: int) -> list[Array]:
+            return [block(source - target + left) for target in range(steps)]
+
+        matrix = jnp.block([row(source) for source in range(steps)])
         y = (x.reshape(batch, steps * features) @ matrix).reshape(batch, steps, self.filters)
         return ACTIVATIONS[self.activation](y + parameters["bias"])
 
 
 class LSTM(BaseLayer):
-    """Long short-term memory (Hochreiter and Schmidhuber 1997); gates in the order input, forget,
-    cell, output."""
+    """Long short-term memory (Hochreiter and Schmidhuber 1997). The gates are in Keras's order:
+    input, forget, cell, output."""
 
     kind: Literal["lstm"] = "lstm"
     units: PositiveInt
     sequence: bool = False
-    """Whether the layer returns the hidden states of all steps, or only the last."""
+    """Whether to return the hidden states of all steps instead of only the last."""
 
     def shapes(self, example: Shape) -> Shapes:
-        """Kernel (features, gates), recurrent kernel (units, gates) and bias."""
+        """Return the shapes of the kernel (features, gates), recurrent kernel (units, gates) and
+        bias."""
         gates = 4 * self.units
         kernels = {"kernel": abstract(example[1], gates), "recurrent": abstract(self.units, gates)}
         return {**kernels, "bias": abstract(gates)}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """Do one product per step, of input and hidden state together; the first step has no past,
-        so nothing to forget."""
+        """Do one matrix product per step, of the input and hidden state together.
+
+        The first step starts from a zero state, so it needs neither the forget gate nor the
+        recurrent kernel.
+        """
         kernel = parameters["kernel"]
         bias = parameters["bias"]
         both = jnp.concatenate([kernel, parameters["recurrent"]])
-        # c' = sigmoid(f) c + sigmoid(i) tanh(g), h = sigmoid(o) tanh(c')
-        i, g, o = jnp.split(
-            x[:, 0] @ self._without_forget(kernel) + self._without_forget(bias), 3, axis=-1
-        )
+        # (i, f, g, o) = W [x, h] + b
+        # c' = sigmoid(f) c + sigmoid(i) tanh(g)
+        # h' = sigmoid(o) tanh(c')
+        first_gates = x[:, 0] @ self._without_forget(kernel) + self._without_forget(bias)
+        i, g, o = jnp.split(first_gates, 3, axis=-1)
         cell = jax.nn.sigmoid(i) * jnp.tanh(g)
         outputs = [jax.nn.sigmoid(o) * jnp.tanh(cell)]
         for step in range(1, x.shape[1]):
@@ -133,17 +145,17 @@ class MeanPool(BaseLayer):
     kind: Literal["mean_pool"] = "mean_pool"
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """(batch, features)."""
+        """Return the mean, (batch, features)."""
         return x.mean(axis=1)
 
 
 class Flatten(BaseLayer):
-    """Flattens steps and features."""
+    """Flattens steps and features into one axis."""
 
     kind: Literal["flatten"] = "flatten"
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch ..."]) -> Array:
-        """(batch, steps * features)."""
+        """Return the flattened features, (batch, steps * features)."""
         return x.reshape(x.shape[0], -1)
 
 
@@ -155,17 +167,17 @@ class Dense(BaseLayer):
     activation: Activation = "relu"
 
     def shapes(self, example: Shape) -> Shapes:
-        """Kernel (features, units) and bias."""
+        """Return the shapes of the kernel (features, units) and the bias."""
         return {"kernel": abstract(example[-1], self.units), "bias": abstract(self.units)}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch ... features"]) -> Array:
-        """(batch, ..., units)."""
+        """Return the activations, (batch, ..., units)."""
         return ACTIVATIONS[self.activation](x @ parameters["kernel"] + parameters["bias"])
 
 
 class Dropout(BaseLayer):
-    """Drops features at random in training (Srivastava et al. 2014), see `Network.__call__`;
-    otherwise passes its input through."""
+    """Dropout (Srivastava et al. 2014). `Network.__call__` applies it during training; otherwise
+    the layer returns its input."""
 
     kind: Literal["dropout"] = "dropout"
     rate: float = Field(ge=0, lt=1)
@@ -175,41 +187,43 @@ Layer = Annotated[Conv1D | LSTM | MeanPool | Flatten | Dense | Dropout, Field(di
 
 
 class NetworkConfig(Configuration):
-    """Channels of a network and its layers."""
+    """Channels and layers of a network."""
 
     channels: tuple[str, ...]
-    """Names of the input channels, in the order in which they are the steps."""
+    """Names of the input channels, in the order of the sequence."""
     outputs: tuple[str, ...]
     """Names of the output channels."""
     window: PositiveInt = 100
-    """Number of past samples that it sees [samples at 100 Hz]; the paper's 1 s."""
+    """Number of past samples in the input [samples at 100 Hz]; the paper uses 1 s."""
     layers: tuple[Layer, ...]
 
     def shapes(self) -> tuple[Shapes, ...]:
-        """Shapes of each layer's parameters."""
+        """Return the shapes of the parameters of each layer."""
         example: Shape = (len(self.channels), self.window)
         shapes = []
         for layer in self.layers:
             shapes.append(layer.shapes(example))
-            # Each layer's output is the next one's input.
+            # The output of this layer is the input of the next one.
             output = jax.eval_shape(layer.apply, shapes[-1], abstract(1, *example))
             example = output.shape[1:]
         return tuple(shapes)
 
     def parameters(self) -> int:
-        """Number of trainable parameters."""
+        """Return the number of trainable parameters."""
         return sum(shape.size for layer in self.shapes() for shape in layer.values())
 
     def flops(self) -> int:
-        """Floating-point operations of the matrix products for one window, two per multiply-add."""
-        program = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
+        """Return the floating-point operations of the matrix products for one window, counting two
+        per multiply-add."""
+        trace = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
+        program = trace(self.shapes(), abstract(1, len(self.channels), self.window))
         flops = 0
-        for step in program(self.shapes(), abstract(1, len(self.channels), self.window)).eqns:
+        for step in program.eqns:
             if step.primitive.name == "dot_general":
-                # Each number of the result is a sum over the axes that both factors share.
-                (summed, _), _ = step.params["dimension_numbers"]
+                # Each element of the result is a sum over the contracted axes.
+                (contracted, _), _ = step.params["dimension_numbers"]
                 shape: Any = step.invars[0].aval.shape
-                flops += 2 * step.outvars[0].aval.size * prod(shape[axis] for axis in summed)
+                flops += 2 * step.outvars[0].aval.size * prod(shape[axis] for axis in contracted)
         return int(flops)
 
 
@@ -225,7 +239,7 @@ POSNET = NetworkConfig(
         Dense(units=1, activation="linear"),
     ),
 )
-"""PosNet: maps the last second of commands to the angle one sample later; 113,601 parameters, as in
+"""PosNet: predicts the next angle from the last second of commands. 113,601 parameters, as in
 Table I."""
 
 FORCENET = NetworkConfig(
@@ -240,12 +254,12 @@ FORCENET = NetworkConfig(
         Dense(units=2, activation="linear"),
     ),
 )
-"""ForceNet: maps the last second of motion and commands to the force one sample later; 129,794
+"""ForceNet: predicts the next force from the last second of angles and commands. 129,794
 parameters, as in Table I. The published weights have a second LSTM layer instead of the mean."""
 
 
 class Network(eqx.Module):
-    """A network with its weights."""
+    """A network and its weights."""
 
     config: NetworkConfig = eqx.field(static=True)
     layers: tuple[Parameters, ...]
@@ -253,12 +267,13 @@ class Network(eqx.Module):
     def __call__(
         self, windows: Float[Array, "batch channels window"], key: PRNGKeyArray | None = None
     ) -> Float[Array, "batch outputs"]:
-        """Map scaled windows to scaled outputs; with a key, for training, dropout is active."""
+        """Map scaled windows to scaled outputs. Dropout is active only with a key, in training."""
         x = windows
         for index, (layer, parameters) in enumerate(
             zip(self.config.layers, self.layers, strict=True)
         ):
             if isinstance(layer, Dropout) and key is not None:
+                # Inverted dropout: dividing by the probability to keep preserves the mean.
                 keep = jax.random.bernoulli(jax.random.fold_in(key, index), 1 - layer.rate, x.shape)
                 x = jnp.where(keep, x / (1 - layer.rate), 0)
             else:
@@ -268,20 +283,20 @@ class Network(eqx.Module):
     def over_table(
         self, table: Float[np.ndarray, "rows channels"]
     ) -> Float[np.ndarray, "predicted outputs"]:
-        """Return the scaled output for every row after the first window: window i is rows i .. i+99
-        and predicts row i+100."""
+        """Predict every row of a scaled table after the first window.
+
+        Window i covers rows i to i + window - 1 and predicts row i + window.
+        """
         count = len(table) - self.config.window
         on_device = jnp.asarray(table)
-        parts = [
-            np.asarray(_chunk(self, on_device, jnp.int32(first)))
-            for first in range(0, count, MAX_CHUNK_WINDOWS)
-        ]
+        starts = range(0, count, MAX_CHUNK_WINDOWS)
+        parts = [np.asarray(_chunk(self, on_device, jnp.int32(first))) for first in starts]
         return np.concatenate(parts)[:count]
 
     @classmethod
     def create(cls, config: NetworkConfig, key: PRNGKeyArray) -> "Network":
-        """Return new weights: Glorot-uniform, recurrent ones orthogonal, forget gates open (Keras's
-        defaults)."""
+        """Initialize a network with Keras's defaults: Glorot-uniform kernels, orthogonal recurrent
+        kernels, and a bias of 0."""
         draw = {
             "kernel": jax.nn.initializers.glorot_uniform(),
             "recurrent": jax.nn.initializers.orthogonal(),
@@ -294,6 +309,7 @@ class Network(eqx.Module):
             for number, (name, like) in enumerate(shapes.items()):
                 parameters[name] = draw[name](jax.random.fold_in(layer_key, number), like.shape)
             if isinstance(layer, LSTM):
+                # Keras's unit_forget_bias: an LSTM starts by remembering.
                 parameters["bias"] = parameters["bias"].at[layer.units : 2 * layer.units].set(1.0)
             layers.append(parameters)
         return cls(config, tuple(layers))
@@ -302,7 +318,7 @@ class Network(eqx.Module):
 def gather(
     table: Float[Array, "rows channels"], starts: Int[Array, "batch"], window: int
 ) -> Float[Array, "batch channels window"]:
-    """Return the windows of a table that begin at `starts`."""
+    """Return the windows of a table that start at the rows `starts`."""
     taken = jax.vmap(lambda start: jax.lax.dynamic_slice_in_dim(table, start, window))(starts)
     return jnp.swapaxes(taken, 1, 2)
 
@@ -311,7 +327,8 @@ def gather(
 def _chunk(
     network: Network, table: Float[Array, "rows channels"], first: Int[Array, ""]
 ) -> Float[Array, "chunk out"]:
-    # The last chunk repeats the last window, so that one compiled program serves all chunks.
+    # The last chunk is padded with copies of the last window, so that one compiled program runs all
+    # chunks. `over_table` drops the copies.
     starts = jnp.minimum(
         first + jnp.arange(MAX_CHUNK_WINDOWS), table.shape[0] - 1 - network.config.window
     )

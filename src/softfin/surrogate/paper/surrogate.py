@@ -3,9 +3,8 @@
     command ──> last 100 commands ──> PosNet ──> angle ──> last 100 angles ─┐
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
-While a command is held, all ticks of an action can go through each network at once: PosNet sees
-only commands, and ForceNet sees angles that PosNet has already predicted. Only the new ticks are
-computed.
+All ticks of an action are computed as one batch per network, because the command is held: PosNet's
+input contains only commands, and ForceNet's only angles that PosNet has already predicted.
 """
 
 from collections.abc import Sequence
@@ -28,15 +27,18 @@ from softfin.surrogate.training import name_net_arrays, restored
 
 
 class SurrogateState(NamedTuple):
-    """Ticks since the start [10 ms] and the last second, scaled; the newest sample last."""
+    """Ticks since the start and the last window of scaled samples, newest last."""
 
     tick: Int[Array, ""]
+    """Time since the start [10 ms]."""
     commands: Float[Array, "2 window"]
+    """Scaled target angles and profile velocities [-]."""
     angles: Float[Array, "window"]
+    """Scaled angles [-]."""
 
 
 class Surrogate(eqx.Module):
-    """The paper's surrogate of a fin; meets the Plant contract."""
+    """The paper's surrogate of a fin; implements `Plant`."""
 
     model: ClassVar[str] = "paper"
     posnet: Network
@@ -48,42 +50,47 @@ class Surrogate(eqx.Module):
         forcenet = self.forcenet.config.window
         if posnet != forcenet:
             raise ArtifactError(
-                f"PosNet sees {posnet} samples and ForceNet {forcenet}; both must see the same "
-                "window"
+                f"surrogate: PosNet has a window of {posnet} samples and ForceNet of {forcenet}; "
+                "the windows must be equal"
             )
 
     @property
     def window(self) -> int:
-        """Number of past samples that both networks see."""
+        """Number of past samples in the input of both networks."""
         return self.posnet.config.window
 
     memory = window
-    """Rows of a log that `warm` needs."""
+    """Number of rows of a log that `warm` needs."""
 
     @property
     def limits(self) -> Limits:
-        """The range of the commands in the training data: outside it the networks extrapolate."""
-        angle, velocity = (self.scaling.channels[name] for name in COMMAND_COLUMNS)
+        """Range of the commands in the training data; the networks extrapolate outside it."""
+        angle_column, velocity_column = COMMAND_COLUMNS
+        angle = self.scaling.channels[angle_column]
+        velocity = self.scaling.channels[velocity_column]
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
     def init(self, key: PRNGKeyArray) -> SurrogateState:
-        """Return the state of a fin at rest at angle 0 for longer than the window; the key is
-        unused."""
+        """Return the state of a fin that has been at rest at angle 0 for a full window. The key is
+        not used."""
         rest = self._scaled(rest_command(self.limits))
         angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
 
     def warm(self, history: Log) -> SurrogateState:
-        """Return the state after a recorded history, of which the last `memory` rows are used;
-        raises LogError if it is shorter."""
+        """Return the state after the last `memory` rows of a recorded history.
+
+        Raises:
+            LogError: the history is shorter.
+        """
         if history.rows < self.memory:
             raise LogError(
-                f"{history.rows} rows of history; this surrogate needs {self.memory} rows to warm "
-                "up"
+                f"history: {history.rows} rows; this surrogate needs {self.memory} rows to warm up"
             )
         table = self.scaling.table((*COMMAND_COLUMNS, ANGLE), history)[-self.window :].T
-        # The command of the last row is still to come; the oldest command in the state drops out
-        # before it is used.
+        # The state ends with the command before the last row, because the next call of `advance`
+        # appends the command of that row. It also drops the oldest entry before any network sees
+        # it, so a copy of the first command can fill that place.
         commands = np.concatenate([table[:2, :1], table[:2, :-1]], axis=1)
         tick = tick_at(float(history.reading.time[-1]))
         return SurrogateState(jnp.int32(tick), jnp.asarray(commands), jnp.asarray(table[2]))
@@ -91,36 +98,38 @@ class Surrogate(eqx.Module):
     def advance(
         self, state: SurrogateState, command: Command, ticks: int
     ) -> tuple[SurrogateState, Reading]:
-        """Hold the command for `ticks` samples; all of them go through each network as one
-        batch."""
+        """Hold the command for `ticks` samples, computed as one batch per network."""
         return self._held(state, command, ticks, ticks)
 
     def hold_action(
         self, state: SurrogateState, command: Command, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
-        """Hold the command for an action, as one batch with the length of the longest action."""
+        """Hold the command for an action, computed as a batch of the fixed size
+        `MAX_ACTION_TICKS`."""
         return self._held(state, command, MAX_ACTION_TICKS, ticks)
 
     def _held(
         self, state: SurrogateState, command: Command, rows: int, ticks: Ticks
     ) -> tuple[SurrogateState, Reading]:
         """Return readings with a fixed number of rows, of which the first `ticks` are valid."""
-        # Window k ends with the k-th held command and the angle at which it was issued; from it the
-        # networks predict angle and force one sample later.
+        # Window k ends with the k-th held command and the angle at which it was issued. From it the
+        # networks predict the angle and force one sample later.
+        #
+        # With w = window and n = rows, the shapes are: commands (2, w + n), passed (n, 2, w),
+        # angles (w + n), motion (n, 3, w).
         held = jnp.tile(self._scaled(command)[:, None], rows)
         commands = jnp.concatenate([state.commands, held], axis=1)
         passed = windows(commands[:, 1:], self.window)
         angles = jnp.concatenate([state.angles, self.posnet(passed)[:, 0]])
         motion = jnp.concatenate([windows(angles[None, :-1], self.window), passed], axis=1)
         force = self.scaling.physical(FORCES, self.forcenet(motion))
-        # One more angle, because the velocity is the difference of two.
+        # The velocity is (angle[k] - angle[k - 1]) / 10 ms, so one earlier angle is needed.
         angle = self.scaling.physical([ANGLE], angles[-rows - 1 :, None])[:, 0]
         time = (state.tick + 1 + jnp.arange(rows)) * jnp.float32(TICK_S)
         reading = Reading(time, angle[1:], jnp.diff(angle) * RATE_HZ, force)
-        # The state keeps the window that ends at the last valid row.
-        commands, angles = (
-            jax.lax.dynamic_slice_in_dim(x, ticks, self.window, -1) for x in (commands, angles)
-        )
+        # The new state is the window that ends at the last valid row.
+        commands = jax.lax.dynamic_slice_in_dim(commands, ticks, self.window, -1)
+        angles = jax.lax.dynamic_slice_in_dim(angles, ticks, self.window, -1)
         return SurrogateState(state.tick + ticks, commands, angles), reading
 
     def _scaled(self, command: Command) -> Float[Array, "2"]:
@@ -133,30 +142,33 @@ class Surrogate(eqx.Module):
         )
 
     def predict_angle(self, log: Log) -> Float[np.ndarray, "predicted"]:
-        """Return PosNet's angles from the commands of a log, for its rows from `window` on
-        [rad]."""
+        """Return PosNet's predictions for the rows of a log after the first window [rad]."""
         angle = self.posnet.over_table(self.scaling.table(COMMAND_COLUMNS, log))
         return np.asarray(self.scaling.physical([ANGLE], jnp.asarray(angle)))[:, 0]
 
     def predict_force(self, log: Log, free_running: bool) -> Float[np.ndarray, "predicted 2"]:
-        """Return ForceNet's forces for the rows of a log from `window` on [N], from the measured
-        angles or from PosNet's."""
+        """Return ForceNet's predictions for the rows of a log after the first window [N].
+
+        Its input is the measured angle, or PosNet's prediction if `free_running` is set.
+        """
         table = self.scaling.table((ANGLE, *COMMAND_COLUMNS), log)
         if free_running:
-            # The first window has no prediction.
+            # The first window keeps the measured angle, because PosNet does not predict it.
             table[self.window :, 0] = self.posnet.over_table(table[:, 1:])[:, 0]
-        return np.asarray(
-            self.scaling.physical(FORCES, jnp.asarray(self.forcenet.over_table(table)))
-        )
+        force = jnp.asarray(self.forcenet.over_table(table))
+        return np.asarray(self.scaling.physical(FORCES, force))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Return predictions of logs by PosNet, and by ForceNet with the measured angle and with
-        PosNet's."""
+        """Predict logs with PosNet, and with ForceNet from both measured and predicted angles."""
         posnet = self.posnet.config.parameters()
         forcenet = self.forcenet.config.parameters()
-        angle = [self.predict_angle(log)[:, None] for log in logs]
-        measured = [self.predict_force(log, free_running=False) for log in logs]
-        free = [self.predict_force(log, free_running=True) for log in logs]
+        angle = []
+        measured = []
+        free = []
+        for log in logs:
+            angle.append(self.predict_angle(log)[:, None])
+            measured.append(self.predict_force(log, free_running=False))
+            free.append(self.predict_force(log, free_running=True))
         return {
             "posnet": NetPrediction((ANGLE,), angle, self.window, posnet),
             "forcenet_measured": NetPrediction(FORCES, measured, self.window, forcenet),
@@ -164,28 +176,38 @@ class Surrogate(eqx.Module):
         }
 
     def flops_per_tick(self) -> int:
-        """Floating-point operations of the matrix products for one sample of one fin."""
+        """Return the floating-point operations of the matrix products for one sample of one fin."""
         return self.posnet.config.flops() + self.forcenet.config.flops()
 
     def parameters(self) -> int:
-        """Number of trainable parameters of both networks."""
+        """Return the number of trainable parameters of both networks."""
         return self.posnet.config.parameters() + self.forcenet.config.parameters()
 
     def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
-        """Entries of ``surrogate.json``, and the weights by name: ``posnet.3.kernel``."""
-        nets = {"posnet": self.posnet, "forcenet": self.forcenet}
-        return {
-            "networks": {name: net.config.model_dump(mode="json") for name, net in nets.items()},
-            "parameters": {name: net.config.parameters() for name, net in nets.items()},
+        """Return the entries of ``surrogate.json`` and the weights by name, e.g.
+        ``posnet.3.kernel``."""
+        posnet = self.posnet.config
+        forcenet = self.forcenet.config
+        description = {
+            "networks": {
+                "posnet": posnet.model_dump(mode="json"),
+                "forcenet": forcenet.model_dump(mode="json"),
+            },
+            "parameters": {"posnet": posnet.parameters(), "forcenet": forcenet.parameters()},
             "scaling": self.scaling.model_dump(mode="json")["channels"],
-        }, name_net_arrays({name: net.layers for name, net in nets.items()})
+        }
+        layers = {"posnet": self.posnet.layers, "forcenet": self.forcenet.layers}
+        return description, name_net_arrays(layers)
 
     @classmethod
     def from_files(
         cls, description: JsonObject, weights: dict[str, np.ndarray], source: str
     ) -> "Surrogate":
-        """Build the surrogate that `to_files` described; raises ArtifactError if channels or
-        weights do not fit."""
+        """Build the surrogate from the result of `to_files`.
+
+        Raises:
+            ArtifactError: channels or weights do not match the networks.
+        """
         scaling = Scaling(channels=description["scaling"])
         scaling.require(source)
         posnet = NetworkConfig.model_validate(description["networks"]["posnet"])
@@ -200,8 +222,7 @@ class Surrogate(eqx.Module):
 def windows(
     series: Float[Array, "channels samples"], window: int
 ) -> Float[Array, "count channels window"]:
-    """Return every window of `window` samples, the oldest first: ``count = samples - window +
-    1``."""
+    """Return all windows of a series, oldest first; ``count = samples - window + 1``."""
     count = series.shape[1] - window + 1
     rows = jnp.arange(count)[:, None] + jnp.arange(window)
     return jnp.swapaxes(series[:, rows], 0, 1)

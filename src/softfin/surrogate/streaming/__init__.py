@@ -1,1 +1,1 @@
-"""Streaming surrogates: networks with a state, which step at 100 Hz at a constant cost per tick."""
+"""Streaming surrogates: recurrent networks that run at 100 Hz with a constant cost per tick."""

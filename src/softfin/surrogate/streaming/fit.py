@@ -1,9 +1,8 @@
-"""Fits a streaming surrogate: profile, drive networks, force networks, then their error estimates,
-in this order.
+"""Fits a streaming surrogate, in this order: profile, drive networks, force networks, error
+estimates.
 
-All members are trained together. Force networks are trained on the motion that the drive networks
-predict for whole logs, so that both are scored as they will be used: free-running, from the
-commands alone.
+All members are trained together. Force networks are trained and scored on the motion that the drive
+networks predict for complete logs, because a surrogate predicts forces from commands alone.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
+from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress
 from softfin.core.quantities import Log, Reading, command_limits
 from softfin.core.randomness import named_key
@@ -50,61 +50,63 @@ from softfin.surrogate.streaming.streaming import StreamingSurrogate
 from softfin.surrogate.training import UPDATES_A_CALL, TrainingState, hold_out, keep_best_nets
 
 WARM_UP = 100
-"""Number of updates during which the learning rate rises."""
+"""Maximum number of updates over which the learning rate rises to its peak."""
 
 MAX_SCORINGS = 10
-"""Number of times that a network is scored on the held-out logs during training."""
+"""Maximum number of times a network is scored on the held-out logs during training."""
 
 NetLoss = Callable[
     [Any, SegmentBatch, Motion, Float[Array, ""], PRNGKeyArray, Any], Float[Array, ""]
 ]
-"""Loss of one member: (net, segments, predicted motion, completed fraction of the training, key,
+"""Loss of one member: (net, segments, predicted motion, completed fraction of training, key,
 config)."""
 
 
 class StreamingConfig(Configuration):
-    """Configuration of the fit of a streaming ensemble; docs/appendix/surrogates.md has the
-    measurements behind the choices."""
+    """Configuration of the fit of a streaming ensemble; docs/appendix/surrogates.md contains the
+    measurements behind the defaults."""
 
     drive: DriveNetConfig = DriveNetConfig()
-    """Commands to motion."""
+    """Network from commands to motion."""
     force: ForceNetConfig = ForceNetConfig()
-    """Motion to force."""
+    """Network from motion to force."""
     members: PositiveInt = 5
-    """Number of members in the ensemble, trained from different weights on different segments."""
+    """Number of members of the ensemble. Each starts from different weights and is trained on
+    different segments."""
     drive_updates: PositiveInt = 400
-    """Updates of the drive networks; the learning rate falls to a hundredth over them (cosine)."""
+    """Number of updates of the drive networks. The learning rate decays to a hundredth of its peak
+    over them (cosine)."""
     force_updates: PositiveInt = 2000
-    """Updates of the force networks, with the same schedule."""
+    """Number of updates of the force networks, with the same schedule."""
     batch: PositiveInt = 16
     """Number of log segments per update and member."""
     ticks: int = Field(default=250, ge=2)
-    """Length of a segment [10 ms]; gradients reach back through all of it."""
+    """Length of a segment [10 ms]; gradients are propagated through all of it."""
     burn_in: int = Field(default=80, ge=0)
-    """Ticks at the start of a segment whose errors do not count, because the past before it is
+    """Number of ticks at the start of a segment without a loss, because the motion before it is
     unknown."""
     learning_rate: float = Field(default=0.01, gt=0)
-    """Largest learning rate of Adam."""
+    """Peak learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
-    """Fractions of the force networks' training between which their input changes from the measured
-    to the predicted motion."""
+    """Start and end of the transition from measured to predicted motion as input of the force
+    networks, as fractions of their training."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
-    """Fraction of the training logs held out for choosing weights and calibrating intervals; at
-    least one log."""
+    """Fraction of the training logs held out to choose weights and calibrate intervals; at least
+    one log."""
 
     @model_validator(mode="after")
     def _in_order(self) -> "StreamingConfig":
         if self.burn_in >= self.ticks:
-            raise ValueError(f"burn_in must be less than ticks = {self.ticks}, or no error counts")
+            raise ValueError(f"burn_in must be less than ticks = {self.ticks}")
         if not 0 <= self.free_running[0] <= self.free_running[1] <= 1:
             raise ValueError(
-                "free_running must be two parts of the training in order, such as 0.2, 0.8"
+                "free_running must be two fractions from 0 to 1 in ascending order, e.g. 0.2, 0.8"
             )
         return self
 
 
 class StreamingLearner:
-    """The training step of one kind of network, compiled once, for all members together."""
+    """Training step of one kind of network for all members, compiled once."""
 
     def __init__(self, loss: NetLoss, config: StreamingConfig, updates: int) -> None:
         self.loss = loss
@@ -119,7 +121,8 @@ class StreamingLearner:
 
     def start(self, nets: PyTree) -> TrainingState:
         """Return the state before the first update."""
-        # With an explicit type, or the second call would be compiled again.
+        # Without an explicit type, this array would be weakly typed and the second call of `run`
+        # would be compiled again.
         worst = jnp.full(self.config.members, jnp.inf, jnp.float32)
         return TrainingState(nets, jax.jit(jax.vmap(self.optimiser.init))(nets), nets, worst)
 
@@ -132,8 +135,10 @@ class StreamingLearner:
         count: int,
         key: PRNGKeyArray,
     ) -> tuple[TrainingState, Float[Array, "members"]]:
-        """Do `count` updates (static) from number `first` on; also returns the members' mean
-        losses."""
+        """Do updates number `first` to `first + count - 1` and return the mean loss of each member.
+
+        `count` is static.
+        """
 
         def member(
             net: PyTree, optimiser: PyTree, predicted: Motion, number: Array, key: PRNGKeyArray
@@ -148,6 +153,8 @@ class StreamingLearner:
             return optax.apply_updates(net, step), optimiser, loss
 
         def update(carry: PyTree, number: Int[Array, ""]) -> Any:
+            # Keys depend only on the number of the update, so a resumed run equals an uninterrupted
+            # one.
             keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
             nets, optimiser = carry
             each = jax.vmap(member, in_axes=(0, 0, 0, None, 0))
@@ -161,7 +168,7 @@ class StreamingLearner:
 
 
 def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
-    """Return the square error of angle and velocity, each in its own scale."""
+    """Return the square error of angle plus that of velocity, each divided by its scale."""
     angle = (predicted.angle - measured.angle) / scales.angle_rad
     velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
     return angle**2 + velocity**2
@@ -175,9 +182,10 @@ def drive_loss(
     ___: PRNGKeyArray,
     config: StreamingConfig,
 ) -> Float[Array, ""]:
-    """Return the mean of `motion_error` in a free run from the first tick on."""
+    """Return the mean of `motion_error` in a free run from the first tick of each segment."""
     before = jax.tree.map(lambda x: x[:, 0], segments.motion)
     predicted = jax.vmap(partial(motions, net))(before, segments.waiting, segments.commands)
+    # Row 0 is the given motion, not a prediction.
     return jnp.mean(motion_error(predicted, segments.motion, net.scales)[:, 1 + config.burn_in :])
 
 
@@ -189,12 +197,12 @@ def force_loss(
     key: PRNGKeyArray,
     config: StreamingConfig,
 ) -> Float[Array, ""]:
-    """Return the mean square error of the scaled force, given the measured motion of a segment or
-    that of the drive network.
+    """Return the mean square error of the scaled force, summed over both axes.
 
-    The latter is chosen with a probability that grows from 0 to 1 over the `free_running` part of
-    the training.
+    The input is the measured motion of a segment or the motion predicted by the drive network. The
+    probability of the latter rises from 0 to 1 over the `free_running` part of the training.
     """
+    # Scheduled sampling: by the end of training, the input is predicted motion, as in use.
     begin, end = config.free_running
     share = jnp.clip((done - begin) / jnp.maximum(end - begin, 1e-6), 0.0, 1.0)
     free = jax.random.bernoulli(key, share, (config.batch, 1))
@@ -210,8 +218,8 @@ def fit_streaming(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> StreamingSurrogate:
-    """Fit an ensemble to the training logs; continue from the checkpoint in run_directory if there
-    is one."""
+    """Fit an ensemble to the training logs; resume from the checkpoint in `run_directory`, if
+    any."""
     training, holding, scales, table = split_streaming(logs, config)
     start = jit("none")(ensemble)
     members = start(
@@ -226,24 +234,26 @@ def fit_streaming(
         "drive": learners["drive"].start(members.drive),
         "force": learners["force"].start(members.force),
     }
-    done: dict[str, Any] = dict.fromkeys(learners, 0)
+    done: JsonObject = dict.fromkeys(learners, 0)
     if (resumed := run_directory.load(states)) is not None:
         states, done = resumed
     else:
         if progress is not None:
             progress("fit", 0.0, "identifying the drive's profile from the logs")
-        profile = jax.tree.map(
-            lambda x: jnp.full((config.members, *x.shape), x), identify(training, seed)[0]
-        )
+        identified, _ = identify(training, seed)
+        # All members share the profile.
+        profile = jax.tree.map(lambda x: jnp.full((config.members, *x.shape), x), identified)
         nets = eqx.tree_at(lambda nets: nets.profile, states["drive"].nets, profile)
         states["drive"] = states["drive"]._replace(nets=nets, best=nets)
     record = run_directory.log(rewind_to=sum(done.values()))
 
-    def learn(name: str, predicted: Motion, errors: Callable[[Any], list[np.ndarray]]) -> Any:
-        """Do all updates of one kind of network; return the best weights by their `errors`
-        ``(members, rows)`` on held-out logs."""
+    def learn(name: str, predicted: Motion, errors: Callable[[PyTree], list[np.ndarray]]) -> Any:
+        """Do all updates of one kind of network and return the best weights of each member.
+
+        `errors` returns the square errors on each held-out log, ``(members, rows)``.
+        """
         key = named_key(seed, f"fit/{name}")
-        (call, round_of) = _calls(updates[name])
+        call, round_of = _calls(updates[name])
         before = updates["drive"] if name == "force" else 0
         while done[name] < updates[name]:
             state = states[name]
@@ -258,6 +268,7 @@ def fit_streaming(
                 if progress is not None:
                     part = (before + first + count) / sum(updates.values())
                     progress("fit", part, f"{name} networks, loss {float(loss.mean()):.3g}")
+            # A diverged network overflows here; keep_best_nets then stops with its own message.
             with np.errstate(over="ignore", invalid="ignore"):
                 held_out = np.mean([each.mean(axis=1) for each in errors(state.nets)], axis=0)
             states[name], _ = keep_best_nets(state, losses, held_out, f"{name} networks")
@@ -268,16 +279,24 @@ def fit_streaming(
         return states[name].best
 
     def drive_errors(nets: FollowingNet) -> list[np.ndarray]:
-        each = zip(predict_motion(nets, holding), holding, strict=True)
-        return [motion_error(predicted, log.reading, scales) for predicted, log in each]
+        predictions = predict_motion(nets, holding)
+        return [
+            motion_error(predicted, log.reading, scales)
+            for predicted, log in zip(predictions, holding, strict=True)
+        ]
 
     def force_errors(nets: ForceNet) -> list[np.ndarray]:
-        each = zip(predict_force(nets, held_motion), holding, strict=True)
-        return [((force - log.reading.force)[:, burn_in:] ** 2).sum(axis=-1) for force, log in each]
+        errors = []
+        for force, log in zip(predict_force(nets, held_motion), holding, strict=True):
+            error = (force - log.reading.force)[:, burn_in:]
+            errors.append((error**2).sum(axis=-1))
+        return errors
 
+    # The drive loss ignores the predicted motion, but both learners have the same arguments.
     nothing = jnp.zeros((config.members, table.force.shape[0]))
     not_used = Motion(nothing, nothing)
     drives = learn("drive", not_used, drive_errors)
+    # Predictions of complete logs, end to end like the rows of the table.
     motion = predict_motion(drives, training)
     joined = jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts, axis=1)), *motion)
     held_motion = predict_motion(drives, holding)
@@ -294,22 +313,29 @@ def fit_streaming(
 def split_streaming(
     logs: Sequence[Log], config: StreamingConfig
 ) -> tuple[Sequence[Log], list[Log], Scales, Table]:
-    """Return training and held-out logs, and the scales and table of the former; raises LogError if
-    they cannot be used."""
+    """Return training logs, held-out logs, and the scales and table of the training logs.
+
+    Raises:
+        LogError: there are too few logs or rows, or a channel never changes.
+    """
     training, held_out = hold_out(logs, config.held_out)
     needed = config.burn_in + WINDOW
     holding = [log for log in held_out if log.rows >= needed]
     if not holding:
         raise LogError(
-            f"none of {len(held_out)} held-out logs has {needed} rows: intervals on the mean over "
-            f"{WINDOW} samples behind burn_in = {config.burn_in} need as many; record longer"
+            f"held-out logs: none of {len(held_out)} has {needed} rows, which intervals for the "
+            f"mean over {WINDOW} samples after burn_in = {config.burn_in} require; record longer "
+            "logs"
         )
     return training, holding, measure_scales(training), Table.of(training, config.ticks)
 
 
 def _calls(updates: int) -> tuple[int, int]:
-    """Return the updates per call and per round: equal calls, so that one compiled program does all
-    except the last."""
+    """Return the number of updates per call and per round between two scorings.
+
+    All calls except the last have the same length, so that they share one compiled program.
+    """
+    # -(-a // b) is a / b rounded up.
     round_of = -(-updates // MAX_SCORINGS)
     calls = -(-round_of // UPDATES_A_CALL)
     call = -(-round_of // calls)

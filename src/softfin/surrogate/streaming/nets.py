@@ -1,12 +1,12 @@
-"""The networks of one fin, tick by tick: drive network (commands to motion) and force network
-(motion to force).
+"""The networks of one fin, which advance by one tick at a time: drive network (commands to motion)
+and force network (motion to force).
 
-A fin mirrored in the plane y = 0 is the same fin: angle, angular velocity and force y change sign
-(odd), force x and speeds do not (even). The recurrent core of both networks has this symmetry built
-into its weights.
+A fin is symmetric about the plane y = 0. Under this mirror, angle, angular velocity and force y
+change sign (odd quantities), while force x and speeds do not (even quantities). The recurrent core
+of both networks has this symmetry by construction.
 """
 
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,24 +20,24 @@ from softfin.surrogate.streaming.profile import Profile, ProfileState
 from softfin.surrogate.streaming.segments import Motion, Scales
 
 SLOWEST = 60.0
-"""Longest initial time constant of the gates [ticks]; the shortest is 2, so that both ripples and
-strokes are remembered."""
+"""Longest initial time constant of the gates [ticks]. The shortest is 2, so that the memory covers
+both ripples and strokes."""
 
 
 class Parity(NamedTuple):
-    """Sizes, inputs, outputs or memory, split by parity: even parts are unchanged by the mirror,
-    odd ones change sign."""
+    """Sizes, inputs, outputs or memory, split into parts that the mirror leaves unchanged (even)
+    and parts whose sign it changes (odd)."""
 
     even: PyTree
     odd: PyTree
 
 
 class MirrorCore(eqx.Module):
-    """A gated recurrent unit, h' = h + u (c - h) with a gate u and a candidate c; mirrors inputs to
-    outputs exactly.
+    """A mirror-symmetric gated recurrent unit, h' = h + u (c - h), with gates u and candidates c.
 
-    Odd candidates are odd functions of odd inputs; gates, even candidates and what multiplies the
-    odd ones are functions of even inputs and of `magnitude` of mixtures of the odd ones.
+    Odd candidates are odd functions of odd inputs. Gates, even candidates and factors of the odd
+    candidates are functions of even inputs and of the `magnitude` of mixtures of odd inputs.
+    Mirrored inputs therefore give exactly mirrored outputs.
     """
 
     odd_in: Float[Array, "odd_inputs candidates_and_magnitudes"]
@@ -57,14 +57,15 @@ class MirrorCore(eqx.Module):
         self.units = units
         self.odd_in = _uniform(keys[0], units + inputs.odd, 2 * units)
         self.even_in = _uniform(keys[1], 2 * units + inputs.even, 4 * units)
-        # In random order, so that the gates open by 1 / time constant.
+        # sigmoid(bias) = 1 / T for a time constant of T ticks, so bias = -log(T - 1). The order is
+        # random, so that even and odd memory get time constants from the same range.
         gates = jax.random.permutation(
             keys[2], -jnp.log(jnp.geomspace(2.0, SLOWEST, 2 * units) - 1)
         )
         self.bias = jnp.concatenate([gates, jnp.zeros(units), jnp.ones(units)])
         self.hidden_in = _uniform(keys[3], 2 * units, hidden)
         self.hidden_bias = jnp.zeros(hidden)
-        # Zero, so that training starts from the physical model alone.
+        # All outputs start at zero, so that training starts from the physical model alone.
         self.even_out = jnp.zeros((hidden, outputs.even))
         self.odd_out = jnp.zeros((units, outputs.odd))
         self.odd_factors = jnp.zeros((hidden, outputs.odd * units))
@@ -74,16 +75,16 @@ class MirrorCore(eqx.Module):
         return Parity(jnp.zeros(self.units), jnp.zeros(self.units))
 
     def step(self, memory: Parity, inputs: Parity) -> tuple[Parity, Parity]:
-        """Advance by one tick: (memory, inputs) -> (memory, outputs)."""
+        """Advance by one tick and return the new memory and the outputs."""
         n = self.units
-        # A linear map without bias keeps odd inputs odd; the magnitudes of the mixtures are even,
-        # so they may enter the gates.
+        # A linear map without bias keeps odd inputs odd. The magnitudes of the mixtures are even,
+        # so the gates may depend on them.
         candidates, mixtures = jnp.split(jnp.concatenate([memory.odd, inputs.odd]) @ self.odd_in, 2)
         sizes = magnitude(mixtures)
         gates = jnp.concatenate([memory.even, inputs.even, sizes]) @ self.even_in + self.bias
         opening = jax.nn.sigmoid(gates[: 2 * n])
-        # h' = h + u (c - h). A product of an odd candidate and an even factor is odd, and so is its
-        # tanh.
+        # h' = h + u (c - h). The product of an odd candidate and an even factor is odd, and so is
+        # its tanh. `gates` contains even gates, odd gates, even candidates and odd factors.
         even = memory.even + opening[:n] * (jnp.tanh(gates[2 * n : 3 * n]) - memory.even)
         odd = memory.odd + opening[n:] * (jnp.tanh(candidates * gates[3 * n :]) - memory.odd)
         hidden = jnp.tanh(jnp.concatenate([even, sizes]) @ self.hidden_in + self.hidden_bias)
@@ -93,40 +94,43 @@ class MirrorCore(eqx.Module):
 
 
 def magnitude(x: Array) -> Array:
-    """Return sqrt(1 + x^2) - 1: even and smooth, x^2 / 2 where small and |x| where large, as drag
-    in the velocity."""
+    """Return sqrt(1 + x^2) - 1, an even and smooth function: x^2 / 2 for small x, and |x| for large
+    x."""
     return jnp.sqrt(1 + x * x) - 1
 
 
 def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
-    """Draw entries with a variance of 1/2 divided by the number of inputs: less than preserves the
-    spread, because all memory is fed back."""
+    """Draw a matrix with entries of variance 1 / (2 inputs).
+
+    A variance of 1 / inputs would preserve the variance of the signal. It is lower here, because
+    all memory is fed back.
+    """
+    # A uniform distribution on [-r, r] has the variance r^2 / 3.
     reach = jnp.sqrt(1.5 / inputs)
     return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
 
 
 def products(net: eqx.Module) -> int:
-    """Return the number of multiplications of one tick: every matrix of one fin's networks is used
-    once."""
+    """Return the number of multiplications per tick of one fin: each matrix is used once."""
     return sum(leaf.size for leaf in jax.tree.leaves(net) if leaf.ndim == 2)
 
 
 class DriveNetConfig(Configuration):
-    """Size of the drive network, and its built-in structure, which is fixed but stored with it."""
+    """Size of the drive network, and its structure, which is fixed but stored with the network."""
 
     units: PositiveInt = 8
-    """Size of the memory of each parity."""
+    """Size of the even memory and of the odd memory."""
     hidden: PositiveInt = 16
-    """Units of the layer between memory and output."""
+    """Number of units in the layer between memory and output."""
     mirror: Literal[True] = True
-    """The drive behaves the same in both directions."""
+    """Whether the drive behaves the same in both directions."""
     profile: Literal[True] = True
-    """The trapezoidal profile is known, and the network adds only the rest: the fin's load, the
-    servo, the play."""
+    """Whether the network predicts only the deviation from the trapezoidal profile: the effects of
+    load, servo and backlash."""
 
 
 class FollowingState(NamedTuple):
-    """State that the drive network carries from tick to tick."""
+    """State of the drive network between ticks."""
 
     profile: ProfileState
     memory: Parity
@@ -134,8 +138,8 @@ class FollowingState(NamedTuple):
 
 
 class FollowingNet(eqx.Module):
-    """The drive network, which predicts the deviation of the shaft from its profile; one fin, no
-    batch axes."""
+    """The drive network, which predicts the deviation of the shaft from its profile, for one fin
+    without batch axes."""
 
     core: MirrorCore
     profile: Profile
@@ -149,17 +153,18 @@ class FollowingNet(eqx.Module):
         self.scales = scales
 
     def start(self, motion: Motion, waiting: Command) -> FollowingState:
-        """Return the state for a given motion and the commands of the last `MAX_DELAY` ticks,
-        newest first."""
+        """Return the state for a motion and the commands of the last `MAX_DELAY` ticks, newest
+        first."""
         return FollowingState(
             jax.lax.stop_gradient(self.profile).start(motion, waiting), self.core.blank(), motion
         )
 
     def step(self, state: FollowingState, command: Command) -> FollowingState:
-        """Advance by one tick under a command; `motion` of the new state is the new motion of the
+        """Advance by one tick under a command; the new state contains the new motion of the
         shaft."""
-        # Identified before and not trained: its corners give poor gradients.
-        fixed: Any = jax.lax.stop_gradient(self.profile)
+        # The profile was identified before and is not trained, because its corners give poor
+        # gradients.
+        fixed: Profile = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
         before = fixed.motion(state.profile)
         now = fixed.motion(profile)
@@ -171,7 +176,8 @@ class FollowingNet(eqx.Module):
         memory, outputs = self.core.step(
             state.memory, Parity((target.velocity / velocity)[None], odd)
         )
-        # An output of 1 moves the shaft by about one tick's motion: the network is a correction.
+        # The network's output is a correction in units of the scales: 1 moves the shaft by the
+        # distance of one tick at the typical velocity.
         angle = now.angle + TICK_S * velocity * outputs.odd[0]
         return FollowingState(
             profile, memory, Motion(angle, now.velocity + change * outputs.odd[1])
@@ -179,60 +185,60 @@ class FollowingNet(eqx.Module):
 
 
 class ForceNetConfig(Configuration):
-    """Size of the force network, and its built-in structure, which is fixed but stored with it."""
+    """Size of the force network, and its structure, which is fixed but stored with the network."""
 
     units: PositiveInt = 16
-    """Size of the memory of each parity."""
+    """Size of the even memory and of the odd memory."""
     hidden: PositiveInt = 32
-    """Units of the layer between memory and force."""
+    """Number of units in the layer between memory and force."""
     wake: int = Field(default=4, ge=0, le=64)
-    """Number of vectors remembered in the tank's axes; their initial time constants are 0.05 to 1.5
-    s."""
+    """Number of wake vectors, which are fixed in the tank's axes. Their initial time constants are
+    0.05 to 1.5 s."""
     mirror: Literal[True] = True
-    """Mirrored motion gives mirrored force."""
+    """Whether mirrored motion gives mirrored force."""
     turning: Literal[True] = True
-    """The force turns with the fin: the tank is the same in all directions."""
+    """Whether the force rotates with the fin, as in a tank without a preferred direction."""
     quasi_steady: Literal[True] = True
     """Whether a force of added mass and drag, with fitted coefficients, is added to the output of
     the network."""
     heteroscedastic: Literal[False] = False
-    """The network does not learn the scatter of the readings about its force."""
+    """Whether the network also predicts the variance of the readings."""
 
 
 class ForceState(NamedTuple):
-    """State that the force network carries from tick to tick."""
+    """State of the force network between ticks."""
 
     memory: Parity
     wake: Parity
-    """Components along and across the fin [1]."""
+    """Wake vectors, split into components along and across the fin [-]."""
     motion: Motion
 
 
 class ForceNet(eqx.Module):
-    """The force network of one fin; no batch axes.
+    """The force network of one fin, without batch axes.
 
-    In the frame that rotates with the shaft the angle has no effect, because still water looks the
-    same in all directions. The network therefore takes only rates, and returns the force along the
-    fin's axis (thrust, even) and across it (odd). The wake, which stays in the tank's axes, is
-    represented by a few vectors that are rotated back at each tick.
+    In the frame that rotates with the shaft, the angle has no effect, because still water looks the
+    same in all directions. The inputs of the network are therefore only rates, and its outputs are
+    the force along the fin's axis (thrust, even) and across it (odd). The wake, which does not
+    rotate with the fin, is represented by a few vectors that are rotated back at each tick.
     """
 
     core: MirrorCore
     along: Float[Array, "wake_source wake"]
-    """Weights with which the memory pushes the wake along the fin."""
+    """Weights from the even memory to the component of the wake along the fin."""
     across: Float[Array, "wake_source wake"]
-    """Weights with which the memory pushes the wake across the fin."""
+    """Weights from the odd memory to the component of the wake across the fin."""
     log_time: Float[Array, "wake"]
-    """Logarithm of the wake's time constants [s]."""
+    """Natural logarithm of the wake's time constants in seconds."""
     thrust: Float[Array, "2"]
-    """Coefficients of velocity squared and velocity times its change."""
+    """Coefficients of the force along the fin: velocity squared, and velocity times its change."""
     resistance: Float[Array, "3"]
-    """Coefficients of the velocity's change (added mass), velocity times speed (drag) and velocity
-    (friction)."""
+    """Coefficients of the force across the fin: change of velocity (added mass), velocity times
+    speed (drag), and velocity (friction)."""
     mount_turn: Float[Array, ""]
     """Angle of the sensor relative to the tank's axes [rad]."""
     offset: Float[Array, "2"]
-    """Offset of the sensor: its reading at zero force [force scale]."""
+    """Reading of the sensor at zero force, divided by the force scale [-]."""
     config: ForceNetConfig = eqx.field(static=True)
     scales: Scales = eqx.field(static=True)
 
@@ -251,17 +257,17 @@ class ForceNet(eqx.Module):
         self.scales = scales
 
     def start(self, motion: Motion) -> ForceState:
-        """Return a state that remembers only the motion of the tick before."""
+        """Return a state with an empty memory and the motion of the previous tick."""
         still = jnp.zeros(self.config.wake)
         return ForceState(self.core.blank(), Parity(still, still), motion)
 
     def step(self, state: ForceState, motion: Motion) -> tuple[ForceState, Float[Array, "2"]]:
-        """Advance to the new motion of the shaft; predicts the force (x, y) read at that moment
-        [N]."""
-        # Seen from a fin that has turned, the tank has turned the other way.
+        """Advance to a new motion of the shaft and predict the force reading (x, y) [N]."""
+        # In the frame of the fin, the wake rotates in the opposite direction to the fin.
         wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
-        # Morison's force on a moving body: thrust and drag grow with the square of the velocity,
-        # added mass with its change. All rates are in units of `scales`.
+        # Morison's equation for a moving body: thrust and drag are proportional to the square of
+        # the velocity, the force of the added mass to its change. All rates are in units of
+        # `scales`.
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
         drag = velocity * jnp.abs(velocity)
@@ -273,8 +279,8 @@ class ForceNet(eqx.Module):
         across = outputs.odd[0] + self.resistance @ jnp.stack([change, drag, velocity])
         x, y = _turned(along, across, self.mount_turn + motion.angle)
         force = self.scales.force_n * (jnp.stack([x, y]) + self.offset)
-        # Each vector of the wake w relaxes towards the push p of the fin, tau w' = p - w, solved
-        # exactly over one tick.
+        # Each wake vector w relaxes towards a vector p that depends on the memory, tau dw/dt = p -
+        # w. The exact solution over a tick is w' = k w + (1 - k) p, with k = exp(-TICK_S / tau).
         kept = jnp.exp(-TICK_S * jnp.exp(-self.log_time))
         pushed = Parity(memory.even @ self.along, memory.odd @ self.across)
         wake = jax.tree.map(lambda old, new: kept * old + (1 - kept) * new, wake, pushed)
@@ -282,8 +288,8 @@ class ForceNet(eqx.Module):
 
 
 def _turned(along: Array, across: Array, angle: AnyArray) -> tuple[Array, Array]:
-    """Components along (cos, -sin) and across (sin, cos) of an angle, in the axes from which the
-    angle is counted."""
+    """Rotate components along and across a fin at `angle` into the axes in which the angle is
+    measured: x + y = along (cos, -sin) + across (sin, cos)."""
     cos = jnp.cos(angle)
     sin = jnp.sin(angle)
     return along * cos + across * sin, across * cos - along * sin

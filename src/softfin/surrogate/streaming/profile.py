@@ -1,8 +1,7 @@
-"""The profile that a positioning drive follows, with coefficients identified from logs.
+"""The trapezoidal profile of a positioning drive, with coefficients identified from logs.
 
-The trapezoidal profile itself is the drive's (`softfin.tank.drive`). CMA-ES finds the coefficients
-with the smallest mean absolute error of the angle, so that a stroke that the profile cannot explain
-has little influence.
+The equations of the profile are in `softfin.tank.drive`. CMA-ES minimizes the mean absolute error
+of the angle, which limits the influence of strokes that the profile cannot explain.
 """
 
 from collections.abc import Sequence
@@ -20,25 +19,29 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch
 from softfin.tank.drive import delayed, next_velocity
 
 STEPS_PER_TICK = 2
-"""Steps of the profile per tick, so that a corner between two ticks is reproduced within 5 ms."""
+"""Integration steps per tick; the time of a corner between two ticks is accurate to 5 ms."""
 
 SEGMENTS = 48
+"""Number of log segments from which the coefficients are identified."""
+
 TICKS = 300
-"""Number and largest length [10 ms] of the log segments from which the coefficients are
-identified."""
+"""Maximum length of these segments [10 ms]."""
 
 POPULATION = 16
 GENERATIONS = 150
 STARTS = 4
+"""Number of searches with different initial values; the best result is used."""
 
 
 class ProfileState(NamedTuple):
-    """Angle [rad] and velocity [rad/s] of the profile, and the commands in the queue, newest
-    first."""
+    """State of the profile between ticks."""
 
     angle: Float[AnyArray, ""]
+    """Angle of the profile [rad]."""
     velocity: Float[AnyArray, ""]
+    """Velocity of the profile [rad/s]."""
     waiting: Command
+    """Commands of the last `MAX_DELAY` ticks, newest first."""
 
 
 def _coefficient(default: float) -> Any:
@@ -46,31 +49,31 @@ def _coefficient(default: float) -> Any:
 
 
 class Profile(eqx.Module):
-    """A drive that follows its profile; by default an ideal one."""
+    """Coefficients of a drive that follows its profile; by default an ideal drive."""
 
     gain: Float[Array, ""] = _coefficient(1.0)
     """Ratio of the measured to the commanded angle [-]."""
     zero: Float[Array, ""] = _coefficient(0.0)
     """Measured angle for a command of 0 [rad]."""
     delay: Float[Array, ""] = _coefficient(0.0)
-    """Ticks from a command to the first one that obeys it, at most `MAX_DELAY` [10 ms]."""
+    """Delay from a command to its first effect, at most `MAX_DELAY` [10 ms]."""
     velocity_factor: Float[Array, ""] = _coefficient(1.0)
     """Ratio of the profile's velocity to the commanded velocity [-]."""
     velocity_limit: Float[Array, ""] = _coefficient(100.0)
-    """Velocity that the profile never exceeds [rad/s]."""
+    """Maximum velocity of the profile [rad/s]."""
     acceleration: Float[Array, ""] = _coefficient(100.0)
-    """Acceleration when speeding up and braking [rad/s2]."""
+    """Magnitude of acceleration and deceleration [rad/s2]."""
     lag: Float[Array, ""] = _coefficient(0.0)
-    """Angle by which the shaft is behind its profile, divided by its velocity [s]."""
+    """Time by which the shaft lags behind its profile [s]."""
 
     def start(self, motion: Motion, waiting: Command) -> ProfileState:
-        """Return the state for a given motion and the commands of the last `MAX_DELAY` ticks,
-        newest first."""
+        """Return the state for a motion and the commands of the last `MAX_DELAY` ticks, newest
+        first."""
         return ProfileState(motion.angle + self.lag * motion.velocity, motion.velocity, waiting)
 
     def step(self, state: ProfileState, command: Command) -> tuple[ProfileState, Command]:
-        """Advance by one tick under a new command; also returns the command being obeyed, in the
-        angle scale of the log."""
+        """Advance by one tick under a new command; also return the command in effect, converted to
+        measured angles and the velocity of the profile."""
         queue = jax.tree.map(jnp.append, command, state.waiting)
         obeyed = delayed(queue, self.delay)
         speed = jnp.minimum(self.velocity_factor * obeyed.velocity, self.velocity_limit)
@@ -78,7 +81,8 @@ class Profile(eqx.Module):
         seconds = TICK_S / STEPS_PER_TICK
         angle = jnp.asarray(state.angle)
         velocity = jnp.asarray(state.velocity)
-        # The trapezoidal rule is exact while the acceleration is constant.
+        # angle' = angle + h (v + v') / 2; this trapezoidal rule is exact while the acceleration is
+        # constant.
         for _ in range(STEPS_PER_TICK):
             after = next_velocity(angle, velocity, target, self.acceleration, seconds)
             angle = angle + seconds * (velocity + after) / 2
@@ -92,37 +96,41 @@ class Profile(eqx.Module):
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
-    """Find the coefficients; also return their mean absolute error of the angle [rad]."""
+    """Identify the coefficients from logs; also return their mean absolute error of the angle
+    [rad]."""
     ticks = min(TICKS, max(log.rows for log in logs) - MAX_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
     speed = max(np.abs(log.reading.velocity).max() for log in logs)
     change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
+    # The initial acceleration: a high one among those that are not just noise at constant velocity.
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
     results = []
     for start in range(STARTS):
-        # An ideal drive with a delay of two or three ticks, no faster than in the logs. The error
-        # has local minima at many delays: one search in five ends in a wrong one.
+        # Start from an ideal drive with a delay of 2 or 3 ticks and the maximum velocity of the
+        # logs. The error has local minima at many delays: one search in five ends at a wrong one,
+        # so several searches run, the last two with a larger initial step size.
         guess = np.array([0.0, 0.0, 3.0 - start % 2, 0.0, 5 * np.log(speed), np.log(steep), 0.0])
         random = named_generator(seed, f"identify/{start}")
         sizes = {"popsize": POPULATION, "maxiter": GENERATIONS}
         search = cma_es(guess, 0.2 * (1 + start // 2), random, **sizes, tolx=1e-6, tolfun=1e-8)
         while not search.stop():
-            asked = search.ask()
-            search.tell(
-                asked,
-                np.asarray(errors(jnp.asarray(np.stack(asked), jnp.float32)), np.float64).tolist(),
-            )
+            points = search.ask()
+            point_errors = errors(jnp.asarray(np.stack(points), jnp.float32))
+            search.tell(points, np.asarray(point_errors, np.float64).tolist())
         results.append(search.result)
     best = min(results, key=lambda result: result.fbest)
     return _profile(jnp.asarray(best.xbest, jnp.float32)), float(best.fbest)
 
 
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
-    """Decode a point of the search: gains, limits and acceleration are logarithms; delay and lag
-    are absolute values."""
-    # The limit moves in small steps: above all commands it has no effect, and a search would get
-    # lost there.
+    """Convert a point of the search to coefficients.
+
+    The search uses the logarithm of gain, factor, limit and acceleration, which must be positive,
+    and the absolute value of delay and lag.
+    """
+    # The factors set the step size of each coefficient. That of the velocity limit is small,
+    # because a limit above all commands has no effect and a search would get lost there.
     gain, zero, delay, factor, limit, acceleration, lag = coded
     return Profile(
         jnp.exp(0.1 * gain),
@@ -136,6 +144,8 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
 
 
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
+    """Return the mean absolute error of the angle in free runs over the segments [rad]."""
+
     def one(segment: SegmentBatch) -> Float[Array, ""]:
         def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:
             state, _ = profile.step(state, command)

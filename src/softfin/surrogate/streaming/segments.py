@@ -1,5 +1,5 @@
-"""Logs as one table on the device, the segments that training draws from it, and the scales of its
-channels."""
+"""The training data of streaming networks: logs as one table on the device, random segments of it,
+and the scales of its channels."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -17,7 +17,7 @@ from softfin.surrogate.channels import stack_channels
 from softfin.surrogate.training import window_starts
 
 MAX_DELAY = 20
-"""Longest delay from a command to its motion [ticks]."""
+"""Maximum delay from a command to its effect on the motion [ticks]."""
 
 
 class Motion(NamedTuple):
@@ -28,7 +28,8 @@ class Motion(NamedTuple):
 
 
 class Scales(Configuration):
-    """Units of the networks' inputs and outputs, from the training logs."""
+    """Scales that inputs and outputs of the networks are divided by, measured in the training
+    logs."""
 
     velocity_rad_s: float = Field(gt=0)
     """Standard deviation of the shaft's velocity [rad/s]."""
@@ -41,7 +42,11 @@ class Scales(Configuration):
 
 
 def measure_scales(logs: Sequence[Log]) -> Scales:
-    """Compute the scales of the training logs; raises LogError if nothing moves."""
+    """Compute the scales of the training logs.
+
+    Raises:
+        LogError: a channel never changes.
+    """
     readings = [log.reading for log in logs]
     joined = jax.tree.map(lambda *x: np.concatenate(x, dtype=np.float64), *readings)
     changes = [np.diff(np.asarray(reading.velocity, np.float64)) for reading in readings]
@@ -54,45 +59,52 @@ def measure_scales(logs: Sequence[Log]) -> Scales:
     for name, value in values.items():
         if not value > 0:
             raise LogError(
-                f"{name.partition('_')[0]} never changes in the training logs: no surrogate can be "
-                "fitted"
+                f"{name.partition('_')[0]} never changes in the training logs, so no surrogate can "
+                "be fitted; use logs in which the fin moves"
             )
     return Scales(**jax.tree.map(float, values))
 
 
 class SegmentBatch(NamedTuple):
-    """Segments of logs, ``(batch, ticks)``: the commands of rows k, and the force of rows k + 1."""
+    """Segments of logs."""
 
     waiting: Command
     """Commands before the first row, newest first, ``(batch, MAX_DELAY)``."""
     commands: Command
+    """Commands of all rows except the last, ``(batch, ticks)``."""
     motion: Motion
-    """Motion from the first row on, ``(batch, 1 + ticks)``."""
+    """Motion of all rows, ``(batch, 1 + ticks)``."""
     force: Float[Array, "batch ticks 2"]
+    """Force of all rows except the first [N]: row k + 1 follows the command of row k."""
     starts: Int[Array, "batch"]
-    """First rows, in the table."""
+    """Rows of the table at which the segments start."""
 
 
 class Table(NamedTuple):
-    """Logs end to end, ``(rows,)``."""
+    """Concatenated logs, with fields ``(rows,)``."""
 
     command: Command
     motion: Motion
     force: Float[Array, "rows 2"]
     starts: Int[Array, "choices"]
-    """Rows at which a segment may begin, so that all of it is in one log."""
+    """Rows at which a segment may start so that all of it is in one log."""
 
     @classmethod
     def of(cls, logs: Sequence[Log], ticks: int) -> "Table":
-        """Build the table for segments of `ticks`; raises LogError if no log is long enough."""
-        # Each segment has the commands that are still waiting at its first row.
+        """Build the table for segments of `ticks`.
+
+        Raises:
+            LogError: no log is long enough for a segment.
+        """
+        # A segment needs MAX_DELAY earlier rows for the commands that have no effect yet at its
+        # start.
         rows = [log.rows for log in logs]
         choices = window_starts(rows, ticks, MAX_DELAY)
         if not choices.size:
             raise LogError(
-                f"the longest of {len(logs)} training logs has {max(rows)} rows; "
-                f"{ticks + MAX_DELAY + 1} are needed in one piece; record longer, or make the "
-                "segments shorter (--set ticks=N)"
+                f"training logs: the longest of {len(logs)} has {max(rows)} rows; at least "
+                f"{ticks + MAX_DELAY + 1} are required; record longer logs, or use shorter "
+                "segments (--set ticks=N)"
             )
         columns = jnp.asarray(stack_channels(logs))
         return cls(
@@ -100,7 +112,7 @@ class Table(NamedTuple):
         )
 
     def draw(self, key: PRNGKeyArray, batch: int, ticks: int) -> SegmentBatch:
-        """Draw segments at random."""
+        """Draw random segments, with replacement."""
         starts = self.starts[jax.random.randint(key, (batch,), 0, self.starts.size)]
         command, motion, force = slices((self.command, self.motion, self.force), starts, ticks + 1)
         waiting = slices(self.command, starts - MAX_DELAY, MAX_DELAY)
@@ -114,7 +126,6 @@ class Table(NamedTuple):
 
 
 def slices(columns: PyTree, starts: Int[Array, "batch"], length: int) -> Any:
-    """Cut the rows ``start .. start + length`` out of columns, for each start: fields ``(batch,
-    length, ...)``."""
+    """Return `length` rows from each start, with fields ``(batch, length, ...)``."""
     rows = starts[:, None] + jnp.arange(length)
     return jax.tree.map(lambda x: x[rows], columns)

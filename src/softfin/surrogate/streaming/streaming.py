@@ -1,5 +1,5 @@
-"""An ensemble of streaming networks as a Plant: commands in, readings out at 100 Hz, with estimates
-of their errors."""
+"""An ensemble of streaming networks as a `Plant`: commands in, readings out at 100 Hz, with error
+estimates."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -39,35 +39,39 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
 from softfin.surrogate.training import name_net_arrays, restored
 
 SETTLED = 3000
-"""Ticks at rest before `init`: twenty times the longest initial time constant of a wake."""
+"""Duration of the rest before `init` [ticks], 20 times the longest initial time constant of the
+wake."""
 
 SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
-    """State of every member, and ticks since the start [10 ms]; its size is constant."""
+    """State of an ensemble; its size does not depend on the time."""
 
     tick: Int[Array, ""]
+    """Time since the start [10 ms]."""
     members: MemberState
+    """Stacked states of the members."""
 
 
 class StreamingSurrogate(eqx.Module):
-    """An ensemble; meets the contract of EnsemblePlant. Readings are the members' mean."""
+    """An ensemble whose readings are the mean of its members; implements `EnsemblePlant`."""
 
     members: Member
-    """Members, stacked."""
+    """Stacked members."""
     rest: MemberState
     """Stacked states of the members after a long rest at angle 0."""
     familiarity: Familiarity
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """The range of the commands in the training data: outside it the networks extrapolate."""
+    """Range of the commands in the training data; the networks extrapolate outside it."""
 
     computed: ClassVar[tuple[str, ...]] = ("rest",)
     """Names of the fields that are computed from the others."""
     model: ClassVar[str] = "streaming"
     memory: ClassVar[int] = 300
-    """Rows of a log that `warm` needs: the duration of a stroke at the paper's lowest velocity."""
+    """Number of rows of a log that `warm` needs: the duration of a stroke at the paper's lowest
+    velocity."""
     scaling: ClassVar[None] = None
 
     def __init__(
@@ -88,23 +92,26 @@ class StreamingSurrogate(eqx.Module):
         return int(self.members.force.offset.shape[0])
 
     def init(self, key: PRNGKeyArray) -> StreamingState:
-        """Return the state after a long rest at angle 0. Nothing is random: the key is unused."""
+        """Return the state after a long rest at angle 0. The key is not used."""
         return StreamingState(jnp.int32(0), self.rest)
 
     def warm(self, history: Log) -> StreamingState:
-        """Return the state after a recorded history, free-running over its last `memory` rows;
-        raises LogError if it is shorter."""
+        """Return the state after a free run over the last `memory` rows of a recorded history.
+
+        Raises:
+            LogError: the history is shorter.
+        """
         if history.rows < self.memory:
             raise LogError(
-                f"history: {history.rows} rows; {self.memory} are needed to know the state of the "
-                "fin"
+                f"history: {history.rows} rows; this surrogate needs {self.memory} rows to warm up"
             )
         command, reading = jax.tree.map(
             lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
         )
+        # The first MAX_DELAY rows only fill the queue of commands; the free run starts after them.
         motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
         waiting = jax.tree.map(lambda part: part[:MAX_DELAY][::-1], command)
-        # The last row's command takes effect in the row after it.
+        # The command of the last row affects only the next row, so `advance` gets it.
         passed = jax.tree.map(lambda part: part[MAX_DELAY:-1], command)
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
@@ -112,15 +119,16 @@ class StreamingSurrogate(eqx.Module):
     def advance(
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
-        """Hold the command for `ticks` samples of 10 ms and read after each; fields have the shape
-        ``(ticks,)``."""
+        """Hold the command for `ticks` samples of 10 ms and return a reading after each, with
+        fields ``(ticks,)``."""
         state, each = self.advance_members(state, command, ticks)
         return state, Reading(each.time[0], *(channel.mean(axis=0) for channel in each[1:]))
 
     def advance_members(
         self, state: StreamingState, command: Command, ticks: int
     ) -> tuple[StreamingState, Reading]:
-        """Like `advance`, but with the reading of every member: fields ``(members, ticks)``."""
+        """Like `advance`, but return the readings of all members, with fields ``(members,
+        ticks)``."""
         held = jax.tree.map(lambda part: jnp.asarray(part, jnp.float32), command)
 
         def one(member: Member, own: MemberState) -> tuple[MemberState, tuple[Motion, Array]]:
@@ -134,7 +142,7 @@ class StreamingSurrogate(eqx.Module):
         return StreamingState(state.tick + ticks, after), reading
 
     def member(self, index: Int[Array, ""]) -> "StreamingSurrogate":
-        """Return one member as a plant, an ensemble of one; `index` may be a traced value."""
+        """Return one member as an ensemble of size 1; `index` may be a traced value."""
         picked = jax.tree.map(lambda x: x[index][None], (self.members, self.rest))
         alone: StreamingSurrogate = eqx.tree_at(
             lambda ensemble: (ensemble.members, ensemble.rest), self, picked
@@ -142,20 +150,21 @@ class StreamingSurrogate(eqx.Module):
         return alone
 
     def distance(self, state: StreamingState) -> Float[Array, ""]:
-        """Return the distance of the last motion from the training data: one in a thousand training
-        moments exceeds 1."""
+        """Return the distance of the recent motion from the training data; 1 in 1000 training
+        samples exceeds 1."""
         return self.familiarity.distance(remembered(single(state.members.force)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Return the mean predictions of logs by the drive networks, and by the force networks with
-        measured and with predicted motion."""
+        """Return the ensemble's mean predictions of logs: by the drive networks, and by the force
+        networks from both measured and predicted motion."""
         drive = self.members.drive
         force = self.members.force
         free = predict_motion(drive, logs)
-        measured = [
-            Motion(*np.tile(np.stack([r.angle, r.velocity])[:, None], (self.size, 1)))
-            for _, r in logs
-        ]
+        measured = []
+        for log in logs:
+            channels = np.stack([log.reading.angle, log.reading.velocity])
+            # Every member sees the same measured motion: (channels, members, rows).
+            measured.append(Motion(*np.tile(channels[:, None], (self.size, 1))))
         angle = [motion.angle[..., None] for motion in free]
 
         def average(series: Sequence[AnyArray]) -> list[np.ndarray]:
@@ -170,16 +179,17 @@ class StreamingSurrogate(eqx.Module):
         }
 
     def flops_per_tick(self) -> int:
-        """Floating-point operations of the matrix products for one sample of one fin, all members
-        together."""
+        """Return the floating-point operations of the matrix products for one sample of one fin,
+        over all members."""
+        # A multiplication and an addition per weight.
         return 2 * products(single(self.members)) * self.size
 
     def parameters(self) -> int:
-        """Number of trainable parameters of all members."""
+        """Return the number of trainable parameters of all members."""
         return parameters(self.members)
 
     def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
-        """Entries of ``surrogate.json``, and the arrays by their paths in the networks."""
+        """Return the entries of ``surrogate.json``, and the arrays by path."""
         drive = self.members.drive
         force = self.members.force
         return {
@@ -196,20 +206,24 @@ class StreamingSurrogate(eqx.Module):
 
     @classmethod
     def from_files(
-        cls, description: Any, weights: dict[str, np.ndarray], source: str
+        cls, description: JsonObject, weights: dict[str, np.ndarray], source: str
     ) -> "StreamingSurrogate":
-        """Build the surrogate that `to_files` described; raises ArtifactError if channels or arrays
-        do not fit."""
+        """Build the surrogate from the result of `to_files`.
+
+        Raises:
+            ArtifactError: channels or arrays do not match the networks.
+        """
         if description["channels"] != SURROGATE_CHANNELS:
             raise ArtifactError(
-                f"{source}: channels {description['channels']}; streaming surrogates have "
-                f"{SURROGATE_CHANNELS}"
+                f"{source}: unsupported channels {description['channels']}; streaming surrogates "
+                f"must have {SURROGATE_CHANNELS}"
             )
         drive = DriveNetConfig.build(description["networks"]["drive"], f"{source}: networks.drive")
         force = ForceNetConfig.build(description["networks"]["force"], f"{source}: networks.force")
         scales = Scales.model_validate(description["scales"])
         size = int(description["members"])
 
+        # Only its shapes are evaluated: nothing is computed for the weights that are replaced.
         def skeleton() -> dict[str, Any]:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))
@@ -226,7 +240,7 @@ class StreamingSurrogate(eqx.Module):
 
 @eqx.filter_jit
 def _after(members: Member, motion: Motion, waiting: Command, passed: Command) -> MemberState:
-    """Return the state of every member after these commands, one per tick."""
+    """Return the states of the members after the commands `passed`, one per tick."""
 
     def one(member: Member) -> Any:
         return jax.lax.scan(

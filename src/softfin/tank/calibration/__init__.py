@@ -1,2 +1,2 @@
-"""Fitting the virtual tank to logs or to another plant, and saying how well each of its parameters
-is determined."""
+"""Fits the virtual tank to logs or to another plant, and estimates how well each parameter is
+determined."""

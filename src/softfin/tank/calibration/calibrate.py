@@ -1,8 +1,8 @@
-"""The calibration: logs and a configuration in; out come the tank, the recording and how well both
+"""Calibrates a tank from logs: the result is the tank, the recording, and how well their parameters
 are determined.
 
-A global search with a coarse tank finds the valley, a local one with the whole tank its bottom, and
-the slopes there show what the logs determine.
+A global search with a coarse tank finds the region of the optimum, and a local search with the full
+tank refines it. The Jacobian at the optimum shows which parameters the logs determine.
 """
 
 import dataclasses
@@ -36,15 +36,15 @@ from softfin.tank.calibration.model import FITTED_CHANNELS, Segments, Space, cut
 from softfin.tank.calibration.search import Losses, determination, misfits, polish, search
 
 ChannelScores: TypeAlias = dict[str, dict[str, float]]
-"""For each channel ``r2``, ``rmse``, means and standard deviations."""
+"""``r2``, ``rmse``, means and standard deviations by channel."""
 
 TRACE_S = 10
-"""Duration of a test segment that the figure shows [s]."""
+"""Plotted duration of a test segment [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Calibration:
-    """The tank and the recording that were found, and the segments for the fit and for the test."""
+    """The fitted tank and recording, and the training and test segments."""
 
     tank: TankConfig
     recording: RecordingConfig
@@ -53,8 +53,10 @@ class Calibration:
     test: Segments
 
     def read(self, command: Command) -> Float[np.ndarray, "segments ticks channels"]:
-        """Return what a log of the fitted tank would contain under commands ``(segments, ticks)``
-        of a log."""
+        """Simulate the readings that a log of the fitted tank would contain.
+
+        The fields of `command` are commands of a log, ``(segments, ticks)``.
+        """
         return np.asarray(read(stacked([(self.tank, self.recording)]), command)[0])
 
     def write(
@@ -64,8 +66,8 @@ class Calibration:
         extra_files: Callable[[Path], None],
         overwrite: bool,
     ) -> JsonObject:
-        """Write the folder, completely or not at all; returns the content of its
-        ``calibration.json`` (docs/files.md)."""
+        """Write the folder, completely or not at all, and return the content of its
+        ``calibration.json`` (see docs/files.md)."""
         modelled = self.read(self.test.command)
         unseen = scores(modelled, self.test)
         summary = {
@@ -96,12 +98,16 @@ def _write_yaml(file: Path, config: Configuration, head: str) -> None:
 def prepared(
     config: CalibrateConfig, train: Sequence[Log], test: Sequence[Log]
 ) -> tuple[Space, Segments, Segments]:
-    """Return the search space, the segments for the fit and those for the test; raises if they are
-    not usable."""
+    """Return the search space, the training segments and the test segments.
+
+    Raises:
+        ConfigurationError: no parameter is free, or a range is invalid.
+        LogError: the logs are too short to determine the parameters.
+    """
     parameters = list_parameters(config.parameters)
     if not parameters:
         raise ConfigurationError(
-            "parameters: all are null; give at least one a range, such as fin.span_m: [0.03, 0.2]"
+            "parameters: all are null; set a range for at least one, e.g. fin.span_m: [0.03, 0.2]"
         )
     space = Space(parameters, config.tank, config.recording)
     rows = round(config.segment_s * RATE_HZ)
@@ -109,11 +115,12 @@ def prepared(
     fitted = cut(train, config.segments, rows, warm_up, "training")
     count = len(fitted.measured)
     blocks = count * ((rows - warm_up) // round(config.block_s * RATE_HZ))
+    # The jackknife needs several blocks per parameter for its standard errors.
     if blocks < 2 * len(parameters):
         raise LogError(
-            f"training logs: {count} segments make {blocks} blocks of {config.block_s:g} s, which "
-            f"cannot determine {len(parameters)} parameters; record more, raise `segments` or "
-            "`segment_s`, or fit fewer parameters"
+            f"training logs: {count} segments contain {blocks} blocks of {config.block_s:g} s; "
+            f"{len(parameters)} parameters need at least {2 * len(parameters)}; record more, raise "
+            "`segments` or `segment_s`, or fit fewer parameters"
         )
     return space, fitted, cut(test, config.test_segments, rows, warm_up, "test")
 
@@ -126,8 +133,7 @@ def calibrate_tank(
     run_directory: RunDirectory,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Fit a tank to the training logs; continues from the run directory's checkpoint if there is
-    one."""
+    """Fit a tank to the training logs; resume from the checkpoint in `run_directory`, if any."""
     tell = progress or silent
     space, fitted, unseen = prepared(config, train, test)
     weights = np.array([getattr(config.weights, channel) for channel in FITTED_CHANNELS])
@@ -137,7 +143,7 @@ def calibrate_tank(
     errors = rough.errors(fitted, config.population)
     generations = -(-config.evaluations // config.population)
     done = 0
-    # NaN: not tried yet.
+    # NaN marks tanks that have not been simulated yet.
     losses = np.full((generations, config.population), np.nan, np.float32)
     if (resumed := run_directory.load(jnp.asarray(losses))) is not None:
         losses = np.asarray(resumed[0])
@@ -148,6 +154,7 @@ def calibrate_tank(
         return np.asarray(misfits(errors, points) @ weights, np.float32)
 
     def searched(generation: int, losses: Losses) -> None:
+        # The checkpoint contains only losses: `search` recomputes the state of CMA-ES from them.
         least = float(np.nanmin(losses))
         record.write(generation, loss=float(losses[generation - 1].min()), best=least)
         run_directory.save(jnp.asarray(losses), {"generation": generation})
@@ -170,13 +177,14 @@ def calibrate_tank(
 def scores(
     modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments
 ) -> ChannelScores:
-    """Return for each channel the pooled R2, RMSE, and mean and standard deviation of measurement
-    and model."""
+    """Return R2, RMSE, and the mean and standard deviation of measurement and model for each
+    channel, pooled over all segments."""
     rows = {}
     for index, channel in enumerate(FITTED_CHANNELS):
         true = np.asarray(segments.compared, np.float64)[..., index]
         predicted = np.asarray(modelled, np.float64)[:, segments.warm_up :, index]
         square = float(np.mean((predicted - true) ** 2))
+        # R2 = 1 - mean square error / variance of the measurement.
         rows[channel] = {
             "r2": 1 - square / float(np.var(true)),
             "rmse": float(np.sqrt(square)),
@@ -191,9 +199,10 @@ def scores(
 def calibration_figure(
     test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: ChannelScores
 ) -> Figure:
-    """Draw the test segment with the median error, and the mean forces over 2 s of all segments."""
+    """Plot the test segment with the median error, and the mean forces over 2 s of all segments."""
     measured = np.asarray(test.measured)
     ticks = slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
+    # In units of each channel's standard deviation, so that angle and forces can be added.
     error = (modelled - measured)[:, test.warm_up :] / np.asarray(test.deviation)
     shown = int(np.argsort(np.mean(error**2, axis=(1, 2)))[len(error) // 2])
     command = np.asarray(test.command.angle)[shown, ticks]
@@ -221,10 +230,11 @@ def calibration_figure(
                 label="tank",
             )
             axes.set(ylabel=title, xlim=(0, len(command) / RATE_HZ))
-            axes.set_title(f"R² {scores[channel]['r2']:.3f} over all unseen segments", loc="right")
-        panels[0].set_title("The unseen segment of median error", weight="bold")
+            axes.set_title(f"R² {scores[channel]['r2']:.3f} over all test segments", loc="right")
+        panels[0].set_title("Test segment with the median error", weight="bold")
         panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.3, 0.98), borderaxespad=0)
         panels[-1].set_xlabel("time [s]")
+        # Only complete windows.
         end = test.warm_up + (measured.shape[1] - test.warm_up) // WINDOW * WINDOW
         windows = (-1, WINDOW, len(FITTED_CHANNELS))
         ours = modelled[:, test.warm_up : end].reshape(windows).mean(axis=1)
@@ -241,6 +251,6 @@ def calibration_figure(
                 label=titles[index],
             )
         axes.set(xlabel="measured [N]", ylabel="tank [N]", aspect="equal")
-        axes.set_title("Mean forces over 2 s, unseen segments")
+        axes.set_title("Mean forces over 2 s in test segments")
         axes.legend(loc="best")
     return figure

@@ -1,8 +1,8 @@
-"""Configuration of a calibration: parameters, data, search.
+"""Configuration of a calibration: parameters, data and search.
 
-The numbers that it may change have ranges and names such as ``fin.length_m``, and ranges. A search
-moves in scaled coordinates: 0 is the low end of a parameter's range, 1 the high end, on a
-logarithmic scale where both are positive, else on a linear one.
+Each free parameter has a name, e.g. ``fin.length_m``, and a range. Searches use scaled coordinates:
+0 is the lower end of the range and 1 the upper end. The scale is logarithmic if both ends are
+positive, otherwise linear.
 """
 
 import difflib
@@ -22,10 +22,10 @@ from softfin.tank import TankConfig
 
 CalibrationRange = tuple[float, float]
 Ranges = dict[str, dict[str, CalibrationRange | None]]
-"""Range of each number, by group and name; None keeps the number fixed."""
+"""Range of each number by group and name; None keeps the number fixed."""
 
 CalibrationPoint = Float[np.ndarray, "parameters"]
-"""Scaled coordinates of the parameters, 0 .. 1."""
+"""Scaled coordinates of the parameters, 0 to 1."""
 
 FREE: dict[str, CalibrationRange] = {
     "drive.acceleration_rad_s2": (5.0, 500.0),
@@ -54,11 +54,12 @@ FREE: dict[str, CalibrationRange] = {
 }
 """Ranges of the parameters that are fitted by default.
 
-Span and root thickness are not among them: a ruler measures them, and no log can separate them from
-Young's modulus, drag and added mass. Neither is the sensor's misalignment: it cannot be separated
-from the zero of the shaft, so one of three offsets must be known.
+Span and root thickness are excluded, because they can be measured with a ruler and no log can
+separate them from Young's modulus, drag and added mass. The misalignment of the sensor is excluded,
+because it cannot be separated from the two offsets of the shaft's angle.
 """
 
+# The order matters, because the first match is used: "_rad_s" must precede "_s".
 _UNITS = {
     "_kg_m3": "kg/m3",
     "_kg_m2": "kg m2",
@@ -77,42 +78,43 @@ _UNITS = {
 
 
 class RecordingConfig(Configuration):
-    """How a log's commands and readings relate to those of a tank: gains, offsets and units of the
-    recording itself."""
+    """Gains and offsets between the commands and readings of a log and those of a tank."""
 
     angle_gain: float = Field(1.0, gt=0)
     """Target angle divided by commanded angle [-]."""
     angle_offset_rad: float = 0.0
     """Target angle for a command of 0 [rad]."""
     velocity_factor: float = Field(1.0, gt=0)
-    """Profile velocity divided by commanded velocity [-]: the unit of the log."""
+    """Profile velocity divided by commanded velocity [-]; depends on the unit of the log."""
     velocity_limit_rad_s: float = Field(12.5, gt=0)
-    """Profile velocity that the recorded drive never exceeds, whatever the command [rad/s]."""
+    """Maximum profile velocity of the recorded drive [rad/s]."""
     reading_gain: float = Field(1.0, gt=0)
-    """Angle in the log divided by the angle of the shaft [-]; the same for its velocity."""
+    """Angle in the log divided by the angle of the shaft [-]."""
     reading_offset_rad: float = 0.0
-    """Angle in the log when the shaft is at 0 [rad]: the encoder's zero."""
+    """Angle in the log when the shaft is at 0 [rad]: the zero of the encoder."""
     force_x_n: float = 0.0
-    """Reading of the force sensor along x without force [N]."""
+    """Reading of the force sensor along x at zero force [N]."""
     force_y_n: float = 0.0
-    """Reading of the force sensor along y without force [N]."""
+    """Reading of the force sensor along y at zero force [N]."""
 
 
 class Parameter(NamedTuple):
-    """One number, and the range in which it is searched."""
+    """A number to fit, and its range."""
 
     name: str
-    """Group and field: ``fin.length_m``."""
+    """Group and field, e.g. ``fin.length_m``."""
     low: float
+    """Lower end of the range, in the unit of the parameter."""
     high: float
+    """Upper end of the range, in the unit of the parameter."""
 
     @property
     def unit(self) -> str:
-        """Unit, which is the end of the parameter's name."""
+        """Unit, from the end of the parameter's name."""
         return next((unit for suffix, unit in _UNITS.items() if self.name.endswith(suffix)), "-")
 
     def scaled(self, value: float) -> float:
-        """Return the scaled coordinate of a value: 0 .. 1 within the range."""
+        """Return the scaled coordinate of a value; 0 to 1 within the range."""
         numbers = np.array([self.low, self.high, value])
         low, high, at = np.log(numbers) if self.low > 0 else numbers
         return float((at - low) / (high - low))
@@ -120,41 +122,50 @@ class Parameter(NamedTuple):
     def value(self, scaled: float) -> float:
         """Return the value at a scaled coordinate; the inverse of `scaled`."""
         if self.low > 0:
+            # log(value) = log(low) + scaled * log(high / low)
             return float(self.low * (self.high / self.low) ** scaled)
         return float(self.low + scaled * (self.high - self.low))
 
     def slope(self, scaled: float) -> float:
-        """Return the derivative of the value by the scaled coordinate."""
+        """Return the derivative of the value with respect to the scaled coordinate."""
         if self.low > 0:
             return float(np.log(self.high / self.low) * self.value(scaled))
         return self.high - self.low
 
 
 def every_range(free: Mapping[str, CalibrationRange] = FREE) -> Ranges:
-    """Return all numbers of a tank and a recording by group, with the range of those that are
-    free."""
+    """Return all numbers of a tank and a recording by group; those not in `free` have no range."""
     ranges: Ranges = {}
     for group, values in (*TankConfig(), ("recording", RecordingConfig())):
-        if isinstance(values, Configuration):
-            numbers = [name for name, value in values if isinstance(value, float)]
-            ranges[group] = {name: free.get(f"{group}.{name}") for name in numbers}
+        # `steps_per_tick` is a field of the tank itself, not a group.
+        if not isinstance(values, Configuration):
+            continue
+        ranges[group] = {}
+        for name, value in values:
+            if isinstance(value, float):
+                ranges[group][name] = free.get(f"{group}.{name}")
     return ranges
 
 
 def list_parameters(ranges: Ranges) -> list[Parameter]:
-    """Return the free parameters; raises ConfigurationError for an unknown name or a range that is
-    not ascending."""
+    """Return the free parameters.
+
+    Raises:
+        ConfigurationError: a name is unknown, or a range is not ascending.
+    """
     allowed = _by_full_name(every_range())
     parameters = []
     for name, limits in _by_full_name(ranges).items():
         if name not in allowed:
             (close,) = difflib.get_close_matches(name, allowed, n=1, cutoff=0)
-            raise ConfigurationError(f"parameters: there is no {name!r}; did you mean {close!r}?")
+            raise ConfigurationError(
+                f"parameters: unknown parameter {name!r}; did you mean {close!r}?"
+            )
         if limits is None:
             continue
         if not limits[0] < limits[1]:
             raise ConfigurationError(
-                f"parameters.{name} = {list(limits)}: write [low, high] with low below high"
+                f"parameters.{name} = {list(limits)}: use [low, high] with low less than high"
             )
         parameters.append(Parameter(name, float(limits[0]), float(limits[1])))
     return parameters
@@ -169,7 +180,7 @@ def _by_full_name(ranges: Ranges) -> dict[str, CalibrationRange | None]:
 
 
 class Weights(Configuration):
-    """Weights of the channels in the loss, relative to each other."""
+    """Relative weights of the channels in the loss."""
 
     angle: float = Field(1.0, ge=0)
     """Weight of 1 - R2 of the shaft's angle."""
@@ -181,64 +192,63 @@ class Weights(Configuration):
     @model_validator(mode="after")
     def _some(self) -> "Weights":
         if self.angle + self.force_x + self.force_y == 0:
-            raise ValueError("at least one channel must have a weight above 0")
+            raise ValueError("at least one channel must have a weight greater than 0")
         return self
 
 
 class CalibrateConfig(Configuration):
-    """How a tank is fitted."""
+    """Configuration of a calibration."""
 
     parameters: Ranges = Field(default_factory=every_range, validate_default=True)
     """Range [low, high] of each number to fit; null keeps the value in `tank` or `recording`."""
     tank: TankConfig = TankConfig()
-    """Tank from which the search starts; it contains all values that the search does not change."""
+    """Initial tank; it also contains the values that are not fitted."""
     recording: RecordingConfig = RecordingConfig()
-    """Recording from which the search starts; it contains all values that the search does not
-    change."""
+    """Initial recording; it also contains the values that are not fitted."""
     weights: Weights = Weights()
     """Weights of the channels in the loss."""
     evaluations: int = Field(4000, ge=0)
-    """Number of tanks that the global search (CMA-ES) tries; 0: only the local search, from
-    `tank`."""
+    """Number of tanks simulated in the global search (CMA-ES); 0 for a local search only."""
     population: int = Field(16, ge=4)
-    """Number of tanks in one generation, simulated at the same time."""
+    """Number of tanks per generation, which are simulated together."""
     step: float = Field(0.1, gt=0, le=1)
     """Standard deviation of the first generation, as a fraction of each range."""
     search_plates: int = Field(4, ge=1, le=32)
-    """Number of plates of the fin in the global search; the local one uses the plates of `tank`."""
+    """Number of plates of the fin in the global search; the local search uses that of `tank`."""
     search_steps: int = Field(1, ge=1)
-    """Time steps per tick in the global search; the local one uses those of `tank`."""
+    """Time steps per tick in the global search; the local search uses those of `tank`."""
     iterations: int = Field(12, ge=1)
-    """Largest number of steps of the local search (Levenberg-Marquardt); it ends when a step gains
-    less than 1e-6."""
+    """Maximum number of steps of the local search (trust region). It ends earlier if a step
+    improves the loss by less than 1e-6 of its value."""
     segments: int = Field(24, ge=2)
-    """Number of segments of the training logs for the fit."""
+    """Maximum number of segments cut from the training logs."""
     test_segments: int = Field(12, ge=1)
-    """Number of segments of the test logs for the test."""
+    """Maximum number of segments cut from the test logs."""
     segment_s: float = Field(12.0, ge=0.1)
     """Length of each segment [s]."""
     warm_up_s: float = Field(2.0, ge=0)
-    """Start of each segment that is simulated but not compared [s]: longer than a stroke, so that a
-    stroke can end."""
+    """Part of each segment that is simulated but not compared [s]; longer than a stroke, because
+    the simulation starts at rest and the log may start mid-stroke."""
     block_s: float = Field(2.0, ge=0.01)
-    """Length of the blocks of time [s] whose errors are assumed to be independent when standard
-    errors are computed."""
+    """Length of the blocks of time whose errors are assumed to be independent in the standard
+    errors [s]."""
     excitation: ExcitationConfig = ExcitationConfig()
-    """Excitation if a plant is fitted; logs have their own commands."""
+    """Excitation of a plant; logs contain their own commands."""
     velocity_rad_s: CalibrationRange | None = None
-    """Range of the commanded velocities in the excitation; null: the plant's limits."""
+    """Range of the commanded velocities in the excitation [rad/s]; null for the plant's limits."""
 
     @field_validator("parameters", mode="before")
     @classmethod
     def _nested(cls, value: object) -> Any:
-        """``fin.length_m: range`` becomes ``fin: {length_m: range}``; both may stand side by
-        side."""
+        """Convert ``fin.length_m: range`` to ``fin: {length_m: range}``; both forms may be
+        mixed."""
         if not isinstance(value, dict):
             return value
         tree: JsonObject = {}
         for name, inner in value.items():
             group, dot, field = name.partition(".")
-            tree[group] = {**tree.get(group, {}), **({field: inner} if dot else dict(inner))}
+            fields = {field: inner} if dot else dict(inner)
+            tree[group] = {**tree.get(group, {}), **fields}
         return tree
 
     @model_validator(mode="after")
@@ -248,27 +258,24 @@ class CalibrateConfig(Configuration):
         return self
 
 
+_MOST_INFORMATIVE = (
+    "drive.acceleration_rad_s2",
+    "drive.lag_s",
+    "fin.length_m",
+    "fin.youngs_modulus_pa",
+    "water.added_mass_coefficient",
+    "water.drag_coefficient",
+)
+
 CALIBRATE_PRESETS: dict[CalibratePreset, CalibrateConfig] = {
     "full": CalibrateConfig(),
     "quick": CalibrateConfig(
-        parameters=every_range(
-            {
-                name: FREE[name]
-                for name in (
-                    "drive.acceleration_rad_s2",
-                    "drive.lag_s",
-                    "fin.length_m",
-                    "fin.youngs_modulus_pa",
-                    "water.added_mass_coefficient",
-                    "water.drag_coefficient",
-                )
-            }
-        ),
+        parameters=every_range({name: FREE[name] for name in _MOST_INFORMATIVE}),
         evaluations=800,
         iterations=8,
         segments=12,
         test_segments=6,
     ),
 }
-"""``full``: fin, water, drive and recording. ``quick``: the most informative parameters, in a
-minute, without those of the recording."""
+"""Presets: ``full`` fits fin, water, drive and recording. ``quick`` fits only the most informative
+parameters, without the recording, and takes about a minute."""

@@ -1,12 +1,13 @@
-"""The data for the fit of a tank, and one compiled program that runs many tanks over them: points
-in, residuals out.
+"""The data of a calibration, and a compiled program that simulates many tanks on it: points in,
+residuals out.
 
-Logs of a dataset, or of a plant that is excited for the fit, are cut into equal segments. R2 of a
-channel is pooled: 1 - (sum of squared errors) / (sum of squared deviations from the mean), both
-sums and the mean over all compared ticks of all segments together.
+The logs of a dataset, or of a plant that is excited for the fit, are cut into equal segments. The
+R2 of a channel is 1 - (sum of squared errors) / (sum of squared deviations from the mean). Sums and
+mean are taken over all compared ticks of all segments.
 """
 
 import copy
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,47 +42,54 @@ FITTED_CHANNELS = ("angle", "force_x", "force_y")
 
 
 class Segments(eqx.Module):
-    """Commands, and the readings that follow them: ``measured[:, k]`` comes one tick after
-    ``command.angle[:, k]``."""
+    """Commands and the readings that follow them: ``measured[:, k]`` is read one tick after
+    ``command.angle[:, k]`` is issued."""
 
     command: Command
     """Fields ``(segments, ticks)``."""
     measured: Float[Array, "segments ticks channels"]
     """Readings in the order of `FITTED_CHANNELS` [rad, N, N]."""
     warm_up: int = eqx.field(static=True)
-    """Ticks at the start of each segment that are not compared."""
+    """Number of ticks at the start of each segment that are not compared."""
 
     @property
     def compared(self) -> Float[Array, "segments compared channels"]:
-        """Readings behind the warm-up."""
+        """Readings after the warm-up."""
         return self.measured[:, self.warm_up :]
 
     @property
     def deviation(self) -> Float[Array, "channels"]:
-        """Standard deviation of each channel over all segments, about one mean."""
+        """Standard deviation of each channel, about the mean over all segments."""
         return jnp.std(self.compared, axis=(0, 1))
 
 
 def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) -> Segments:
-    """Cut segments of `rows` readings, from all logs in turn; fewer than `count` if the logs are
-    too short."""
+    """Cut up to `count` segments of `rows` readings out of the logs.
+
+    The first segment of each log comes first, then the second of each, so that few segments still
+    cover many logs.
+
+    Raises:
+        LogError: no log is long enough, or a channel never changes.
+    """
     longest = max((len(log.reading.time) for log in logs), default=0)
+    starts = range(0, longest - rows, rows)
+    # A log must have one more row than the segment, for the reading after the last command.
     places = [
         (log, slice(start, start + rows))
-        for start in range(0, longest - rows, rows)
-        for log in logs
+        for start, log in itertools.product(starts, logs)
         if start + rows < len(log.reading.time)
-    ][:count]
+    ]
     if not places:
         raise LogError(
-            f"{split} logs: none has {rows + 1} rows, one segment of {rows / RATE_HZ:g} s; lower "
-            "segment_s"
+            f"{split} logs: none has {rows + 1} rows, as a segment of {rows / RATE_HZ:g} s "
+            "requires; lower segment_s"
         )
     commands = []
     readings = []
-    for log, part in places:
+    for log, part in places[:count]:
         commands.append(Command(log.command.angle[part], log.command.velocity[part]))
-        # The first reading follows no command of the log.
+        # Reading k + 1 follows command k.
         readings.append(np.column_stack([log.reading.angle, log.reading.force])[1:][part])
     command = jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts), np.float32), *commands)
     segments = Segments(command, jnp.asarray(np.stack(readings), np.float32), warm_up)
@@ -97,11 +105,14 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
 def material(
     data: str | Path | Plant, config: CalibrateConfig, seed: int
 ) -> tuple[list[Log], list[Log], JsonObject]:
-    """Return training logs, test logs and their identity: the data's hash or the plant's identity.
+    """Return training logs, test logs, and the hash of the data or the identity of the plant.
 
-    They are those of a dataset's folder, or of a plant: a surrogate's folder, its name, or itself.
-    Raises ArtifactError for other folders, ConfigurationError for velocities outside the plant's
-    limits, or if velocities are given for logs.
+    `data` is the folder of a dataset, or a plant, its name, or the folder of a surrogate.
+
+    Raises:
+        ArtifactError: the folder contains no dataset or surrogate, or the dataset no test logs.
+        ConfigurationError: a range of velocities is set for a dataset, or exceeds the limits of the
+            plant.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -110,13 +121,13 @@ def material(
         return _of_plant(find_plant(str(data)), config, seed)
     if config.velocity_rad_s is not None:
         raise ConfigurationError(
-            f"--velocity: {path} is a dataset, which brings its own commands; leave it out"
+            f"--velocity: {path} is a dataset, which contains its own commands; remove the option"
         )
     dataset = Dataset.open(path)
     if not dataset.test:
         raise ArtifactError(
-            f"{path}: holds no test logs to judge the fit on; put some of the logs into "
-            f"{path / 'test'}"
+            f"{path}: missing test logs, which are required to evaluate the fit; move some of the "
+            f"logs to {path / 'test'}"
         )
     train = list(dataset.load(dataset.train))
     test = list(dataset.load(dataset.test))
@@ -131,10 +142,11 @@ def _of_plant(
         low, high = config.velocity_rad_s
         if not limits.velocity_min - 1e-6 <= low < high <= limits.velocity_max + 1e-3:
             raise ConfigurationError(
-                f"velocity_rad_s = {low:g}, {high:g}: the plant takes {limits.velocity_min:g} to "
-                f"{limits.velocity_max:g} rad/s; give a range within, the lower first"
+                f"velocity_rad_s = {low:g}, {high:g}: the plant accepts {limits.velocity_min:g} to "
+                f"{limits.velocity_max:g} rad/s; use a range within these limits, lower value first"
             )
         limits = limits._replace(velocity_min=low, velocity_max=min(high, limits.velocity_max))
+    # The same plant with narrower limits; the original is not changed.
     within = cast(Plant, SimpleNamespace(init=plant.init, advance=plant.advance, limits=limits))
 
     def excited(part: str, count: int) -> list[Log]:
@@ -152,31 +164,37 @@ def _of_plant(
 Errors = Callable[
     [Sequence[CalibrationPoint]], Iterator[Float[np.ndarray, "segments compared channels"]]
 ]
-"""Function from points to their errors, divided by each channel's standard deviation."""
+"""Function that yields the errors of each point, divided by the standard deviation of the
+channel."""
 
 QUIET = {
     "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
     "drive": {"encoder_step_rad": 0.0},
 }
-"""Return a tank without randomness and quantisation in its readings, which cannot be fitted."""
+"""Tank options that remove noise and quantization from the readings, because they cannot be
+fitted."""
 
 
 class Model(NamedTuple):
-    """A tank, and by the names of `RecordingConfig` the relation between it and the logs."""
+    """A tank, and the relation between its readings and the logs."""
 
     tank: Plant
     recording: dict[str, Float[Array, "*models"]]
+    """Values by the names of `RecordingConfig`."""
 
     @classmethod
     def build(cls, tank: TankConfig, recording: RecordingConfig) -> "Model":
-        """Return the model of a quiet tank."""
+        """Build a model with a tank without noise or quantization."""
         arrays = dict(zip(RecordingConfig.model_fields, config_arrays(recording), strict=True))
         return cls(Tank(tank.merged(QUIET, "calibration")), arrays)
 
     def read(self, command: Command) -> Float[Array, "ticks channels"]:
-        """Return what a log of this tank would contain, from rest, after each command ``(ticks,)``
-        of a log."""
+        """Simulate the readings that a log of this tank would contain, starting from rest.
+
+        The fields of `command` are commands of a log, ``(ticks,)``.
+        """
         by = self.recording
+        # From the units and zeros of the log to those of the tank, and back below.
         angle = by["angle_gain"] * command.angle + by["angle_offset_rad"]
         velocity = jnp.minimum(by["velocity_factor"] * command.velocity, by["velocity_limit_rad_s"])
         # The readings contain no noise, so the key does not matter.
@@ -187,7 +205,7 @@ class Model(NamedTuple):
 
 
 def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
-    """Stack the models along a new first axis of each array."""
+    """Stack models along a new first axis of each array."""
     side_by_side: Model = jax.tree.map(
         lambda *leaves: jnp.stack(leaves), *(Model.build(*each) for each in configs)
     )
@@ -196,15 +214,15 @@ def stacked(configs: Sequence[tuple[TankConfig, RecordingConfig]]) -> Model:
 
 @eqx.filter_jit
 def read(models: Model, command: Command) -> Float[Array, "models segments ticks channels"]:
-    """Return the readings of each stacked model under the commands of each segment."""
+    """Return the readings of each stacked model for the commands of each segment."""
     readings: Array = jax.vmap(lambda each: jax.vmap(each.read)(command))(models)
     return readings
 
 
 @eqx.filter_jit
 def _errors(models: Model, segments: Segments) -> Float[Array, "models segments compared channels"]:
-    """Return model minus measurement after the warm-up, divided by each channel's standard
-    deviation: the mean square is 1 - R2."""
+    """Return model minus measurement after the warm-up, divided by the standard deviation of the
+    channel; its mean square is 1 - R2."""
     found: Array = (
         read(models, segments.command)[:, :, segments.warm_up :] - segments.compared
     ) / segments.deviation
@@ -212,13 +230,16 @@ def _errors(models: Model, segments: Segments) -> Float[Array, "models segments 
 
 
 class Space:
-    """The box spanned by the free parameters, around a tank and a recording with all other
-    numbers."""
+    """The box of the free parameters, and a tank and a recording with the fixed values."""
 
     def __init__(
         self, parameters: Sequence[Parameter], tank: TankConfig, recording: RecordingConfig
     ) -> None:
-        """Raise ConfigurationError if the box contains invalid values or not its starting point."""
+        """Build the box.
+
+        Raises:
+            ConfigurationError: the box contains invalid values, or not the initial values.
+        """
         self.parameters = tuple(parameters)
         self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}
         for parameter in self.parameters:
@@ -227,10 +248,11 @@ class Space:
             if not parameter.low <= value <= parameter.high:
                 path = name if name.startswith("recording.") else f"tank.{name}"
                 raise ConfigurationError(
-                    f"parameters.{name} = [{parameter.low:g}, {parameter.high:g}]: the search "
-                    f"starts at {path} = {value:g}, which is outside; widen the range, or set "
+                    f"parameters.{name} = [{parameter.low:g}, {parameter.high:g}]: the initial "
+                    f"value {path} = {value:g} is outside this range; widen the range or change "
                     f"{path}"
                 )
+            # Validates the ends now, not in the middle of a long search.
             for end in (parameter.low, parameter.high):
                 self._built({name: end}, f"parameters.{name}")
         self.start = np.array(
@@ -243,14 +265,14 @@ class Space:
         return self._built(values, "calibration")
 
     def errors(self, segments: Segments, batch: int) -> Errors:
-        """Return the function that simulates points against segments, `batch` at a time."""
+        """Return a function that simulates points on the segments, `batch` at a time."""
 
         def errors(
             points: Sequence[CalibrationPoint],
         ) -> Iterator[Float[np.ndarray, "segments compared channels"]]:
             for start in range(0, len(points), batch):
                 some = [self.configs(point) for point in points[start : start + batch]]
-                # Padded, so that one compiled program is enough for all calls.
+                # Padded to a fixed size, so that one compiled program runs all calls.
                 models = stacked([*some, *some[-1:] * (batch - len(some))])
                 yield from np.asarray(_errors(models, segments))[: len(some)]
 

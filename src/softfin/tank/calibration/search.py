@@ -1,16 +1,16 @@
 """The two searches in the box of scaled coordinates, and how well the logs determine the result.
 
-CMA-ES searches the whole box, then least squares starts from its best point. The state of CMA-ES
-(Hansen 2016, arXiv:1604.00772) is not saved but recomputed: the same seed and the same losses lead
-to the same generation. The local search is SciPy's trust region, with the Jacobian from finite
-differences.
+CMA-ES (Hansen 2016, arXiv:1604.00772) searches the entire box, then least squares starts from its
+best point. A resumed run does not load the state of CMA-ES but recomputes it: the same seed and the
+same losses give the same generation. The local search is SciPy's trust region method with a
+Jacobian from finite differences.
 
-Standard errors come from a jackknife over blocks of time, in the linear model around the optimum:
-each block is left out once. Errors within a block may be correlated in any way, as model errors
-always are; blocks are assumed to be independent (Cameron and Miller 2015, J. Human Resources 50,
-317, sec. VI.B). No standard error is less than that for errors without correlation. A parameter at
-an end of its range is treated as fixed there, and one without any effect, such as a limit that is
-never reached, is left out.
+Standard errors are computed by a jackknife over blocks of time in the linear model around the
+optimum: each block is left out once. Errors within a block may have any correlation, which model
+errors always have; blocks are assumed to be independent (Cameron and Miller 2015, J. Human
+Resources 50, 317, sec. VI.B). The standard error for uncorrelated errors is a lower bound. A
+parameter at an end of its range is treated as fixed there. A parameter without any effect, such as
+a limit that is never reached, is excluded.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,14 +33,14 @@ ChannelWeights = Float[np.ndarray, "channels"]
 """Weights of the channels, with a sum of 1."""
 
 FAILED = 1e3
-"""Loss of a tank whose readings are not finite: worse than any other."""
+"""Loss of a tank whose readings are not finite; higher than any other loss."""
 
 DIFFERENCE = 2e-3
-"""Step of the finite differences in scaled coordinates: far above float32 round-off, far below any
-curvature."""
+"""Step of the finite differences in scaled coordinates. It is much larger than float32 round-off
+and too small for curvature to matter."""
 
 GAIN = 1e-6
-"""The search ends when a step lowers the loss by less than this fraction: small compared with one
+"""Relative decrease of the loss below which the local search ends; it is small compared with one
 over the number of samples."""
 
 
@@ -52,10 +52,19 @@ def search(
     seed: int,
     report: Callable[[int, Losses], None] = lambda done, losses: None,
 ) -> CalibrationPoint:
-    """Return the best point that was tried; `losses` are those already known, and NaN after them.
+    """Run the global search and return the best point.
 
-    `report` is called with the generations done and all losses so far. Raises RunError if no tank
-    of a generation has finite readings.
+    Args:
+        loss: Function from the points of a generation to their losses.
+        start: Initial mean.
+        step: Initial standard deviation in scaled coordinates.
+        losses: Losses of the generations already run; NaN in all later rows.
+        seed: Seed of the search.
+        report: Function called after each new generation with the number of generations and all
+            losses so far.
+
+    Raises:
+        RunError: no tank of a generation produced finite readings.
     """
     random = named_generator(seed, "calibrate/search")
     strategy = cma_es(
@@ -70,7 +79,8 @@ def search(
             found = loss(points)
             if not np.isfinite(found).any():
                 raise RunError(
-                    "calibrate: no tank of a generation has finite readings; narrow `parameters`"
+                    "calibrate: no tank in this generation produced finite readings; narrow "
+                    "`parameters`"
                 )
             row[:] = np.where(np.isfinite(found), found, FAILED)
             report(generation + 1, losses)
@@ -85,18 +95,18 @@ def misfits(
     errors: Errors, points: Sequence[CalibrationPoint]
 ) -> Float[np.ndarray, "points channels"]:
     """Return 1 - R2 of each point and channel; not finite if a tank's readings are not."""
-    return np.stack(
-        [np.mean(np.square(each, dtype=np.float64), axis=(0, 1)) for each in errors(points)]
-    )
+    rows = [np.mean(np.square(error, dtype=np.float64), axis=(0, 1)) for error in errors(points)]
+    return np.stack(rows)
 
 
 class Linear(NamedTuple):
-    """A linear model around a point: residuals, weighted so that the sum of their squares is the
-    loss, and their derivatives."""
+    """A linear model of the residuals around a point."""
 
     point: CalibrationPoint
     residuals: Float[np.ndarray, "segments compared channels"]
+    """Errors, weighted so that the sum of their squares is the loss."""
     jacobian: Float[np.ndarray, "parameters segments compared channels"]
+    """Derivatives of the residuals with respect to the scaled coordinates."""
 
     @property
     def loss(self) -> float:
@@ -112,8 +122,8 @@ class Linear(NamedTuple):
 
 
 def linearised(errors: Errors, point: CalibrationPoint, weights: ChannelWeights) -> Linear:
-    """Return the linear model around a point; central differences inside the box, one-sided ones at
-    its faces."""
+    """Return the linear model around a point, from central differences inside the box and one-sided
+    differences on its faces."""
     steps = DIFFERENCE * np.eye(len(point))
     up = np.clip(point + steps, 0.0, 1.0)
     down = np.clip(point - steps, 0.0, 1.0)
@@ -132,8 +142,15 @@ def polish(
     iterations: int,
     report: Callable[[int, float], None] = lambda iteration, loss: None,
 ) -> Linear:
-    """Return the linear model around the best point reached from `start` within
-    `iterations` steps."""
+    """Run the local search and return the linear model around its result.
+
+    Args:
+        errors: Function that simulates points.
+        start: Initial point.
+        weights: Weights of the channels.
+        iterations: Maximum number of steps.
+        report: Function called after each step with its number and the lowest loss so far.
+    """
     tried: list[float] = []
 
     def residuals(point: CalibrationPoint) -> Float[np.ndarray, "samples"]:
@@ -145,14 +162,14 @@ def polish(
         return np.asarray(weighted)
 
     def slopes(point: CalibrationPoint) -> Float[np.ndarray, "samples parameters"]:
-        # Next to the last tank with finite readings there may be none.
+        # A neighbour of a tank with finite readings may have none.
         jacobian = np.nan_to_num(
             linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0
         )
         return np.asarray(jacobian.reshape(len(point), -1).T, np.float64)
 
-    # Dogbox, because the best point may lie on a face of the box, which the other methods never
-    # reach.
+    # SciPy's other method with bounds, trf, only approaches the faces of the box, but the optimum
+    # may lie on one.
     found = least_squares(
         residuals,
         start,
@@ -167,48 +184,55 @@ def polish(
 
 
 def _scale(errors: np.ndarray, weights: ChannelWeights) -> Float[np.ndarray, "channels"]:
+    """Return sqrt(weight / samples per channel), so that the sum of squares is the loss."""
     return np.asarray(np.sqrt(weights / (errors.size / len(weights))), np.float32)
 
 
 TRADING = 0.9
-"""Correlation from which on two parameters are reported as a trade-off."""
+"""Correlation above which two parameters are reported as a trade-off."""
 
 VERDICTS = (("well", 0.1), ("roughly", 0.5), ("poorly", np.inf))
-"""Verdict by the remaining uncertainty: standard error divided by the deviation of the whole
+"""Verdicts by remaining uncertainty: standard error divided by the standard deviation of the
 range."""
 
 IDLE = 1e-4
-"""Diagonal of J^T J below which a parameter does nothing that float32 differences could tell from
-round-off."""
+"""Diagonal element of J^T J below which the effect of a parameter cannot be distinguished from
+float32 round-off."""
 
 FARTHEST = 10.0
-"""Largest ends of an interval, in widths of the range: the error of an undetermined parameter would
-overflow."""
+"""Bound on the ends of an interval in scaled coordinates; without it, the value of an undetermined
+parameter could overflow."""
 
 RANGE_DEVIATION = 1 / np.sqrt(12)
-"""Standard deviation of a uniform draw from 0 .. 1."""
+"""Standard deviation of a uniform distribution on [0, 1]."""
 
 
 def determination(
     linear: Linear, block_ticks: int, parameters: tuple[Parameter, ...]
 ) -> JsonObject:
-    """Return ``parameters`` by name, ``trades`` of pairs, and the number of ``blocks``."""
+    """Estimate how well the logs determine the parameters.
+
+    Returns:
+        ``parameters`` by name, ``trades`` between pairs of them, and the number of ``blocks``.
+    """
     normal, gradient = linear.normal()
     at = linear.point
+    # At an end of its range, and the loss would decrease outside.
     low = (at <= DIFFERENCE) & (gradient > 0)
     high = (at >= 1 - DIFFERENCE) & (gradient < 0)
     idle = np.diag(normal) < IDLE
     free = np.flatnonzero(~(low | high | idle))
     values, directions = np.linalg.eigh(normal[np.ix_(free, free)])
-    # Along a direction without any slope the error is huge but not infinite.
+    # The pseudo-inverse N^-1 of N = J^T J, with eigenvalues bounded from below: in a direction
+    # without any effect the error becomes huge but not infinite.
     least = 1e-12 * max(float(values.max(initial=0.0)), 1e-12)
     inverse = directions / np.maximum(values, least) @ directions.T
     jacobian = linear.jacobian[free].astype(np.float64)
     residuals = linear.residuals.astype(np.float64)
     count_within = max(residuals.shape[1] // block_ticks, 1)
-    # How far the estimate moves without one block b: with N = J^T J and what the block adds to it,
-    # (1 - N^-1 J_b^T J_b) move = N^-1 J_b^T r_b. Least squares, because without the only block that
-    # determines a parameter its estimate is arbitrary.
+    # The estimate moves if block b is left out. With N = J^T J, of which the block contributes
+    # J_b^T J_b, (1 - N^-1 J_b^T J_b) move = N^-1 J_b^T r_b. This is solved by least squares,
+    # because the matrix is singular if only this block determines a parameter.
     moves = []
     for ticks in np.array_split(np.arange(residuals.shape[1]), count_within):
         for segment in range(len(residuals)):
@@ -216,11 +240,13 @@ def determination(
             left = np.eye(free.size) - inverse @ slopes @ slopes.T
             right = inverse @ slopes @ residuals[segment, ticks].reshape(-1)
             moves.append(np.linalg.lstsq(left, right, rcond=1e-9)[0])
+    # The jackknife estimate: covariance = (B - 1) / B * sum over blocks of move move^T.
     moved = np.asarray(moves)
     covariance = moved.T @ moved * (len(moves) - 1) / len(moves)
 
     jackknife = np.sqrt(np.diag(covariance))
-    # Without correlation, each channel's variance is that of its own errors.
+    # For uncorrelated errors with variance s_c^2 in channel c, the variance of the estimate is the
+    # sum of (N^-1 J^T)^2 s_c^2 over all residuals.
     shares = (inverse @ jacobian.reshape(free.size, -1)).reshape(jacobian.shape)
     uncorrelated = (shares**2 * np.mean(residuals**2, axis=(0, 1))).sum(axis=(1, 2, 3))
     error = np.full(len(parameters), np.nan)
@@ -257,7 +283,7 @@ def _row(parameter: Parameter, at: float, error: float, undetermined: str | None
     }
     if undetermined is None:
         left = float(error / RANGE_DEVIATION)
-        # 1.96 standard deviations to either side hold 95% of a normal distribution.
+        # 95% of a normal distribution is within 1.96 standard deviations of the mean.
         ends = np.clip(at + 1.96 * np.array([-error, error]), -FARTHEST, FARTHEST)
         row["standard_error"] = float(error * parameter.slope(at))
         row["interval"] = [parameter.value(float(end)) for end in ends]
