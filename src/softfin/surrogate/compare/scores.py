@@ -160,7 +160,7 @@ def _free_run(
     mean = Reading(
         each.time[..., 0], each.angle.mean(-1), each.velocity.mean(-1), each.force.mean(-2)
     )
-    return mean, each.force
+    return mean, jnp.asarray(each.force)
 
 
 def _rows(record: Record, begin: int, end: int) -> Record:
