@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from dtaidistance import dtw
 from jaxtyping import Array, Float, PRNGKeyArray
