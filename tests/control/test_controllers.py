@@ -133,7 +133,8 @@ def test_a_reference_outside_is_refused_with_the_nearest_cell() -> None:
     ):
         controller_of(GRID_RUN, 3).check((3.0, 2.0))
     with pytest.raises(
-        CoverageError, match=r"\(5, 0\) N: 1.5 N outside what .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)"
+        CoverageError,
+        match=r"\(5, 0\) N: 1.5 N outside the range that .* \(x 0.5 .. 3.5, y -1.5 .. 1.5 N\)",
     ):
         controller_of(SINGLE_RUN, 3).check((5.0, 0.0))
 

@@ -81,7 +81,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "single",
             lambda f: edit(f, task={"past_actions": 5}),
-            r"net.lstm.kernel has shape .* needs \(15",
+            r"net.lstm.kernel has shape .* requires \(15",
         ),
         (
             "gaits",

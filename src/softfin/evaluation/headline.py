@@ -79,7 +79,9 @@ def headline(results: RunResults) -> Headline | None:
     return Headline(name, f"{sentence}.", caption, not too_far and not still)
 
 
-def _missed_references(rows: Sequence[ReferenceScores]) -> dict[tuple[float, ...], float]:
+def _missed_references(
+    rows: Sequence[ReferenceScores],
+) -> dict[tuple[float | int, ...], float | int]:
     """Return the references with an error above `SETTLED_N`, with the error [N]."""
     errors = {}
     for row in rows:
