@@ -96,7 +96,8 @@ def test_test_logs_in_which_nothing_is_measured_are_refused():
         reading=log.reading._replace(force=abs(log.reading.force) * np.float32([1, 0]))
     )
     with pytest.raises(
-        LogError, match="test logs: column force_y_n is 0 in every row, so that no prediction"
+        LogError,
+        match="test logs: column force_y_n is 0 in every row, so its predictions cannot be scored",
     ):
         table_one(streaming.surrogate(), [still])
 

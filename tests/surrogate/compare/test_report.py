@@ -41,7 +41,7 @@ def test_traces_show_what_was_measured_and_what_each_group_predicted():
             np.testing.assert_array_equal(
                 shown[group.row["name"]].get_ydata(), group.reading.force[segment, :, index]
             )
-    assert axes[1].get_xlabel() == "time since the surrogate began to run free [s]"
+    assert axes[1].get_xlabel() == "time since the start of the free run [s]"
 
 
 def test_errors_stand_over_their_horizons_with_intervals_and_the_noise_floor():

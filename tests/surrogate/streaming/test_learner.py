@@ -144,7 +144,7 @@ def test_two_calls_are_one_compiled_program(learner, monkeypatch):
             "free_running=[0.8, 0.2]",
             r"two fractions from 0 to 1 in ascending order, e\.g\. 0\.2, 0\.8",
         ),
-        ("free_running=[0.5, 1.2]", r"two parts of the training in order"),
+        ("free_running=[0.5, 1.2]", r"two fractions from 0 to 1 in ascending order"),
         ("members=0", r"members = 0: Input should be greater than 0"),
         ("force.unit=3", r"did you mean 'units'"),
         ("force.mirror=false", r"force\.mirror = False: Input should be True"),

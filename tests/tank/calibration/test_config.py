@@ -103,7 +103,7 @@ def test_parameters_are_given_by_dotted_names_or_by_groups_and_freed_or_fixed_by
         ({"sail.area": (0.1, 0.4)}, "unknown parameter 'sail.area'; did you mean '"),
         (
             {"fin.length_m": (0.4, 0.1)},
-            r"parameters.fin.length_m = \[0.4, 0.1\]: write \[low, high\]",
+            r"parameters.fin.length_m = \[0.4, 0.1\]: use \[low, high\]",
         ),
     ],
 )

@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from dtaidistance import dtw
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Float, PRNGKeyArray
 
 from softfin.core.action_clock import WINDOW
 from softfin.core.errors import LogError
@@ -147,7 +147,7 @@ def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[
 @eqx.filter_jit
 def _free_run(
     plant: Plant, states: State, commands: Command
-) -> tuple[Reading, Float[Array, "segments ticks members 2"] | None]:
+) -> tuple[Reading, Float[AnyArray, "segments ticks members 2"] | None]:
     """Return the reading, with fields ``(segments, ticks)``, and the forces of an ensemble's
     members."""
     if not isinstance(plant, EnsemblePlant):
