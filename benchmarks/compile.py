@@ -61,6 +61,8 @@ def stages(surrogate: Path) -> list[Stage]:
                 str(surrogate),
                 "--controller",
                 "single",
+                "--range",
+                "paper",
                 "--algorithm",
                 "gradient",
                 "--out",

@@ -37,7 +37,7 @@ RECORDING = "recordings/minute.csv"
 
 MAKING = {
     "run": "softfin reproduce --preset demo --plant tank --out run",
-    "grid": "softfin train run/surrogate --controller grid --algorithm gradient --map run/map "
+    "grid": "softfin train run/surrogate --controller grid --range paper --algorithm gradient --map run/map "
     "--out grid",
     "minute": "softfin collect --plant tank --logs 1 --test-logs 0 --rows 6000 --seed 60 --out "
     "minute",

@@ -71,7 +71,8 @@ def judged(
     trained = out / "controllers"
     force_map = out.parent / f"map-{len(clock.ticks)}-hz"
     if kind == "gaits" and not trained.exists():
-        softfin(whole, "train", str(surrogate), "--controller", "gaits", "--out", str(trained))
+        given = ("--controller", "gaits", "--range", "paper", "--out", str(trained))
+        softfin(whole, "train", str(surrogate), *given)
     if kind == "single" and not force_map.exists():
         softfin(whole, "map", str(surrogate), "--set", f"box={BOX}", "--out", str(force_map))
     if kind == "single" and not trained.exists():
@@ -83,6 +84,8 @@ def judged(
             str(surrogate),
             "--controller",
             "single",
+            "--range",
+            "paper",
             "--algorithm",
             "gradient",
             "--set",

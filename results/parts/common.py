@@ -155,13 +155,13 @@ def paper(seed: int) -> Step:
 
 
 CONTROLLERS = {
-    "gaits": ("--controller gaits", 0.8),
-    "single": ("--controller single --algorithm gradient", 1.5),
-    "grid": ("--controller grid --algorithm gradient", 1.5),
-    "single-ppo": ("--controller single --algorithm ppo", 0.7),
-    "grid-ppo": ("--controller grid --algorithm ppo", 1),
-    "single-hindsight": ("--controller single --algorithm ppo-hindsight", 0.7),
-    "grid-hindsight": ("--controller grid --algorithm ppo-hindsight", 1),
+    "gaits": ("--controller gaits --range paper", 0.8),
+    "single": ("--controller single --algorithm gradient --range paper", 1.5),
+    "grid": ("--controller grid --algorithm gradient --range paper", 1.5),
+    "single-ppo": ("--controller single --algorithm ppo --range paper", 0.7),
+    "grid-ppo": ("--controller grid --algorithm ppo --range paper", 1),
+    "single-hindsight": ("--controller single --algorithm ppo-hindsight --range paper", 0.7),
+    "grid-hindsight": ("--controller grid --algorithm ppo-hindsight --range paper", 1),
 }
 """Ways to a controller: options of `softfin train`, and minutes."""
 

@@ -256,7 +256,7 @@ def choices(seeds: Sequence[int]) -> Part:
         trained[name] = [
             train(name, f"{CONTROLLERS[kind][0]} {options}", "published", seed, 2) for seed in seeds
         ]
-    options = "softfin train published --controller gaits --set gaits.halvings=0"
+    options = "softfin train published --controller gaits --range paper --set gaits.halvings=0"
     trained["coarse-gaits"] = [step("coarse-gaits-published", options, 1, tiny=TINY["gaits"])]
     for name, those in trained.items():
         judged[name] = [evaluate(each, "published", "judged", JUDGED, 0.5) for each in those]

@@ -44,9 +44,9 @@ def folders(tmp_path_factory):
             "test log 0: 340 rows; the warm-up of 12 rows and a horizon of 30 s need 3012; record "
             "longer test logs",
         ),
-        (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not numbers"),
+        (["s0", "--horizons", "1,,2"], "--horizons 1,,2: not a list of numbers"),
         (["s0", "--horizons", "nan"], "horizons.0 = nan"),
-        (["s0", "--horizons", "0,1"], "horizons are at least 0.1 s"),
+        (["s0", "--horizons", "0,1"], "horizons must be at least 0.1 s"),
         (
             ["s0", "--horizons", "1", "--noise-floor", "pool"],
             "plant pool: unknown (does not exist)",

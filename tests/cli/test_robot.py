@@ -112,7 +112,7 @@ def test_view_writes_a_page(capsys, tmp_path):
     [
         (("check", "ucat", "--task", "hold"), "--task: unknown option"),
         (("view", "--task", "wrenches"), "--task wrenches: must be one of hold, lemniscate"),
-        (("view", "ucat", "--out", "robot.gif"), "ends in .html"),
+        (("view", "ucat", "--out", "robot.gif"), "must end in .html"),
         (("evaluate", "nemo.yaml"), "nemo.yaml: file not found"),
         (("evaluate", "--set", "seeds=0"), "seeds"),
         (("evaluate", "--set", "hold_s=60"), "must be at least 90.34 s with settled_s = 30"),

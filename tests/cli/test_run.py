@@ -92,8 +92,8 @@ def test_nothing_moves_without_arm(controller, plant, emulated, tmp_path, capsys
     [
         (["--plant", "tank", *RUN], "plant tank: not a real fin; use rig"),
         (["--reference=1,1", "--reference-file", "x.csv"], "use either --reference=X,Y or"),
-        ([], "give --reference=X,Y or --reference-file"),
-        (["--reference=1,1", "--seconds", "0"], "--seconds 0: at least 1"),
+        ([], "use either --reference=X,Y or --reference-file"),
+        (["--reference=1,1", "--seconds", "0"], "--seconds 0: must be at least 1"),
         (["--reference=one,1"], "not a force; use X,Y"),
         (["--reference=nan,1"], "nan"),
     ],

@@ -2,72 +2,82 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from softfin.cli.controllers import TrainArguments, asked_cells, asked_seeds
+from softfin.cli.controllers import (
+    TrainArguments,
+    asked_cells,
+    asked_range,
+    asked_seeds,
+    missed_targets,
+)
 from softfin.core.errors import ConfigurationError
-from softfin.core.quantities import PAPER_LIMITS
-from softfin.gaits.force_map import MapConfig, save_map
 from softfin.gaits.reachable import Cell, bounding_box
-from softfin.task.references import PAPER_CELLS
-from tests.gaits.test_map_store import KNOWN
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE
+
+REACH = Cell(low=(0, -2), high=(4, 2))
+DEFAULT = (REACH,)
+"""Cells of a preset for all that a fin can make."""
 
 
-def test_a_lattice_fills_the_range() -> None:
-    cells = asked_cells("grid", "3x2", "-1,-2,2,2")
-    assert cells is not None
+def test_a_lattice_fills_the_range_or_else_the_reach() -> None:
+    within = Cell(low=(-1, -2), high=(2, 2))
+    for asked, filled in ((within, within), (None, REACH)):
+        cells = asked_cells("grid", "3x2", asked, DEFAULT) or ()
+        assert len(cells) == 6
+        assert bounding_box(cells) == filled
+
+
+def test_a_grid_over_a_range_has_six_cells() -> None:
+    within = Cell(low=(0, 0), high=(1, 2))
+    cells = asked_cells("grid", None, within, DEFAULT) or ()
     assert len(cells) == 6
-    assert bounding_box(cells) == Cell(low=(-1, -2), high=(2, 2))
+    assert bounding_box(cells) == within
 
 
-def test_a_single_controller_and_gaits_take_the_range_as_their_one_cell() -> None:
-    for controller in ("single", "gaits"):
-        assert asked_cells(controller, None, "0,0,1,2") == (Cell(low=(0, 0), high=(1, 2)),)
-        assert asked_cells(controller, None, None) is None
+def test_a_single_controller_takes_the_range_as_its_one_cell() -> None:
+    within = Cell(low=(0, 0), high=(1, 2))
+    assert asked_cells("single", None, within, DEFAULT) == (within,)
 
 
-def test_without_options_the_configuration_stands_and_paper_is_its_default() -> None:
-    assert asked_cells("grid", None, None) is None
-    assert asked_cells("grid", "paper", None) == PAPER_CELLS
+def test_without_options_the_cells_are_those_of_preset_or_file() -> None:
+    for controller in ("single", "grid"):
+        assert asked_cells(controller, None, None, DEFAULT) is None
+    assert asked_cells("grid", "paper", None, DEFAULT) == PAPER_CELLS
+
+
+def test_a_range_is_the_papers_or_numbers_or_all_that_the_fin_can_make() -> None:
+    assert asked_range("paper") == PAPER_RANGE
+    assert asked_range("0,0,1,2") == Cell(low=(0, 0), high=(1, 2))
+    assert asked_range("map") is asked_range(None) is None
 
 
 @pytest.mark.parametrize(
-    ("controller", "cells", "span", "message"),
+    ("cells", "within", "message"),
     [
         (
-            "single",
-            "3x3",
-            None,
-            "--cells 3x3: single has no cells; use --range, or --controller grid",
+            "paper",
+            Cell(low=(0, 0), high=(1, 1)),
+            r"--range x 0 .. 1, y 0 .. 1 N: the cells \(paper\) have fixed positions \(x 0.5 ",
         ),
-        (
-            "grid",
-            None,
-            "0,0,1,1",
-            r"--range 0,0,1,1: the cells \(paper\) have fixed positions \(x 0.5 .. 3.5",
-        ),
-        ("grid", "0x3", None, "--cells 0x3: 0 cells"),
-        ("grid", "3x3", "0,0,nan,1", "--range 0,0,nan,1: high.0"),
+        ("0x3", None, "--cells 0x3: 0 cells"),
     ],
 )
 def test_what_does_not_go_together_is_refused(
-    controller: str, cells: str, span: str, message: str
+    cells: str, within: Cell | None, message: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        asked_cells(controller, cells, span)
+        asked_cells("grid", cells, within, DEFAULT)
 
 
-def test_a_range_of_map_is_the_box_round_all_that_the_fin_can_make(tmp_path: Path) -> None:
-    save_map(tmp_path / "map", KNOWN, MapConfig(), PAPER_LIMITS, {})
-    low, high = KNOWN.reachable.bounds()
-    (cell,) = asked_cells("single", None, "map", tmp_path / "map") or ()
-    np.testing.assert_allclose([cell.low, cell.high], [low, high], atol=1e-4)
+def test_cells_without_a_grid_are_refused_before_anything_is_computed() -> None:
+    with pytest.raises(ConfigurationError, match="--cells 3x3: single has no cells; use --range"):
+        TrainArguments(surrogate="tank", out=Path("out"), cells="3x3").check()
 
 
-def test_a_range_of_map_needs_the_map() -> None:
-    with pytest.raises(ConfigurationError, match="--range map: requires a map; add --map DIR"):
-        TrainArguments(surrogate="tank", out=Path("out"), range="map").check()
+def test_a_range_that_is_not_four_numbers_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"--range 0,0,nan,1: high\.0"):
+        asked_range("0,0,nan,1")
 
 
 def test_seeds_are_a_number_or_a_list() -> None:
@@ -88,3 +98,11 @@ def test_seeds_are_a_number_or_a_list() -> None:
 def test_seeds_that_are_none_are_refused(first: int, text: str, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         asked_seeds(first, text)
+
+
+def test_a_controller_that_misses_its_targets_is_not_written_without_a_warning() -> None:
+    near = {"error_n": [0.01, 0.02], "tracked_reference_n": [0.2, 0.1]}
+    far = {"error_n": [0.2, 0.2], "tracked_reference_n": [0.2, 0.1]}
+    assert missed_targets([near, near]) == []
+    (warning,) = missed_targets([near, far, far])
+    assert warning.startswith("warning: the errors are 87% of the target forces")

@@ -215,7 +215,7 @@ def test_the_errors_shown_are_means_over_the_actions_of_all_fins() -> None:
 def test_a_policy_that_begins_as_gaits_must_observe_the_phase() -> None:
     with pytest.raises(
         ConfigurationError,
-        match=r"task\.phase is false, and a policy that begins as gaits observes",
+        match=r"task\.phase is false, but a policy that starts from gaits must observe",
     ):
         GRADIENT_SINGLE.changed(["task.phase=false"])
     assert not GRADIENT_SINGLE.changed(

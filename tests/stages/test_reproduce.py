@@ -49,7 +49,7 @@ def test_what_several_controllers_warn_of_is_said_once():
 def test_experiments_that_a_reproduction_does_not_do_are_refused(asked):
     (name,) = asked
     with pytest.raises(
-        ConfigurationError, match=rf"evaluate\.{name} is set; .* leave it out; .* softfin evaluate"
+        ConfigurationError, match=rf"evaluate\.{name} is set, .* omit it, .* softfin evaluate"
     ):
         ReproduceConfig.build({"evaluate": asked})
 
@@ -76,7 +76,7 @@ def test_gaits_alone_are_mapped_over_the_papers_range_unless_they_have_a_box():
 
 
 def test_a_run_without_a_controller_is_refused():
-    with pytest.raises(ConfigurationError, match="gaits, single and grid are null"):
+    with pytest.raises(ConfigurationError, match="gaits, single and grid are all null"):
         ReproduceConfig.build({"single": None, "grid": None})
 
 

@@ -206,7 +206,7 @@ def test_a_plant_may_know_its_true_force():
         (Backwards(), "angle_min < angle_max"),
         (
             StrictFin(Limits(0.2, 2.8, 1.0, 2.0)),
-            "angle 0, at which a fin rests, must be within them; count all angles",
+            "angle 0, at which a fin rests, must be within them; measure all angles",
         ),
         (
             Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))),

@@ -132,8 +132,8 @@ def test_a_file_that_is_no_grid_is_refused_in_one_line(
         ("0x3", "--cells 0x3: 0 cells; use 1 to 1024 cells, at least one along each axis"),
         ("99x99", "--cells 99x99: 9801 cells"),
         ("3x", "--cells 3x: must be paper, a grid such as 3x3 .* or a .yaml file"),
-        ("-1x3", "--cells -1x3: neither"),
-        ("", "--cells : neither"),
+        ("-1x3", "--cells -1x3: must be paper, a grid such as 3x3"),
+        ("", "--cells : must be paper, a grid such as 3x3"),
         ("nowhere.yaml", "nowhere.yaml: cannot be read"),
     ],
 )
@@ -158,7 +158,7 @@ def test_a_range_is_four_numbers() -> None:
     ("text", "message"),
     [
         ("1,2,3", "--range 1,2,3: must be four numbers X0,Y0,X1,Y1"),
-        ("1,2,3,x", "not four numbers"),
+        ("1,2,3,x", "must be paper or four numbers"),
         ("nan,0,1,1", "--range nan,0,1,1: low.0.* = nan: .* finite"),
         ("2,0,1,1", "--range 2,0,1,1: low .* must not be greater than high"),
     ],

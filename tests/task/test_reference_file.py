@@ -126,7 +126,7 @@ def test_a_log_of_softfin_begins_a_tick_late_and_is_read(tmp_path):
 
 def test_milliseconds_are_not_taken_for_seconds(tmp_path):
     with pytest.raises(
-        ConfigurationError, match=r"time_s up to 2000 makes 4000 s; .* divide by 1000 if"
+        ConfigurationError, match=r"time_s up to 2000 makes 4000 s, .* divide by 1000 if"
     ):
         read_reference_file(written(tmp_path, HEAD + "0,1,0\n2000,2,0\n"))
 
@@ -140,5 +140,5 @@ def test_a_reference_of_more_rows_than_an_hour_has_is_refused(tmp_path, monkeypa
         pq.write_table(pa.table(columns), tmp_path / name)
     assert signals.MAX_REFERENCE_ROWS == 360_000
     monkeypatch.setattr(signals, "MAX_REFERENCE_ROWS", 100)
-    with pytest.raises(ConfigurationError, match="has 101 rows; 1 to 100 are followed"):
+    with pytest.raises(ConfigurationError, match="has 101 rows; it must have 1 to 100"):
         read_reference_file(tmp_path / name)

@@ -68,7 +68,7 @@ def test_the_last_force_takes_as_long_as_the_one_before(times, seconds):
             {"time_s": [0, 2, 2], "force_n": [[1, 1]] * 3},
             "time 2 s after 2 s; times must increase",
         ),
-        (Recorded, {"time_s": [1, 2], "force_n": [[1, 1]] * 2}, "first time is 1 s; begin at 0"),
+        (Recorded, {"time_s": [1, 2], "force_n": [[1, 1]] * 2}, "first time is 1 s; start at 0"),
         (Recorded, {"time_s": [0, 2], "force_n": [[1, 1]]}, "2 times and 1 forces"),
         (
             Ramp,

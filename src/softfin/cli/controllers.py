@@ -1,5 +1,7 @@
 """Commands that produce or export controllers: ``map``, ``train`` and ``export``."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,11 +23,18 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.gaits.reachable import Cell
+    from softfin.gaits.reachable import Cell, Cells
+    from softfin.learning.configuration import TrainConfig
 
 
 MAP = "map"
-"""Value of --range that selects all forces the fin can produce."""
+PAPER = "paper"
+"""Values of --range: all forces that the fin can produce, which is the default, and the paper's
+range."""
+
+
+MAX_ERROR_SHARE = 0.5
+"""Largest error of a useful controller, divided by its target forces."""
 
 
 class MapArguments(Configured):
@@ -45,17 +54,18 @@ class MapArguments(Configured):
             summary = map_forces(
                 self.plant, self.out, config, overwrite=self.overwrite, progress=report
             )
-        # Adding 0 turns -0.0 into 0.
+        # Two decimals for the paper's fin. Adding 0 turns -0.0 into 0.
+        decimals = 2 - math.floor(math.log10(summary["reach_n"]))
         (x0, y0), (x1, y1) = (
-            tuple(round(x, 2) + 0.0 for x in corner) for corner in summary["box_n"]
+            tuple(round(x, decimals) + 0.0 for x in corner) for corner in summary["box_n"]
         )
         beyond = ", ".join(f"({x:g}, {y:g})" for x, y in summary["beyond"]) or "none"
         warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
         self.tell(
             summary,
-            f"{self.out}: mean forces of x {x0:.2f} .. {x1:.2f} N and y {y0:.2f} .. {y1:.2f} N, "
-            f"area {summary['area_n2']:.1f} N2; {summary['held']} of the {summary['nodes']} forces "
-            f"on the grid have a gait that produces them to within {config.tolerance_n:g} N\n"
+            f"{self.out}: mean forces of x {x0:g} .. {x1:g} N and y {y0:g} .. {y1:g} N, "
+            f"area {summary['area_n2']:.3g} N2; {summary['held']} of the {summary['nodes']} forces "
+            f"on the grid have a gait that produces them to within {summary['tolerance_n']:g} N\n"
             f"references of the paper that this fin cannot reach: {beyond}{warning}",
         )
 
@@ -74,11 +84,11 @@ class TrainArguments(Configured):
     """gradient: gradients through the plant; ppo: LSTM-PPO as in the paper; ppo-hindsight: LSTM-PPO
     with relabelled references; auto: gradient if the plant is differentiable, else ppo."""
     cells: Annotated[str, Option("CELLS")] | None = None
-    """Cells of the grid: paper, a uniform grid over --range such as 3x3, or a .yaml file of boxes
-    (default: paper)."""
+    """Cells of the grid: a uniform grid over --range such as 3x3, a .yaml file of boxes, or paper
+    (default: 2x3)."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
-    """Range of reference forces [N], or map for all forces in --map (default:
-    0.5,-1.5,3.5,1.5)."""
+    """Range of target forces [N], or paper for 0.5,-1.5,3.5,1.5 (default: all forces that the fin
+    can produce)."""
     map: Annotated[Path, folder_option("map")] | None = None
     """Folder of this surrogate's map, written by softfin map (default: compute one)."""
     steps: int | None = None
@@ -99,14 +109,15 @@ class TrainArguments(Configured):
     def check(self) -> None:
         """Reject options that exclude each other."""
         asked_seeds(self.seed, self.seeds)
-        if self.range == MAP and self.map is None:
-            raise ConfigurationError(
-                "--range map: requires a map; add --map DIR, a folder written by softfin map"
-            )
-        if self.range not in (None, MAP):
+        if self.range not in (None, MAP, PAPER):
             read_range(self.range)
         if self.cells is not None:
             read_cells(self.cells)
+            if self.controller != "grid":
+                raise ConfigurationError(
+                    f"--cells {self.cells}: {self.controller} has no cells; use --range, or "
+                    "--controller grid"
+                )
         trained = ("algorithm", "seeds", "steps", "resume", "engine", "cluster")
         useless = [f"--{name}" for name in trained if name in self.model_fields_set]
         if self.controller == "gaits" and useless:
@@ -117,20 +128,18 @@ class TrainArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
-        from softfin.learning.configuration import choose_preset
+        from softfin.gaits.gait import GaitTable
+        from softfin.gaits.reachable import PAPER_SIZED, Reachable
+        from softfin.learning.configuration import TrainConfig, choose_preset, fit_to_reach
         from softfin.stages.controllers import find_gaits, train
         from softfin.storage.registry import find_plant
-        from softfin.task.references import PAPER_RANGE
 
-        cells = asked_cells(self.controller, self.cells, self.range, self.map)
+        within = asked_range(self.range)
         seeds = asked_seeds(self.seed, self.seeds)
         if self.controller == "gaits":
-            box = None if cells is None else cells[0].model_dump()
-            lattice = self.configured(MapConfig(box=PAPER_RANGE), box=box)
+            lattice = self.configured(MapConfig(), box=within and within.model_dump())
             # With a map, a changed grid is passed on only so that `find_gaits` rejects it.
-            given = (
-                None if self.map is not None and lattice == MapConfig(box=PAPER_RANGE) else lattice
-            )
+            given = None if self.map is not None and lattice == MapConfig() else lattice
             with progress() as report:
                 find_gaits(
                     self.surrogate,
@@ -142,9 +151,18 @@ class TrainArguments(Configured):
                 )
             return self._tell((0,))
         # Each algorithm has its own defaults, so it is chosen before other options apply.
-        begin, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
-        config = self.configured(begin, cells=cells)
-        if config.algorithm != begin.algorithm:
+        preset, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
+
+        def configure(reachable: Reachable, table: GaitTable | None = None) -> TrainConfig:
+            return self._with_cells(fit_to_reach(preset, reachable, table), within)
+
+        # Wrong options are reported before the search for the reach, which takes a minute.
+        config: TrainConfig = configure(PAPER_SIZED)
+        # Without --cells, --range paper means the cells of the preset: the paper's.
+        fixed = self._with_cells(preset, within if self.cells else None)
+        # A file with cells in newtons does not depend on the reach.
+        is_fixed = self._is_paper or self._with_cells(preset, None).cells != preset.cells
+        if config.algorithm != preset.algorithm:
             raise ConfigurationError(
                 f"algorithm = {config.algorithm}: other defaults depend on the algorithm; use "
                 f"--algorithm {config.algorithm}"
@@ -153,7 +171,7 @@ class TrainArguments(Configured):
             train(
                 self.surrogate,
                 self.out,
-                config,
+                fixed if is_fixed else configure,
                 force_map=self.map,
                 seeds=seeds,
                 engine=self.engine,
@@ -165,9 +183,19 @@ class TrainArguments(Configured):
             )
         return self._tell(seeds)
 
+    @property
+    def _is_paper(self) -> bool:
+        """Whether the references are the paper's, whatever the fin can produce."""
+        return self.range == PAPER or (self.cells == PAPER and self.range is None)
+
+    def _with_cells(self, preset: "TrainConfig", within: "Cell | None") -> "TrainConfig":
+        """Return a preset with the given cells and settings."""
+        cells = asked_cells(self.controller, self.cells, within, preset.cells)
+        return self.configured(preset, cells=cells)
+
     def _tell(self, seeds: tuple[int, ...]) -> None:
         """Print the scores of each controller."""
-        from softfin.cli.tables import aligned, format_reference_errors
+        from softfin.cli.tables import aligned, force_decimals, format_reference_errors
         from softfin.learning.policy import describe_memory
 
         gaits = self.controller == "gaits"
@@ -179,19 +207,38 @@ class TrainArguments(Configured):
             description = load_description(folder, "controller")
             own: JsonObject = {"seed": seed} if several else {}
             results.append(own | {"controller": str(folder), "scores": description["scores"]})
+            scores = description["scores"]
             rows = [
                 ["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]
             ]
-            for row in description["scores"]:
+            decimals = force_decimals([row["reference_n"] for row in scores])
+            for row in scores:
                 x, y = row["reference_n"]
-                error = (
-                    f"{row['missed_n']:.3f}" if gaits else "{:.3f}, {:.3f}".format(*row["error_n"])
+                errors = [row["missed_n"]] if gaits else row["error_n"]
+                rows.append(
+                    [
+                        f"({x:5.{decimals}f}, {y:5.{decimals}f})",
+                        ", ".join(f"{error:.{decimals + 1}f}" for error in errors),
+                        format_reference_errors(row, decimals).strip(),
+                    ]
                 )
-                rows.append([f"({x:5.2f}, {y:5.2f})", error, format_reference_errors(row).strip()])
             footprint = [] if gaits else [describe_memory(description["memory"])]
             head = f"{folder}: evaluated in {self.surrogate}, without exploration noise"
-            texts.append("\n".join([head, *aligned(rows, (0, 1, 2)), *footprint]))
+            warning = [] if gaits else missed_targets(scores)
+            texts.append("\n".join([head, *aligned(rows, (0, 1, 2)), *footprint, *warning]))
         self.tell({"controllers": results} if several else results[0], "\n\n".join(texts))
+
+
+def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
+    """Return a warning if the errors are larger than half the target forces."""
+    error = sum(math.hypot(*row["error_n"]) for row in scores)
+    target = sum(math.hypot(*row["tracked_reference_n"]) for row in scores)
+    if error <= MAX_ERROR_SHARE * target:
+        return []
+    return [
+        f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
+        "does not reach them; check training/learning.svg in its folder, and train it longer"
+    ]
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
@@ -217,33 +264,36 @@ def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:
     return numbers
 
 
-def asked_cells(
-    controller: str, cells: str | None, span: str | None, force_map: Path | None = None
-) -> "tuple[Cell, ...] | None":
-    """Return the cells selected by ``--cells`` and ``--range``: one cell unless the controller is a
-    grid; None if neither option is set.
+def asked_range(span: str | None) -> "Cell | None":
+    """Return the range of ``--range``; None for all forces that the fin can produce."""
+    from softfin.task.references import PAPER_RANGE, parse_range
 
-    The range `map` is the bounding box of the reachable forces; training replaces unreachable
-    references by the nearest reachable ones.
+    if span in (None, MAP):
+        return None
+    return PAPER_RANGE if span == PAPER else parse_range(span)
+
+
+def asked_cells(
+    controller: str, cells: str | None, within: "Cell | None", default: "Cells"
+) -> "Cells | None":
+    """Return the cells of ``--cells`` and ``--range``, one cell unless the controller is a grid.
+
+    None if neither is given. A uniform grid fills the range, or else the bounding box of the
+    default cells.
     """
     from softfin.gaits.reachable import bounding_box
-    from softfin.task.references import parse_cells
+    from softfin.learning.configuration import GRID_SHAPE
+    from softfin.task.references import lattice, parse_cells
 
-    within = _range_cell(span, force_map)
     if controller != "grid":
-        if cells is not None:
-            raise ConfigurationError(
-                f"--cells {cells}: {controller} has no cells; use --range, or --controller grid"
-            )
-        return None if span is None else (within,)
-    if cells is None and span is None:
-        return None
-    found = parse_cells(cells or "paper", within)
-    if span is not None and bounding_box(found) != within:
+        return None if within is None else (within,)
+    if cells is None:
+        return None if within is None else lattice(*GRID_SHAPE, within)
+    found = parse_cells(cells, within or bounding_box(default))
+    if within is not None and bounding_box(found) != within:
         raise ConfigurationError(
-            f"--range {span}: the cells ({cells or 'paper'}) have fixed positions "
-            f"({bounding_box(found)}); omit --range, or use a grid that fills it, such as "
-            "--cells 3x3"
+            f"--range {within}: the cells ({cells}) have fixed positions ({bounding_box(found)}); "
+            "omit --range, or use a grid that fills it, such as --cells 3x3"
         )
     return found
 

@@ -1,12 +1,13 @@
 """Tables as text for a terminal: aligned columns, and the paper's two tables."""
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES
-from softfin.evaluation.headline import over_seeds
+from softfin.evaluation.headline import error_decimals, over_seeds
 from softfin.evaluation.paper import PAPER_PRINTED_MEANS, PAPER_TABLE_II
 from softfin.evaluation.results import EvaluationSummary, MeanScores
 from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
@@ -56,23 +57,27 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
     lines = []
     for name, summary in controllers.items():
         paper = PAPER_TABLE_II.get(name, {})
+        decimals = error_decimals(summary)
         rows = [[f"Table II, {name}", *titles, *(("paper: x error", *titles[1:]) if paper else ())]]
         notes = [""]
         for row in summary["references"]:
             x, y = row["reference_n"]
             rows.append(
                 [
-                    f"  ({x:5.2f}, {y:5.2f}) N",
-                    *_scores(row),
+                    f"  ({x:5.{decimals - 1}f}, {y:5.{decimals - 1}f}) N",
+                    *_scores(row, decimals),
                     *map("{:.3f}".format, paper.get((x, y), ())),
                 ]
             )
-            notes.append(("  stands still" if row["still"] else "") + format_reference_errors(row))
+            notes.append(
+                ("  stands still" if row["still"] else "")
+                + format_reference_errors(row, decimals - 1)
+            )
         # The paper's mean only compares to a mean over the same references.
         references = {tuple(row["reference_n"]) for row in summary["references"]}
         complete = references == set(paper)
         means = PAPER_PRINTED_MEANS[name] if paper and complete else ()
-        rows.append(["  mean", *_scores(summary["mean"]), *map("{:.3f}".format, means)])
+        rows.append(["  mean", *_scores(summary["mean"], decimals), *map("{:.3f}".format, means)])
         lines += [line + note for line, note in zip(aligned(rows), [*notes, ""], strict=True)]
         lines.append(f"  {describe_errors(summary)}")
     return "\n".join(lines)
@@ -80,27 +85,48 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
 
 def describe_errors(summary: EvaluationSummary) -> str:
     """Return one line on which force the errors refer to, with the error of the readings if it
-    differs."""
+    differs, and the errors as a percentage of the fin's reach."""
     mean = summary["mean"]
+    reach_n = summary["conditions"].get("reach_n")
+    share = ""
+    if reach_n:
+        x, y = (100 * mean[axis]["error_n"] / reach_n for axis in AXES)
+        share = f"; {x:.2g}%, {y:.2g}% of the fin's reach of {reach_n:.2g} N"
     if summary["conditions"].get("judged_by") != "true force":
-        return "errors refer to the measured force; errors of the sensor itself are not visible"
+        return (
+            "errors are relative to the measured force; errors in the sensor itself do not show up"
+            + share
+        )
+    decimals = error_decimals(summary)
     x, y = (mean[axis]["reading_error_n"] for axis in AXES)
-    return f"errors refer to the true force; the mean error of the readings is {x:.3f}, {y:.3f} N"
+    return (
+        "errors are relative to the true force; the mean error of the readings is "
+        f"{x:.{decimals}f}, {y:.{decimals}f} N{share}"
+    )
 
 
-def _scores(row: MeanScores) -> list[str]:
+def _scores(row: MeanScores, decimals: int) -> list[str]:
     cells = []
     for axis in AXES:
         interval = row[axis]["error_interval_n"]
         errors = row[axis]["error_seeds_n"]
-        error = f"{row[axis]['error_n']:.3f} {over_seeds(interval, errors)}"
-        cells += [error.rstrip(), f"{row[axis]['std_n']:.3f}"]
+        error = f"{row[axis]['error_n']:.{decimals}f} {over_seeds(interval, errors, decimals)}"
+        cells += [error.rstrip(), f"{row[axis]['std_n']:.{decimals}f}"]
     return cells
 
 
-def format_reference_errors(row: Mapping[str, Any]) -> str:
+def format_reference_errors(row: Mapping[str, Any], decimals: int = 2) -> str:
     """Return a note if the controller tracks a force other than the requested one."""
     held = row.get("tracked_reference_n") or row["reference_n"]
-    if max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True)) < 1e-3:
+    change_n = max(abs(a - b) for a, b in zip(held, row["reference_n"], strict=True))
+    # Files contain rounded forces.
+    if change_n < 0.1 * 10.0**-decimals:
         return ""
-    return f"  unreachable: tracks ({held[0]:.2f}, {held[1]:.2f}) N instead"
+    x, y = (f"{force:.{decimals}f}" for force in held)
+    return f"  unreachable: tracks ({x}, {y}) N instead"
+
+
+def force_decimals(forces: Sequence[Sequence[float]]) -> int:
+    """Return the number of decimals of forces in a table: two for forces of a few newtons."""
+    largest = max(abs(force) for pair in forces for force in pair)
+    return max(2 - math.floor(math.log10(largest)), 0) if largest else 2

@@ -21,9 +21,9 @@ After zeroing, a sensor whose drift w(t) has the standard deviation drift_n and 
 drift_s reads w(t) - w(0). The variance of this is 2 drift_n^2 (1 - exp(-t / drift_s)), which is the
 variance of d.
 
-An error that drift cannot explain is a change of the fin and reopens the estimate of b. The inner
-reference stays within the controller's cells and the reachable forces, so the observer does not
-wind up at their edge.
+An error that drift cannot explain indicates a change in the fin and reopens the estimate of b. The
+inner reference stays within the controller's cells and the reachable forces, so the observer does
+not wind up at their edge.
 """
 
 import math
@@ -52,9 +52,20 @@ WINDOW_WEIGHTS = np.array(
 """Weights of the last six actions in the window, newest first, by age modulo 3."""
 
 
-class DisturbanceObserverConfig(Configuration):
-    """Configuration of the force feedback."""
+UNSTEADY = 3.0
+"""Change in the window's error within the last `UNSTEADY_ACTIONS`, divided by its noise, above
+which the fin counts as not settled."""
 
+UNSTEADY_ACTIONS = 3
+
+
+class DisturbanceObserverConfig(Configuration):
+    """Configuration of the force feedback, for a fin of the size of the paper's; forces of other
+    fins are proportional to their size."""
+
+    size: PositiveFloat | None = None
+    """Size of the fin relative to the paper's [-], by which all forces below are multiplied; None:
+    the size from the reach in the controller's file, or 1 if it contains none."""
     bias_n: PositiveFloat = 0.2
     """Prior standard deviation of the controller's force error [N]."""
     bias_per_n: NonNegativeFloat = 0.03
@@ -89,6 +100,16 @@ class DisturbanceObserverConfig(Configuration):
             )
         return self
 
+    def scaled(self, reachable: Reachable | None) -> "DisturbanceObserverConfig":
+        """Return the configuration with forces in newtons for a fin with this reach; its size is
+        1."""
+        size = self.size
+        if size is None:
+            size = 1.0 if reachable is None else reachable.size
+        forces = ("bias_n", "drift_n", "noise_n", "still_n", "limit_n")
+        changes: dict[str, float] = {name: getattr(self, name) * size for name in forces}
+        return self.model_copy(update={**changes, "size": 1.0})
+
 
 class DisturbanceObserverState(NamedTuple):
     """State of the observer and of the inner controller; series start with the newest value."""
@@ -107,6 +128,8 @@ class DisturbanceObserverState(NamedTuple):
     """Corrected references of the last actions [N]."""
     references: Array
     """Uncorrected references of the last actions [N]."""
+    errors: Array
+    """Window errors at the last actions (x, y) [N]."""
     age: Number
     """Number of actions since the start."""
 
@@ -118,8 +141,13 @@ class DisturbanceObserver:
     controller: Any
     """The inner controller, a `Controller`."""
     config: DisturbanceObserverConfig = field(default=DisturbanceObserverConfig(), metadata=STATIC)
+    """Configuration, whose forces are scaled to the fin when the observer is created."""
 
     def __post_init__(self) -> None:
+        # JAX creates the observer again inside a compiled program, where the reach has no value; by
+        # then the size is set.
+        if self.config.size is None:
+            object.__setattr__(self, "config", self.config.scaled(self.reachable))
         register_pytrees(type(self))
 
     @property
@@ -156,6 +184,7 @@ class DisturbanceObserver:
             forces=series[:CYCLE_ACTIONS],
             tracked=series,
             references=series,
+            errors=np.zeros((UNSTEADY_ACTIONS, 2)),
             age=0,
         )
 
@@ -184,6 +213,7 @@ class DisturbanceObserver:
             forces=forces,
             tracked=xp.concatenate([tracked[None], state.tracked[:-1]]),
             references=xp.concatenate([reference[None], state.references[:-1]]),
+            errors=xp.concatenate([error[None], state.errors[:-1]]),
             age=state.age + 1,
         ), command
 
@@ -196,12 +226,12 @@ class DisturbanceObserver:
         # Predict. The bias may change when the reference changes. The first reference is not a
         # change.
         distance = abs(reference - state.references[0]).max()
-        change = ops.choose(
+        bias_change = ops.choose(
             state.age > 0, lambda: config.bias_per_n**2 * distance, lambda: 0.0 * distance
         )
         kept = math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s))
         drift = kept * state.drift
-        bias_variance = state.covariance[0] + change
+        bias_variance = state.covariance[0] + bias_change
         cross = kept * state.covariance[1]
         drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * config.drift_n**2
         # While the reference moves, the fin's lag looks like an error for the entire movement, so
@@ -211,7 +241,12 @@ class DisturbanceObserver:
         highest = xp.maximum(state.references.max(axis=0), reference)
         lowest = xp.minimum(state.references.min(axis=0), reference)
         movement = xp.maximum((highest - lowest).max(), config.still_n)
-        noise_variance = (config.noise_n * (movement / config.still_n) ** 2) ** 2
+        # While the fin starts, or reacts to a correction, the window's error also changes. It is
+        # then not the steady-state error, and following it could make a slow fin oscillate.
+        change = abs(error - state.errors).max()
+        unsteady = xp.maximum(change / (UNSTEADY * config.noise_n), 1.0)
+        moving = (movement / config.still_n) ** 2 * unsteady**2
+        noise_variance = (config.noise_n * moving) ** 2
         innovation = error - state.bias - drift
         # If the error exceeds three standard deviations, the fin or the water must have changed, so
         # raise the variance of the bias until the error is within them.

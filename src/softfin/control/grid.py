@@ -34,8 +34,8 @@ class SwitchingConfig(Configuration):
     fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
     """Number of actions over which the new policy is blended in; 0 switches immediately."""
     step_n: PositiveFloat = 0.5
-    """Movement of the reference between two actions from which it is a step [N]. After a step
-    nothing is blended; after smaller movements, blending is partial."""
+    """Movement of the reference between two actions above which it counts as a step [N]. After a
+    step nothing is blended; after smaller movements, blending is partial."""
     replay: bool = True
     """Whether the new policy replays the last six actions to fill its memory; otherwise, it starts
     with an empty memory."""

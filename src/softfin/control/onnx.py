@@ -32,7 +32,7 @@ COMMAND_OUTPUTS = ("command_angle", "command_velocity")
 MEASURED_SHAPES: dict[str, tuple[int, ...]] = {"angle": (), "force": (2,), "reference": (2,)}
 
 MAX_COMMAND_DIFFERENCE = 1e-4
-"""Maximum difference from NumPy's commands at which a file is written [rad, rad/s]."""
+"""Maximum difference from NumPy's commands [rad, rad/s]; if it is larger, no file is written."""
 
 EPISODE = 240
 """Number of actions in the comparison."""
@@ -116,7 +116,7 @@ def _metadata(controller: LoadedController) -> JsonObject:
         },
         "outputs": {
             "command_angle": "[rad]",
-            "command_velocity": "profile velocity on the way there [rad/s]",
+            "command_velocity": "velocity limit of the motion to it [rad/s]",
         },
         "weights_sha256": artifact.weights_sha256,
     }

@@ -138,7 +138,7 @@ def fold(
     """Build a network from the named arrays of a trained policy, or of several policies stacked
     along a leading axis.
 
-    Also returns the gaits that the policy started from, if any, for references in N. Raises
+    Also returns the gaits that the policy started from, if any, for references in newtons. Raises
     ValueError for arrays that are missing, unknown or of the wrong shape.
     """
     gait_arrays = {name: array for name, array in arrays.items() if name.startswith(f"{GAITS}.")}

@@ -1,5 +1,6 @@
 """References that a controller can hold: those within its cells that the fin can reach."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -7,11 +8,56 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.errors import CoverageError
-from softfin.gaits.reachable import Cell, Cells, ForceVector, Reachable, format_force
+from softfin.gaits.reachable import (
+    PAPER_REACH_N,
+    PAPER_REFERENCES,
+    Cell,
+    Cells,
+    ForceVector,
+    Reachable,
+    directions,
+    format_force,
+)
 
-EDGE_N = 1e-4
-"""Distance up to which a reference is treated as on the edge of a cell [N]; forces are float32, so
-decimals are rounded."""
+EDGE_FRACTION = 3e-5
+"""References outside a cell by less than this fraction of its largest force are on its edge: forces
+are float32, which rounds their decimals."""
+
+
+SHARES = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1])
+"""Sizes, relative to the natural one, at which the pattern of the paper's references is tried."""
+
+SPREAD = 0.6
+"""Distance of the six references from the centre, as a fraction of the reach, if the paper's
+pattern does not fit at any size."""
+
+
+def default_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
+    """Return the six reference forces of an evaluation [N].
+
+    These are the paper's references if the fin can produce them, or if its reach is unknown.
+    Otherwise their pattern is scaled to the fin's size, and mirrored if it fits only that way.
+    """
+    paper = np.array(PAPER_REFERENCES, float)
+    if reachable is None or reachable.contains(paper).all():
+        return PAPER_REFERENCES
+    natural = reachable.reach_n / PAPER_REACH_N
+    for scale in natural * SHARES:
+        for way in (1, -1):
+            pattern = _rounded(scale * way * paper, scale)
+            if reachable.contains(pattern).all():
+                return pattern
+    around = reachable.centre + SPREAD * reachable.radius[:, None] * directions(
+        len(reachable.radius)
+    )
+    spread = around[np.arange(6) * len(around) // 6]
+    return _rounded(np.asarray(spread, float), natural)
+
+
+def _rounded(forces: Float[np.ndarray, "forces 2"], scale: float) -> tuple[ForceVector, ...]:
+    """Round forces to a few percent of the scale, without -0."""
+    decimals = 1 - math.floor(math.log10(scale))
+    return tuple((round(x, decimals) + 0.0, round(y, decimals) + 0.0) for x, y in forces.tolist())
 
 
 def controller_cells(controller: object) -> Cells:
@@ -29,7 +75,7 @@ def check_within(cells: Sequence[Cell], reference: ForceVector) -> None:
     """Raise CoverageError if the reference [N] is outside every cell."""
     nearest = min(cells, key=lambda cell: cell.distance(reference))
     beyond = nearest.distance(reference)
-    if beyond > EDGE_N:
+    if beyond > EDGE_FRACTION * max(map(abs, (*nearest.low, *nearest.high))):
         which = "the range that this controller was trained for"
         fix = "use a reference within this range, or train a controller with a larger cell"
         if len(cells) > 1:

@@ -27,7 +27,7 @@ from softfin.storage import artifact as artifacts
 
 CONTROLLER_KIND = "controller"
 AGAIN = "copy the folder again, or train it again"
-"""Fix for a damaged folder."""
+"""Suggested fix for a damaged folder."""
 
 CONTROLLER_STEPS: Mapping[str, Any] = MappingProxyType(
     {step.kind: step for step in (SingleStep, GridStep, GaitStep)}

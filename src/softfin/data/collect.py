@@ -34,7 +34,7 @@ class CollectConfig(Configuration):
     test_logs: int = pydantic.Field(default=3, ge=0)
     """Number of test logs; the paper has 3, in perturbed tanks."""
     rows: int = pydantic.Field(default=20_000, ge=2)
-    """Readings per log at 100 Hz; the paper has 20,000, i.e. 200 s."""
+    """Number of readings per log at 100 Hz; the paper has 20,000, i.e. 200 s."""
     seed: int = pydantic.Field(default=0, ge=0)
     """Seed of the commands and of all randomness in the plant."""
     batch: int = pydantic.Field(default=100, ge=1)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Key
 
 from softfin.control.controller import Controller
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
-from softfin.control.references import resolve_reference
+from softfin.control.references import default_references, reachable_set, resolve_reference
 from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
@@ -50,8 +50,9 @@ from softfin.evaluation.scores import (
     judged_force,
     score,
     score_uncertainty,
+    settled_band,
 )
-from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.gaits.reachable import Reachable
 from softfin.storage import artifact as artifacts
 from softfin.storage.figures import save_figure
 from softfin.task.signals import Recorded
@@ -61,9 +62,10 @@ class ExperimentsConfig(Configuration):
     """Configuration of experiments at constant references."""
 
     references: tuple[tuple[pydantic.FiniteFloat, pydantic.FiniteFloat], ...] = pydantic.Field(
-        default=PAPER_REFERENCES, min_length=1
+        default=()
     )
-    """Reference forces (x, y) [N]; by default the paper's six."""
+    """Reference forces (x, y) [N]; by default the paper's six, or for another fin the same pattern
+    within its reach."""
     seconds: int = pydantic.Field(default=30, ge=MIN_SECONDS)
     """Duration of each experiment from rest [s], an integer; 30 in the paper. The first 2 s only
     fill the first window."""
@@ -99,7 +101,7 @@ class EvaluateConfig(ExperimentsConfig):
     None for no map."""
     random: int | None = pydantic.Field(default=None, ge=1, le=MAX_RANDOM)
     """Number of random references, drawn from the reachable forces that the controller was trained
-    for; None for none."""
+    for; None to draw none."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,6 +116,8 @@ class Evaluation:
     """Recording of the first seed: fields ``(references, 1, ticks)``, as NumPy arrays."""
     uncertainty: SurrogateUncertainty | None = None
     """Uncertainty estimated by a surrogate; None for other plants."""
+    reachable: Reachable | None = None
+    """Forces that the fin can produce, if the controller's file contains them."""
     warnings: tuple[str, ...] = ()
     """Warnings about references that were replaced by the nearest reachable forces."""
     moving: tuple[MovingScores, ...] = ()
@@ -141,6 +145,9 @@ class Evaluation:
                 "judged_by": judged_force(self.recording),
                 "confidence": CONFIDENCE,
                 "still_below_rad_s": STILL_RAD_S,
+                "reach_n": None if self.reachable is None else self.reachable.reach_n,
+                "fin_size": 1.0 if self.reachable is None else self.reachable.size,
+                "settled_n": settled_band(self.reachable),
             },
             "references": [
                 self._reference_scores(index) for index in range(len(self.config.references))
@@ -202,6 +209,9 @@ def score_controller(
     Raises CoverageError for references for which the controller was not trained, and with
     `config.strict` also for unreachable references.
     """
+    reachable = reachable_set(controller)
+    if not config.references:
+        config = config.model_copy(update={"references": default_references(reachable)})
     references = []
     warnings = []
     for reference in config.references:
@@ -228,6 +238,7 @@ def score_controller(
         random = random_errors(controller, plant, config.random, config.seed, seconds, keys[0])
     return dataclasses.replace(
         evaluation,
+        reachable=reachable,
         warnings=tuple(warnings),
         moving=tuple(plan.score(recording) for plan, recording in zip(plans, moving, strict=True)),
         error_map=error_map,
@@ -273,6 +284,7 @@ def together(each: Sequence[Evaluation]) -> Evaluation:
         repetitions=len(each),
         recording=each[0].recording,
         uncertainty=uncertainty,
+        reachable=each[0].reachable,
         warnings=tuple(warnings),
         moving=tuple(map(moving_together, zip(*moving, strict=True))),
     )

@@ -19,7 +19,6 @@ from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving_references import MovingScores
 from softfin.evaluation.range_errors import ErrorMap
-from softfin.evaluation.scores import SETTLED_N
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
@@ -38,8 +37,12 @@ def experiments_figure(recording: ExperimentRecording) -> Figure:
     columns = min(count, 2)
     rows = math.ceil(count / columns)
     shown = recording.force[:, 0, : FORCE_SECONDS * RATE_HZ]
-    low = np.floor(np.minimum(shown.min(axis=(0, 1)), recording.reference.min(axis=0)))
-    high = np.ceil(np.maximum(shown.max(axis=(0, 1)), recording.reference.max(axis=0)))
+    low = np.minimum(shown.min(axis=(0, 1)), recording.reference.min(axis=0))
+    high = np.maximum(shown.max(axis=(0, 1)), recording.reference.max(axis=0))
+    # Limits that both axes of all panels share, with round numbers.
+    unit = 10.0 ** np.floor(np.log10(max(float((high - low).max()), 1e-9) / 4))
+    low = np.floor(low / unit) * unit
+    high = np.ceil(high / unit) * unit
     with styled():
         figure = new_figure(6.6 * columns, 0.5 + 3.1 * rows)
         panels = figure.subfigures(rows, columns, squeeze=False).flat
@@ -130,7 +133,7 @@ def moving_figure(experiments: Sequence[MovingScores]) -> Figure:
         panels = figure.subfigures(rows, columns, squeeze=False).flat
         for panel, (moving, index) in zip(panels, each, strict=False):
             _draw_moving(panel, moving, index)
-        # Three columns of the legend fit the width of one panel.
+        # Three legend columns fit the width of one panel.
         add_legend(figure, figure.get_axes()[:3], "outside lower center", 3 * columns)
     return figure
 
@@ -149,13 +152,13 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
         wanted = reference[:, axis]
         axes.fill_between(
             time,
-            wanted - SETTLED_N,
-            wanted + SETTLED_N,
+            wanted - moving.settled_n,
+            wanted + moving.settled_n,
             step="pre",
             color=ORANGE,
             alpha=0.2,
             linewidth=0,
-            label=f"reference ± {SETTLED_N:g} N",
+            label=f"reference ± {moving.settled_n:g} N",
         )
         axes.plot(
             time, wanted, color=ORANGE, linewidth=1.6, drawstyle="steps-pre", label="reference"
@@ -258,7 +261,8 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                     path_effects=[withStroke(linewidth=3, foreground="white")],
                 )
             axes.set_title(
-                f"error {axis}: mean {error.mean():.2f} N, worst {error.max():.2f} N", weight="bold"
+                f"error {axis}: mean {error.mean():#.2g} N, worst {error.max():#.2g} N",
+                weight="bold",
             )
             axes.set(xlabel="reference force x [N]", aspect="equal")
         panels[0].set_ylabel("reference force y [N]")
@@ -269,9 +273,9 @@ def error_map_figure(errors: ErrorMap) -> Figure:
     return figure
 
 
-def held_figure(recording: ExperimentRecording) -> Figure:
+def held_figure(recording: ExperimentRecording, settled_n: float) -> Figure:
     """Draw the moving average and the reference of each experiment, at the first seed, with both
-    axes in one panel."""
+    axes in one panel, and a band of `settled_n` around the reference."""
     count = len(recording.reference)
     columns = min(count, 2)
     rows = math.ceil(count / columns)
@@ -288,7 +292,7 @@ def held_figure(recording: ExperimentRecording) -> Figure:
             ):
                 asked = float(recording.reference[index, axis])
                 axes.axhspan(
-                    asked - SETTLED_N, asked + SETTLED_N, color=colour, alpha=0.15, linewidth=0
+                    asked - settled_n, asked + settled_n, color=colour, alpha=0.15, linewidth=0
                 )
                 axes.axhline(
                     asked,

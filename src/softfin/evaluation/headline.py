@@ -27,7 +27,8 @@ class Headline(NamedTuple):
     caption: str
     """Caption of the figure."""
     holds: bool
-    """Whether the error at every reference is at most `SETTLED_N` on both axes."""
+    """Whether the error at every reference is at most the band within which a force is settled, on
+    both axes."""
 
 
 def headline(results: RunResults) -> Headline | None:
@@ -46,8 +47,10 @@ def headline(results: RunResults) -> Headline | None:
     name, summary = min(evaluated.items(), key=still_or_error)
     (still, _) = still_or_error((name, summary))
     rows = summary["references"]
+    settled_n = summary["conditions"].get("settled_n", SETTLED_N)
+    decimals = error_decimals(summary) - 1
     plain = results["controllers"][name] if results.get("trimmed") else None
-    too_far = _missed_references(rows)
+    too_far = _missed_references(rows, settled_n)
     if still:
         sentence = (
             "The fin stands still at some of the target forces, so this controller does not work"
@@ -57,22 +60,22 @@ def headline(results: RunResults) -> Headline | None:
         force = with_minus_signs(f"({worst[0]:g}, {worst[1]:g})")
         held = _number_word(len(rows) - len(too_far))
         sentence = (
-            f"The fin holds {held} of {_number_word(len(rows))} forces within {SETTLED_N:g} N on "
-            f"average; it misses {force} N by {too_far[worst]:.2f} N"
+            f"The fin holds {held} of {_number_word(len(rows))} forces within {settled_n:g} N on "
+            f"average; it misses {force} N by {too_far[worst]:.{decimals}f} N"
         )
     else:
         forces = f"each of {_number_word(len(rows))} forces" if len(rows) > 1 else "the force"
         error = max(map(greatest_error, rows))
-        sentence = f"The fin holds {forces} within {within(error)} N on average"
+        sentence = f"The fin holds {forces} within {within(error, decimals)} N on average"
         if plain is not None:
             before = max(map(greatest_error, plain["references"]))
-            sentence += f"; without force feedback, within {within(before)} N"
+            sentence += f"; without force feedback, within {within(before, decimals)} N"
     seconds = summary["conditions"]["duration_s"]
     window = summary["conditions"]["window_samples"]
     rate = summary["conditions"]["rate_hz"]
     caption = (
         f"Mean force over the last {window / rate:g} s (lines) and target force (dashed, with a "
-        f"band of ±{SETTLED_N:g} N), starting from rest, for {seconds} s: controller "
+        f"band of ±{settled_n:g} N), starting from rest, for {seconds} s: controller "
         f"{name}{', with force feedback' if plain is not None else ''}, the first of "
         f"{summary['conditions']['seeds']} runs."
     )
@@ -80,13 +83,13 @@ def headline(results: RunResults) -> Headline | None:
 
 
 def _missed_references(
-    rows: Sequence[ReferenceScores],
+    rows: Sequence[ReferenceScores], settled_n: float
 ) -> dict[tuple[float | int, ...], float | int]:
-    """Return the references with an error above `SETTLED_N`, with the error [N]."""
+    """Return the references with an error above `settled_n`, with the error [N]."""
     errors = {}
     for row in rows:
         error = greatest_error(row)
-        if error > SETTLED_N:
+        if error > settled_n:
             errors[tuple(row["reference_n"])] = error
     return errors
 
@@ -100,15 +103,27 @@ def greatest_error(row: MeanScores) -> float:
     return max(row[axis]["error_n"] for axis in AXES)
 
 
-def within(error_n: float) -> str:
-    """Return the error rounded up to two decimals, so that it is a valid upper bound."""
+def error_decimals(summary: EvaluationSummary) -> int:
+    """Return the number of decimals of errors [N]: three for the paper's fin, more for smaller
+    ones."""
+    size = summary["conditions"].get("fin_size", 1.0)
+    return max(3 - math.floor(math.log10(size)), 0)
+
+
+def within(error_n: float, decimals: int = 2) -> str:
+    """Return the error rounded up to these decimals, so that it is a valid upper bound."""
     # Round first: 100 * 0.07 is 7.000000000000001, which would become 0.08.
-    return f"{math.ceil(round(100 * error_n, 6)) / 100:.2f}"
+    units = 10**decimals
+    return f"{math.ceil(round(units * error_n, 6)) / units:.{decimals}f}"
 
 
-def over_seeds(interval: list[float] | None, values: Sequence[float]) -> str:
+def over_seeds(interval: list[float] | None, values: Sequence[float], decimals: int = 3) -> str:
     """Return the text that follows a mean over seeds: half the interval, the range of the values if
     there are two seeds, or nothing for one seed."""
     if interval is not None:
-        return f"±{(interval[1] - interval[0]) / 2:.2f}"
-    return f"({min(values):.3f} to {max(values):.3f})" if len(set(values)) > 1 else ""
+        return f"±{(interval[1] - interval[0]) / 2:.{decimals - 1}f}"
+    return (
+        f"({min(values):.{decimals}f} to {max(values):.{decimals}f})"
+        if len(set(values)) > 1
+        else ""
+    )

@@ -20,8 +20,8 @@ from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import moving_error
 from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, independent
 from softfin.evaluation.range_errors import controller_range
-from softfin.evaluation.results import MovingRow, TrackingErrors, score_keys
-from softfin.evaluation.scores import score, step_responses
+from softfin.evaluation.results import MovingRow, StepResponse, TrackingErrors, score_keys
+from softfin.evaluation.scores import SETTLED_N, score, settled_band, step_responses
 from softfin.gaits.reachable import Cell, Reachable
 from softfin.task.signals import (
     Ramp,
@@ -94,6 +94,8 @@ class MovingScores(NamedTuple):
     ticks)``."""
     rows: list[MovingRow]
     """Scores of each signal."""
+    settled_n: float = SETTLED_N
+    """Distance from the reference within which the force counts as settled [N]."""
 
 
 class MovingPlan(NamedTuple):
@@ -106,6 +108,8 @@ class MovingPlan(NamedTuple):
     the nearest reachable ones."""
     warnings: tuple[str, ...] = ()
     """Warnings about unreachable forces."""
+    settled_n: float = SETTLED_N
+    """Distance from the reference within which the force counts as settled [N]."""
 
     @classmethod
     def of(
@@ -120,7 +124,8 @@ class MovingPlan(NamedTuple):
             tracked.append(series)
             if warning is not None:
                 warnings.append(warning)
-        return cls(signals, seconds, np.stack(tracked), tuple(warnings))
+        settled_n = settled_band(reachable_set(controller))
+        return cls(signals, seconds, np.stack(tracked), tuple(warnings), settled_n)
 
     def score(self, recording: ExperimentRecording) -> MovingScores:
         """Score each signal at every seed; errors are relative to the tracked reference."""
@@ -130,18 +135,20 @@ class MovingPlan(NamedTuple):
         rows = []
         for index, (signal, tracked) in enumerate(zip(self.signals, self.tracked, strict=True)):
             reading_error = None if scores.reading_error is None else scores.reading_error[index]
-            rows.append(_row(signal, tracked, forces[index], scores.error[index], reading_error))
-        return MovingScores(recording.first(), rows)
+            responses = [step_responses(force, tracked, self.settled_n) for force in forces[index]]
+            error = scores.error[index]
+            rows.append(_row(signal, tracked, forces[index], responses, error, reading_error))
+        return MovingScores(recording.first(), rows, self.settled_n)
 
 
 def _row(
     signal: Signal,
     tracked: ReferenceSamples,
     forces: np.ndarray,
+    responses: list[list[StepResponse]],
     error: Float[np.ndarray, "seeds 2"],
     reading_error: Float[np.ndarray, "seeds 2"] | None,
 ) -> MovingRow:
-    responses = [step_responses(force, tracked) for force in forces]
     # Relative to the reference at the end of each window, so the window's delay counts as error.
     instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
     errors = []
@@ -173,7 +180,8 @@ def moving_together(each: Sequence[MovingScores]) -> MovingScores:
     """Combine scores of the same signals at one seed each; the recording is the first one."""
     # Regroup the rows by signal; each group has one row per seed.
     by_signal = zip(*(scores.rows for scores in each), strict=True)
-    return MovingScores(each[0].recording, list(map(_row_together, by_signal)))
+    rows = list(map(_row_together, by_signal))
+    return MovingScores(each[0].recording, rows, each[0].settled_n)
 
 
 def _row_together(rows: Sequence[MovingRow]) -> MovingRow:

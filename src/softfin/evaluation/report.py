@@ -89,7 +89,7 @@ def write_report(
         headline=headline(results),
         stages=results.get("stages") or [],
         overview=_overview(results),
-        settled=SETTLED_N,
+        settled=SETTLED_N if conditions is None else conditions.get("settled_n", SETTLED_N),
         intervals=has_intervals,
         table_one=_table_one(scores),
         tables_two=_tables_two(controllers),
@@ -114,7 +114,7 @@ def _number(value: float) -> str:
 
 
 class Cell(NamedTuple):
-    """A mean over the seeds [N], and the text on their spread."""
+    """A mean over the seeds [N], and a text about their spread."""
 
     mean: float
     over_seeds: str

@@ -36,13 +36,21 @@ from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.window import moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
 from softfin.evaluation.results import StepResponse, UncertaintyRow
+from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
 """Shaft travel in the second half of an experiment below which the fin stands still [rad/s]; a
 working controller exceeds 1."""
 
 SETTLED_N = 0.2
-"""Distance from the reference, on both axes, within which the force is settled [N]."""
+"""Distance from the reference, on both axes, within which the force of the paper's fin is settled
+[N]; for other fins it is multiplied by their size."""
+
+
+def settled_band(reachable: Reachable | None) -> float:
+    """Return the distance from the reference, on both axes, within which a force is settled [N]."""
+    return SETTLED_N * (1.0 if reachable is None else reachable.size)
+
 
 MAX_OUTSIDE_FRACTION = 0.01
 """Fraction of samples outside the training data above which a warning is issued: ten times the
@@ -122,22 +130,30 @@ def list_steps(reference: ForceSeries) -> list[tuple[int, int]]:
     return [(start, stop) for start, stop in held if start in starts]
 
 
-def step_responses(force: ForceSeries, reference: ForceSeries) -> list[StepResponse]:
+def step_responses(
+    force: ForceSeries, reference: ForceSeries, settled_n: float = SETTLED_N
+) -> list[StepResponse]:
     """Return the response of the moving average to every step of a reference, up to the next change
     or the end.
 
     ``rise_x_s`` is the time from 10% to 90% of the step [s]. ``overshoot_x_percent`` is the
     overshoot beyond the new reference as a percentage of the step. ``settling_s`` is the time until
-    both axes stay within `SETTLED_N` of the new reference [s]. Values are None if the axis does not
-    step or the force does not get there.
+    both axes stay within `settled_n` of the new reference [s]. Values are None if the axis does not
+    step or the force does not get that far.
     """
     average = moving_average(force)
     asked = np.asarray(reference, np.float64)
-    return [_response(average, asked, first, stop) for first, stop in list_steps(reference)]
+    return [
+        _response(average, asked, first, stop, settled_n) for first, stop in list_steps(reference)
+    ]
 
 
 def _response(
-    average: Float[np.ndarray, "windows 2"], reference: ForceSeries, first: int, stop: int
+    average: Float[np.ndarray, "windows 2"],
+    reference: ForceSeries,
+    first: int,
+    stop: int,
+    settled_n: float,
 ) -> StepResponse:
     start = reference[first - 1]
     to = reference[first]
@@ -154,7 +170,7 @@ def _response(
         rise_s[i] = (int(high[0]) - int(low[0])) / RATE_HZ if high.size else None
         overshoot[i] = 100 * max(float(part.max()) - 1, 0.0)
     # after[k] ends k + 1 ticks after the step; the first settled one follows the last one outside.
-    outside = np.flatnonzero(np.abs(after - to).max(axis=1) > SETTLED_N)
+    outside = np.flatnonzero(np.abs(after - to).max(axis=1) > settled_n)
     settled = 0 if not outside.size else int(outside[-1]) + 2
     return {
         "at_s": first / RATE_HZ,

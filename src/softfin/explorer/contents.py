@@ -104,7 +104,8 @@ def controller_data(controller: LoadedController) -> JsonObject:
         "limits": controller.limits.to_dict(),
         "cells": [cell.model_dump(mode="json") for cell in controller.cells],
         "reachable": None if reachable is None else reachable.to_dict(),
-        "trim": DisturbanceObserverConfig().model_dump(mode="json"),
+        "size": 1.0 if reachable is None else reachable.size,
+        "trim": DisturbanceObserverConfig().scaled(reachable).model_dump(mode="json"),
     }
     if isinstance(step, GaitStep):
         return data | {"table": _table(step.table)}

@@ -141,6 +141,9 @@ class GridController {
   }
 }
 
+/* Change of the window's error within the last actions, divided by its noise, above which the fin is not settled. */
+const UNSTEADY = 3, UNSTEADY_ACTIONS = 3;
+
 /* Force feedback (softfin.control.disturbance_observer): the estimated steady-state error is subtracted from the
  * reference; a Kalman filter separates it from the drift of a sensor. */
 class DisturbanceObserver {
@@ -152,6 +155,7 @@ class DisturbanceObserver {
     this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
     const series = () => Array.from({ length: CYCLE_ACTIONS + config.lag_actions }, () => [0, 0]);
     Object.assign(this, { forces: series().slice(0, CYCLE_ACTIONS), tracked: series(), references: series() });
+    this.errors = Array.from({ length: UNSTEADY_ACTIONS }, () => [0, 0]);
   }
 
   /* The reference for the controller inside, from the mean force since the last action. */
@@ -175,7 +179,10 @@ class DisturbanceObserver {
     let variance = this.covariance[0] + (this.age > 0 ? config.bias_per_n ** 2 * distance : 0);
     const cross = kept * this.covariance[1], driftVariance = kept ** 2 * this.covariance[2] + (1 - kept ** 2) * 2 * config.drift_n ** 2;
     const range = (axis) => { const values = [reference, ...this.references].map((each) => each[axis]); return Math.max(...values) - Math.min(...values); };
-    const noiseVariance = (config.noise_n * (Math.max(range(0), range(1), config.still_n) / config.still_n) ** 2) ** 2;
+    const change = Math.max(...this.errors.flatMap((each) => each.map((value, axis) => Math.abs(error[axis] - value))));
+    const unsteady = Math.max(change / (UNSTEADY * config.noise_n), 1);
+    this.errors = [error, ...this.errors.slice(0, -1)];
+    const noiseVariance = (config.noise_n * (Math.max(range(0), range(1), config.still_n) / config.still_n) ** 2 * unsteady ** 2) ** 2;
     const innovation = error.map((value, axis) => value - this.bias[axis] - drift[axis]);
     const expected = variance + 2 * cross + driftVariance + noiseVariance, learns = Number(this.age >= config.settle_actions);
     variance += learns * Math.max(Math.max(...innovation.map((value) => value ** 2)) - 9 * expected, 0);

@@ -1,12 +1,13 @@
 /* Drawing: the plane of forces, the fin in the water, and the traces. */
 
 const GHOSTS = [24, 18, 12, 6], TRAIL = 300, FORCE_N = 15, MEAN_N = 4, LONGEST = 0.65, MEAN_LONGEST = 0.5;
+/* FORCE_N and MEAN_N are the longest arrows of the paper's fin. The page defines finSize and decimals. */
 
 /* The part of the plane that is shown [N], with room about all that can be asked for. */
 function planeRange(controllers) {
   const points = controllers.flatMap((each) => [...each.cells.flatMap((cell) => [cell.low, cell.high]), ...(each.reachable ? new Reachable(each.reachable).corners : [])]);
   const end = (pick, axis, margin) => pick(...points.map((point) => point[axis])) + margin;
-  return { low: [end(Math.min, 0, -0.25), end(Math.min, 1, -0.25)], high: [end(Math.max, 0, 0.25), end(Math.max, 1, 0.25)] };
+  return { low: [end(Math.min, 0, -0.25 * finSize), end(Math.min, 1, -0.25 * finSize)], high: [end(Math.max, 0, 0.25 * finSize), end(Math.max, 1, 0.25 * finSize)] };
 }
 
 /* Pixels of forces on a canvas of that size, the same scale on both axes, and forces of pixels. */
@@ -173,7 +174,7 @@ function drawWater(canvas, loop, fin, note) {
   pen.globalAlpha = 1;
   drawFrame(pen, 0.05 * pixels);
   const { force, mean, reference } = loop.history[last] || rest, thick = 0.035 * length * pixels;
-  for (const [colour, values, longest, most, wide] of [["asked", reference, MEAN_LONGEST, MEAN_N, thick], ["measured", force, LONGEST, FORCE_N, thick], ["mean", mean, MEAN_LONGEST, MEAN_N, thick / 2]]) {
+  for (const [colour, values, longest, most, wide] of [["asked", reference, MEAN_LONGEST, MEAN_N * finSize, thick], ["measured", force, LONGEST, FORCE_N * finSize, thick], ["mean", mean, MEAN_LONGEST, MEAN_N * finSize, thick / 2]]) {
     pen.fillStyle = colours[colour];
     drawArrow(pen, origin, vector(values, longest, most), wide);
   }
@@ -189,7 +190,7 @@ function drawWater(canvas, loop, fin, note) {
   pen.textBaseline = "alphabetic";
   pen.fillText(note, 10, height - 10);
   pen.textAlign = "right";
-  for (const [colour, text, at, y] of [["measured", `force, ${FORCE_N / 3} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `2 s mean, ${MEAN_N / 4} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${MEAN_N / 4} N`, (MEAN_LONGEST * length * pixels) / 4, 54]]) {
+  for (const [colour, text, at, y] of [["measured", `force, ${numeral((FORCE_N * finSize) / 3, Math.max(0, decimals - 2))} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `2 s mean, ${numeral((MEAN_N * finSize) / 4, Math.max(0, decimals - 2))} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${numeral((MEAN_N * finSize) / 4, Math.max(0, decimals - 2))} N`, (MEAN_LONGEST * length * pixels) / 4, 54]]) {
     pen.fillStyle = colours[colour];
     pen.fillRect(width - 10 - at, y - 6, at, colour === "mean" ? 2 : 4);
     pen.fillStyle = colours.text;

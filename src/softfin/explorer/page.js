@@ -1,15 +1,17 @@
 /* The page: what is chosen, what is dragged, and the loop in real time. */
 
 const contents = JSON.parse(element("contents").textContent), { controllers, plants } = contents;
-const plane = element("plane"), water = element("water"), traces = element("traces"), SETTLED_N = 0.1, PUSH_M_S = [0, 0.6];
+const plane = element("plane"), water = element("water"), traces = element("traces"), PUSH_M_S = [0, 0.6];
 const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate };
+/* Size of the fin relative to the paper's, and the steps of its forces [N]: a hundredth and a tenth of a newton for that. */
+const finSize = controllers[0].size, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(finSize)));
 /* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
 const WRITE_MS = 400;
 
 /* What is chosen; the address holds it behind the #. (x, y) is the force that is wished for; the loop's reference is the
  * nearest that the controller can hold. */
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const chosen = { controller: 0, plant: 0, x: 2, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still };
+const chosen = { controller: 0, plant: 0, x: 2 * finSize, y: 0, speed: "1", fin: "1", cold: false, trim: true, paused: still };
 
 let loop = null, last = null, applied = "", missing = [], pushed = -Infinity, told = -Infinity, finger = null, writing = false;
 
@@ -46,7 +48,7 @@ function apply() {
   for (const name of ["cold", "push", "fin"]) element(name).disabled = !inTank;
   element("tank-only").hidden = inTank;
   const flags = Object.fromEntries(["cold", "trim", "paused"].map((name) => [name, Number(chosen[name])]));
-  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(2)},${chosen.y.toFixed(2)}`, speed: chosen.speed, fin: chosen.fin, ...flags });
+  const state = new URLSearchParams({ controller: controllers[chosen.controller].name, plant: plants[chosen.plant].name, reference: `${chosen.x.toFixed(decimals)},${chosen.y.toFixed(decimals)}`, speed: chosen.speed, fin: chosen.fin, ...flags });
   element("link").href = `#${state}`;
   element("link").textContent = "Copy link";
   writeAddress();
@@ -98,7 +100,7 @@ function ask() {
   const { cells, reachable } = loop.controller, reference = nearestReference(cells, reachable, [chosen.x, chosen.y]) || loop.reference;
   if (distanceTo(reference, loop.reference) > 1e-9) watch("it was asked for");
   loop.reference = reference;
-  for (const [name, value] of [["x", chosen.x], ["y", chosen.y]]) if (document.activeElement !== element(name)) element(name).value = value.toFixed(2);
+  for (const [name, value] of [["x", chosen.x], ["y", chosen.y]]) if (document.activeElement !== element(name)) element(name).value = value.toFixed(decimals);
 }
 
 function choose(changes) {
@@ -120,8 +122,8 @@ function run(ticks) {
   }
 }
 
-const hundredths = (value) => Math.round(value * 100) / 100, seconds = (ticks) => (ticks * TICK_S).toFixed(1);
-const forceText = ([x, y]) => `(${numeral(x, 2)}, ${numeral(y, 2)}) N`;
+const hundredths = (value) => Number((Math.round(value / HUNDREDTH_N) * HUNDREDTH_N).toFixed(decimals)), seconds = (ticks) => (ticks * TICK_S).toFixed(1);
+const forceText = ([x, y]) => `(${numeral(x, decimals)}, ${numeral(y, decimals)}) N`;
 
 /* The surrogate that predicts: the plant that is chosen, or else the first surrogate; -1 without one. */
 const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
@@ -137,11 +139,11 @@ function prediction() {
 }
 
 function tell(predicted) {
-  const show = (name, values, digits = 2) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
+  const show = (name, values, digits = decimals) => values.forEach((value, axis) => { element(`${name}-${"xy"[axis]}`).textContent = value === null ? "\u2013" : numeral(value, digits); });
   const { controller } = loop, average = loop.averages[loop.plant], none = [null, null];
   show("mean", loop.time ? average.mean() : none);
-  show("error", loop.time ? loop.error() : none, 3);
-  show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, 3);
+  show("error", loop.time ? loop.error() : none, decimals + 1);
+  show("average", watched.count ? watched.sum.map((sum) => sum / watched.count) : none, decimals + 1);
   show("sobolev", loop.time ? average.sobolev() : none);
   if (predictor() >= 0) {
     element("predictor").textContent = `mean in ${plants[predictor()].name}`;
@@ -155,9 +157,9 @@ function tell(predicted) {
   element("bias").textContent = controller.observer && controller.added ? `Trim adds ${forceText(controller.added)}.` : "";
   element("missing").textContent = missing.length ? `Not in this page: ${missing.join(", ")}.` : "";
   const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
-  const near = distanceTo(wish, loop.reference) > 0.01 ? `${forceText(wish)} is out of reach; the ring is at the nearest force in reach. ` : "";
+  const near = distanceTo(wish, loop.reference) > HUNDREDTH_N ? `${forceText(wish)} is out of reach; the ring is at the nearest force in reach. ` : "";
   const yet = chosen.paused && loop.time === 0 ? "press Play" : "not held yet";
-  const status = near + (held ? `${force} held within ${SETTLED_N} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
+  const status = near + (held ? `${force} held within ${SETTLED_N.toFixed(Math.max(0, decimals - 1))} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
   // Screen readers speak what is written anew.
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -228,7 +230,7 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowD
 
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select")) return;
-  const step = event.shiftKey ? 0.5 : 0.1, arrow = ARROWS[event.key], action = ACTIONS[event.key.toLowerCase()];
+  const step = (event.shiftKey ? 50 : 10) * HUNDREDTH_N, arrow = ARROWS[event.key], action = ACTIONS[event.key.toLowerCase()];
   if (!arrow && (!action || (event.key === " " && event.target.matches("button, summary, a")))) return;
   event.preventDefault();
   if (arrow) choose({ x: loop.reference[0] + step * arrow[0], y: loop.reference[1] + step * arrow[1] });

@@ -25,6 +25,9 @@ from softfin.storage import artifact as artifacts
 
 MAP_KIND = "map"
 
+TOLERANCE_N = 0.1
+"""Force error up to which a force counts as reachable, for the paper's fin [N]."""
+
 RAY_PARTS = 24
 """Number of points along the ray to each corner at which the error is interpolated."""
 
@@ -37,12 +40,16 @@ class MapConfig(Configuration):
     """Configuration of a force map."""
 
     box: Cell | None = None
-    """Range of the mapped forces [N]; null for all forces found by the survey, rounded outwards to
-    multiples of the spacing."""
-    spacing_n: PositiveFloat = 0.5
-    """Maximum distance between nodes of the lattice [N] before it is halved (`gaits.halvings`)."""
-    tolerance_n: float = Field(default=0.1, gt=0)
-    """Maximum force error of a gait for its force to be reachable [N]."""
+    """Range of the mapped forces [N]; null for the bounding box of all forces found by the
+    survey."""
+    nodes: int = Field(default=120, ge=4)
+    """Approximate number of nodes of the lattice before it is halved (`gaits.halvings`)."""
+    spacing_n: PositiveFloat | None = None
+    """Maximum distance between nodes of the lattice [N] before it is halved; null to derive it from
+    `nodes`."""
+    tolerance_n: PositiveFloat | None = None
+    """Maximum force error of a gait whose force counts as reachable [N]; null for `TOLERANCE_N`,
+    scaled by the size of the fin."""
     survey: SurveyConfig = SurveyConfig()
     """Configuration of the survey, which precedes the search for gaits."""
     gaits: GaitConfig = GaitConfig()
@@ -51,13 +58,17 @@ class MapConfig(Configuration):
     def empty_table(self, surveyed: Reachable) -> GaitTable:
         """Return an empty table over the box or the surveyed region, with the spacing before any
         halving."""
-        box = self.box
-        if box is None:
-            low, high = np.asarray(surveyed.bounds()) / self.spacing_n
-            low = np.floor(low) * self.spacing_n
-            high = np.ceil(high) * self.spacing_n
-            box = Cell(low=tuple(low.tolist()), high=tuple(high.tolist()))
-        return GaitTable.over(box, self.spacing_n)
+        box = self.box or surveyed.bounding_box()
+        width, height = np.subtract(box.high, box.low).tolist()
+        # Squares of this size cover the box. A box without an area has nodes along its length.
+        spacing_n = self.spacing_n or max(
+            (width * height / self.nodes) ** 0.5, max(width, height) / self.nodes, 1e-9
+        )
+        return GaitTable.over(box, spacing_n)
+
+    def tolerance(self, surveyed: Reachable) -> float:
+        """Return the maximum force error of a gait whose force counts as reachable [N]."""
+        return self.tolerance_n or TOLERANCE_N * surveyed.size
 
 
 def empty_map(table: GaitTable, directions: int) -> ForceMap:
@@ -71,7 +82,7 @@ def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None 
     """Survey a plant, find a gait for each node, and determine the region that the gaits reach.
 
     Raises:
-        PlantError: the plant has no gradient.
+        PlantError: the plant has no gradient, or produces no force.
     """
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
@@ -86,7 +97,9 @@ def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None 
     gaits = find_gaits(
         plant, surveyed, empty, config.gaits, lambda done, note: notify(0.3 + 0.7 * done, note)
     )
-    return ForceMap(gaits, held_region(surveyed.reachable, gaits, config.tolerance_n))
+    return ForceMap(
+        gaits, held_region(surveyed.reachable, gaits, config.tolerance(surveyed.reachable))
+    )
 
 
 def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float) -> Reachable:
@@ -102,7 +115,7 @@ def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float
     high = np.asarray(gaits.table.high, float)
     parts = np.linspace(0, 1, RAY_PARTS + 1)[1:, None, None]
     force = np.asarray(surveyed.centre) + parts * (radius[:, None] * directions(len(radius)))
-    # In units of nodes, (parts, corners, 2).
+    # In node units, (parts, corners, 2).
     place = (force - low) / np.maximum(high - low, 1e-9) * (np.array(gaits.table.nodes) - 1)
     error = map_coordinates(
         gaits.force_error(), np.moveaxis(place, -1, 0), float, order=1, mode="constant"
@@ -165,14 +178,15 @@ def save_map(
     from softfin.gaits.figure import map_figure
     from softfin.storage.figures import save_figure
 
+    tolerance_n = config.tolerance(force_map.reachable)
     description = {
         "limits": limits.to_dict(),
         **force_map.to_dict(),
-        "star_shape": check_star(force_map, config.tolerance_n)[0],
+        "star_shape": check_star(force_map, tolerance_n)[0],
         "configuration": config.model_dump(mode="json"),
         "provenance": origin,
     }
-    figure = map_figure(force_map, config.tolerance_n)
+    figure = map_figure(force_map, tolerance_n)
     arrays = force_map.arrays()
 
     def draw(folder: Path) -> None:

@@ -2,7 +2,7 @@
 with their forces. This module does not import JAX.
 
 A gait is a sequence of six actions that is repeated. On the 33/33/34 clock, six actions fill the
-window of the moving average exactly, so a gait causes no ripple in it in the steady state. Actions
+window of the moving average exactly, so a gait in steady state causes no ripple in it. Actions
 ``(6, 2)`` are (angle, velocity), scaled so that the limits of the plant are -1 and 1.
 """
 
@@ -34,7 +34,7 @@ class GaitTable(NamedTuple):
 
     @classmethod
     def empty(cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int]) -> "GaitTable":
-        """Return a table with all actions 0; `nodes` in x and y are at least 2."""
+        """Return a table with all actions set to 0; `nodes` in x and y are at least 2."""
         actions = np.zeros((*nodes, CYCLE_ACTIONS, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
 
@@ -106,7 +106,7 @@ class GaitSearchResult(NamedTuple):
     """Sobolev term in the form `mean` [N]."""
 
     def force_error(self) -> Float[np.ndarray, "x y"]:
-        """Return the distance of the force of each node from its reference [N]."""
+        """Return the distance of each node's force from its reference [N]."""
         return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
@@ -147,7 +147,7 @@ class ForceMap(NamedTuple):
         """Build a map from the results of `to_dict` and `arrays`.
 
         Raises:
-            KeyError, TypeError, ValueError: the data are not those of a map.
+            KeyError, TypeError, ValueError: the data do not describe a map.
         """
         lattice = description["lattice"]
         nodes = tuple(map(int, lattice["nodes"]))

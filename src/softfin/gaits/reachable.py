@@ -6,6 +6,7 @@ directions, so one division determines whether a force is inside. All functions 
 arrays; `Reachable.project` also works in JAX programs.
 """
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import product
@@ -29,8 +30,17 @@ ForcePoints: TypeAlias = Float[np.ndarray, "..."]
 PAPER_REFERENCES: tuple[ForceVector, ...] = ((1, -1), (2, -1), (2, 0), (3, 0), (1, 1), (2, 1))
 """Reference forces of the paper's Table II [N]."""
 
-TOLERANCE_N = 1e-3
-"""Distance outside a region within which forces are still treated as inside [N]."""
+EDGE_FRACTION = 4e-4
+"""Distance outside a region within which forces are still treated as inside, as a fraction of its
+largest radius; corners are rounded in files."""
+
+PAPER_REACH_N = 2.4
+"""Reach of the paper's fin in the virtual tank [N], as `Reachable.reach_n`. Tolerances, scales and
+weights were tuned on this fin. For other fins they are multiplied by `Reachable.size`."""
+
+SIZES = (1.0, 2.0, 5.0, 10.0)
+"""Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
+numbers and do not depend on a reach's last digits."""
 
 MAX_CHUNK_FORCES = 2048
 """Maximum number of forces that `Reachable.nearest_within` processes together, which limits
@@ -118,7 +128,7 @@ class Reachable(NamedTuple):
         """Build a region from the result of `to_dict`.
 
         Raises:
-            KeyError, TypeError, ValueError: the data are not those of a region.
+            KeyError, TypeError, ValueError: the data do not describe a region.
         """
         if not isinstance(description, dict):
             raise TypeError(
@@ -179,9 +189,12 @@ class Reachable(NamedTuple):
         edge = xp.asarray([self.centre[0] + x * reach, self.centre[1] + y * reach])
         return xp.where(reach >= 1, along, edge).T
 
-    def contains(self, force: Any, tolerance_n: float = TOLERANCE_N) -> Bool[np.ndarray, "*forces"]:
-        """Return whether each force is inside, or at most `tolerance_n` from its projection."""
+    def contains(self, force: Any, tolerance_n: float | None = None) -> Bool[np.ndarray, "*forces"]:
+        """Return whether each force is inside, or at most `tolerance_n` from its projection (by
+        default `EDGE_FRACTION` of the largest radius)."""
         force = np.asarray(force, float)
+        if tolerance_n is None:
+            tolerance_n = EDGE_FRACTION * float(np.max(self.radius))
         return np.asarray(np.linalg.norm(self.project(force) - force, axis=-1) <= tolerance_n)
 
     def nearest(self, force: Any) -> Forces:
@@ -189,7 +202,8 @@ class Reachable(NamedTuple):
         at = np.asarray(force, float)
         corners = self.corners().astype(float)
         points = _on_sides(corners, at, 0, 1)
-        inside = np.isclose(self.project(at), at, atol=1e-5).all(axis=-1)
+        rounding_n = 1e-5 * float(np.max(self.radius))
+        inside = np.isclose(self.project(at), at, atol=rounding_n).all(axis=-1)
         return np.where(inside[..., None], at, _choose_nearest(points, at))
 
     def nearest_within(self, cells: Sequence[Cell], forces: Forces) -> Forces:
@@ -245,11 +259,39 @@ class Reachable(NamedTuple):
         radius = np.asarray(self.radius, float)
         return float(np.sin(turn) / 2 * (radius * np.roll(radius, -1)).sum())
 
+    @property
+    def reach_n(self) -> float:
+        """Reach of the fin [N]: the radius of the circle with the area of the region."""
+        return float(np.sqrt(self.area() / np.pi))
+
+    @property
+    def size(self) -> float:
+        """Reach of the fin divided by that of the paper's fin, rounded to 1, 2 or 5 times a power
+        of ten [-]; 1 for a fin that produces no force."""
+        ratio = self.reach_n / PAPER_REACH_N
+        if ratio <= 0:
+            return 1.0
+        decade = 10.0 ** math.floor(math.log10(ratio))
+        nearest = min(SIZES, key=lambda size: abs(math.log(ratio / decade / size)))
+        return float(f"{nearest * decade:.1g}")
+
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the lower and upper corner (x, y) of the bounding box [N]."""
         x0, y0 = self.corners().min(axis=0).tolist()
         x1, y1 = self.corners().max(axis=0).tolist()
         return (x0, y0), (x1, y1)
+
+    def bounding_box(self) -> Cell:
+        """Smallest cell that contains the region."""
+        low, high = self.bounds()
+        return Cell(low=low, high=high)
+
+
+PAPER_SIZED = Reachable(
+    np.array([PAPER_REACH_N, 0], np.float32), np.full(32, PAPER_REACH_N, np.float32)
+)
+"""A reach equal to that of the paper's fin, used to check a configuration before the fin's own
+reach is known."""
 
 
 @cache

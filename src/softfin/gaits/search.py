@@ -1,11 +1,11 @@
 """Finds gaits for all nodes of a lattice of reference forces, in one compiled program.
 
-Mean force and Sobolev term of a gait are smooth functions of its twelve numbers, and the plant
-provides their derivatives. Two of the twelve directions change the force: Gauss-Newton steps along
-them move the force to the reference. Steps along the other ten directions reduce the Sobolev term
-and keep the gait similar to those of its neighbours, so that gaits can be interpolated. This is the
-null-space projection of redundant manipulators (Siciliano and Khatib, Handbook of Robotics, Sec.
-10.3).
+The mean force and the Sobolev term of a gait are smooth functions of its twelve numbers, and the
+plant provides their derivatives. Two of the twelve directions change the force: Gauss-Newton steps
+along them move the force to the reference. Steps along the other ten directions reduce the Sobolev
+term and keep the gait similar to those of its neighbours, so that gaits can be interpolated. This
+is the null-space projection of redundant manipulators (Siciliano and Khatib, Handbook of Robotics,
+Sec. 10.3).
 
 All gaits start from one family of strokes, so that neighbours are similar. Finally the spacing is
 halved: new nodes start from the interpolated gaits of their neighbours and take the shortest steps
@@ -72,7 +72,11 @@ EXACT = 2
 by halving."""
 
 STUCK_N = 0.05
-"""Force error above which a node restarts from a neighbour [N]."""
+"""Force error above which a node restarts from a neighbour, for the paper's fin [N].
+
+The search divides all forces by the size of the fin (`Reachable.size`), so newtons in this module
+are those of the paper's fin.
+"""
 
 FORCE_STEP = 0.6
 """Maximum step in the directions that change the force, in the atanh of the actions."""
@@ -114,21 +118,39 @@ def find_gaits(
     plant = jit_argument(plant)
     total = config.steps + EXACT * config.halvings
     done = 0
+    size = survey.reachable.size
 
     def told(nodes: GaitSensitivity, target: NodeForces) -> None:
         nonlocal done
         done += 1
-        error = _force_errors(nodes, target)
-        report(done / total, f"error {np.median(error):.3f} N median, {error.max():.2f} N maximum")
+        error = _force_errors(nodes, target) * size
+        report(done / total, f"error {np.median(error):.2g} N median, {error.max():.2g} N maximum")
 
     nodes = _search(plant, survey, table, config, told)
     for _ in range(config.halvings):
         nodes, table = _between(plant, survey, nodes, _filled(table, nodes), config, told)
     shape = (*table.nodes, 2)
-    force = np.asarray(nodes.out[:, :2]).reshape(shape)
-    return GaitSearchResult(
-        _filled(table, nodes), force, np.asarray(nodes.smoothness).reshape(shape)
+    force = np.asarray(nodes.out[:, :2] * size, np.float32).reshape(shape)
+    smoothness = np.asarray(nodes.smoothness * size, np.float32).reshape(shape)
+    return GaitSearchResult(_filled(table, nodes), force, smoothness)
+
+
+def _simulate(
+    plant: Plant, survey: Survey, pre_tanh: PreTanh, config: GaitConfig
+) -> GaitSensitivity:
+    """Simulate gaits; their forces, and the force gradients, are divided by the fin's size."""
+    # The key is not a constant of the module: creating it starts JAX, which an import must not do.
+    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"))
+    size = np.float32(survey.reachable.size)
+    return nodes._replace(
+        out=nodes.out / size, slope=nodes.slope / size, smoothness=nodes.smoothness / size
     )
+
+
+def _targets(survey: Survey, references: NodeForces) -> NodeForces:
+    """Return the nearest reachable force for each reference [N], divided by the fin's size."""
+    reachable = survey.reachable
+    return jnp.asarray(reachable.nearest(references) / reachable.size, jnp.float32)
 
 
 def _force_errors(nodes: GaitSensitivity, target: NodeForces) -> Float[np.ndarray, "nodes"]:
@@ -149,11 +171,9 @@ def _search(
     told: ReportNodes,
 ) -> GaitSensitivity:
     """Find gaits for the nodes of a table, starting from the strokes of the survey."""
-    # The key is not a constant of the module, because creating it would initialize JAX at import.
     shape = table.nodes
-    key = named_key(0, "gaits")
-    target = jnp.asarray(survey.reachable.nearest(table.references().reshape(-1, 2)), jnp.float32)
-    nodes = gait_sensitivity(plant, _start(survey, target, shape), config.cycles, key)
+    target = _targets(survey, table.references().reshape(-1, 2))
+    nodes = _simulate(plant, survey, _start(survey, target, shape), config)
     scale: AnyArray = np.ones(len(target), np.float32)
     for step in range(config.steps):
         exact = step >= config.steps - EXACT
@@ -161,7 +181,7 @@ def _search(
         if step % 4 == 3 and not exact:
             nodes, scale = _restarted(nodes, target, scale, shape)
         moved = _stepped(nodes, target, scale, shape, config, exact)
-        trial = gait_sensitivity(plant, moved, config.cycles, key)
+        trial = _simulate(plant, survey, moved, config)
         nodes, scale = _better(nodes, trial, target, scale, 0.0 if exact else config.smoothness)
         told(nodes, target)
     return nodes
@@ -177,20 +197,18 @@ def _between(
 ) -> tuple[GaitSensitivity, GaitTable]:
     """Add nodes halfway between those of a table, starting from interpolated gaits."""
     finer = table.halved()
-    key = named_key(0, "gaits")
     # Every second node in each direction is a node of the old table.
     new = np.ones(finer.nodes, bool)
     new[::2, ::2] = False
     references = finer.references()[new]
-    target = jnp.asarray(survey.reachable.nearest(references), jnp.float32)
+    target = _targets(survey, references)
     blends = np.stack([table.gait(reference) for reference in references])
-    added = gait_sensitivity(plant, action_to_pre_tanh(blends), config.cycles, key)
+    added = _simulate(plant, survey, action_to_pre_tanh(blends), config)
     scale: AnyArray = np.ones(len(target), np.float32)
     for _ in range(EXACT):
         moved = _stepped(added, target, scale, (len(target), 1), config, True)
-        added, scale = _better(
-            added, gait_sensitivity(plant, moved, config.cycles, key), target, scale, 0.0
-        )
+        trial = _simulate(plant, survey, moved, config)
+        added, scale = _better(added, trial, target, scale, 0.0)
         told(added, target)
 
     def placed(old: AnyArray, added: AnyArray) -> AnyArray:
@@ -214,7 +232,10 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
     finer = (_finer(CENTRES), _finer(AMPLITUDES))
     places = np.array(list(product(*finer)))
     for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
-        interpolated = RegularGridInterpolator((CENTRES, AMPLITUDES), force, method="cubic")(places)
+        by_stroke = RegularGridInterpolator(
+            (CENTRES, AMPLITUDES), force / survey.reachable.size, method="cubic"
+        )
+        interpolated = by_stroke(places)
         pre_tanh = action_to_pre_tanh(strokes(waveform, velocity, *places.T))
         # Distance of each stroke's force from each target, (nodes, strokes).
         apart = np.linalg.norm(interpolated[None] - np.asarray(target)[:, None], axis=-1)
@@ -241,9 +262,10 @@ def _stepped(
     config: GaitConfig,
     exact: bool,
 ) -> PreTanh:
-    """Take one step of every node."""
+    """Take one step at every node."""
     # With the Jacobian J of the force, the smallest step that changes the force by d is
-    # J^T (J J^T)^-1 d. The small diagonal keeps it finite if a gait has no effect on the force.
+    # J^T (J J^T)^-1 d. The small diagonal term keeps it finite if a gait does not change the
+    # force.
     across = nodes.slope[:, :2]
     gram = across @ jnp.swapaxes(across, 1, 2)
     gram += (1e-3 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-3) * jnp.eye(2)

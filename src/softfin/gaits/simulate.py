@@ -18,6 +18,7 @@ from pydantic import Field, PositiveInt
 
 from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW
 from softfin.core.configuration import Configuration
+from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, hold
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AnyArray, action_to_command
@@ -56,12 +57,12 @@ AMPLITUDES = np.linspace(0.05, 0.9, 7)
 """Amplitudes of the surveyed gaits, as actions."""
 
 FAMILIES = tuple(product(WAVEFORMS, VELOCITIES))
-"""Waveform and velocity of each family of gaits. Within a family, similar gaits produce similar
+"""Waveform and velocity of each gait family. Within a family, similar gaits produce similar
 forces."""
 
 NEAR = 0.2
-"""Maximum distance of a force from the middle of all forces for it to be close to the middle, as a
-fraction of half the diagonal of their bounding box."""
+"""Distance from the middle of all forces up to which a force counts as close to it, as a fraction
+of half the diagonal of their bounding box."""
 
 ASIDE = 2.0
 """Cost of a force across the direction, relative to the gain of the same force along it."""
@@ -122,7 +123,7 @@ def gait_sensitivity(
 
 def _batches(rows: np.ndarray, size: int) -> np.ndarray:
     """Split rows into batches of equal size, which share a compiled program; the last batch is
-    filled up with the first rows."""
+    padded with the first rows."""
     return np.resize(rows, (-(-len(rows) // size), size, *rows.shape[1:]))
 
 
@@ -201,7 +202,10 @@ def strokes(
 def survey(
     plant: Plant, config: SurveyConfig | None = None, report: ReportSearch = lambda *_: None
 ) -> Survey:
-    """Simulate the gaits of all families in a plant and estimate the region of reachable forces."""
+    """Simulate the gaits of all families in a plant and estimate the region of reachable forces.
+
+    Raises PlantError if the plant produces no mean force at all.
+    """
     config = config or SurveyConfig()
     plant = jit_argument(plant)
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
@@ -213,6 +217,8 @@ def survey(
         report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
     force = np.concatenate(forces)[: len(gaits)]
     reachable = _pushed(plant, gaits, force, config)
+    if reachable.reach_n == 0:
+        raise PlantError("this plant makes no mean force, whatever its commands; check its model")
     report(1.0, "")
     return Survey(force.reshape(len(FAMILIES), len(CENTRES), len(AMPLITUDES), 2), reachable)
 
@@ -251,9 +257,9 @@ def _pushed(
         # The gradient of (distance along the direction) - ASIDE * (distance across it).
         uphill = outward - ASIDE * side * np.stack([outward[:, 1], -outward[:, 0]], axis=1)
         change = np.einsum("di,din->dn", uphill, np.asarray(found.slope)[:, :2])
-        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / (
-            np.linalg.norm(change, axis=1, keepdims=True) + 1e-6
-        )
+        length = np.linalg.norm(change, axis=1, keepdims=True)
+        # A gait without a gradient does not move.
+        pre_tanh = pre_tanh + np.float32(0.5 * part) * change / np.where(length > 0, length, 1)
     # The maximum distance along each direction over the forces in the sector around it.
     offset = np.concatenate(forces) - centre
     along = offset @ outward.T

@@ -15,17 +15,24 @@ from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, Po
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
-from softfin.gaits.gait import ForceMap
+from softfin.gaits.gait import ForceMap, GaitTable
 from softfin.gaits.reachable import Cell, Cells, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.gradient import GradientConfig
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
-from softfin.task.references import PAPER_CELLS, PAPER_RANGE, check_apart
+from softfin.task.references import PAPER_CELLS, PAPER_RANGE, check_apart, lattice
 from softfin.task.task import TaskConfig
 
 EDGE_ROUNDING_N = 1e-3
-"""Tolerance for the edges of lattices and regions, which are rounded in files [N]."""
+"""Tolerance for the edges of lattices and regions, which are rounded in files, for the paper's fin
+[N]."""
+
+GRID_SHAPE = (2, 3)
+"""Number of cells along x and y in a grid over a fin's reach: six in all, as in the paper."""
+
+CHECKED_POINTS = 8
+"""Number of points along each side of a cell; the fin must reach at least one of them."""
 
 
 class TrainConfig(Configuration):
@@ -157,7 +164,7 @@ GRADIENT_GRID = GRADIENT_SINGLE.merged(
 """A grid of policies trained by gradients through the plant, in 20 updates."""
 
 HINDSIGHT = ("ppo.relabelling=1",)
-"""Change to also learn from each rollout for other references; not in the paper."""
+"""Configuration change that also uses each rollout for other references; not in the paper."""
 
 TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = MappingProxyType(
     {
@@ -186,13 +193,60 @@ def choose_preset(
     return TRAIN_PRESETS["ppo-hindsight", controller], reason
 
 
+def fit_to_reach(
+    config: TrainConfig, reachable: Reachable, table: GaitTable | None = None
+) -> TrainConfig:
+    """Return a preset for all forces that a fin can produce, as far as a table has gaits for them.
+
+    Cells cover the reach. The preset's values in newtons were tuned for the paper's fin, so they
+    are multiplied by the size of this one; the reward is divided by it.
+    """
+    size = reachable.size
+    box = reachable.bounding_box()
+    if table is not None:
+        low = np.maximum(box.low, table.low).tolist()
+        high = np.minimum(box.high, table.high).tolist()
+        box = Cell(low=tuple(low), high=tuple(high))
+    cells: Cells = (box,)
+    if config.controller == "grid":
+        cells = tuple(cell for cell in lattice(*GRID_SHAPE, box) if _can_make(reachable, cell))
+    x, y = config.task.reward.weight
+    values = {
+        "cells": [cell.model_dump() for cell in cells],
+        "margin_n": config.margin_n * size,
+        "switching": {
+            "margin_n": config.switching.margin_n * size,
+            "step_n": config.switching.step_n * size,
+        },
+        "task": {
+            "force_scale_n": config.task.force_scale_n * size,
+            "reward": {"weight": (x / size, y / size)},
+        },
+        "gradient": {
+            "rounding_n": config.gradient.rounding_n * size,
+            "map": {"spacing_n": None},
+        },
+    }
+    return config.merged(values, "reach")
+
+
+def _can_make(reachable: Reachable, cell: Cell) -> bool:
+    """Return whether a fin can produce at least one force of a cell."""
+    return bool(reachable.contains(cell.lattice(CHECKED_POINTS)).any())
+
+
 def check(
-    plant: Plant, config: TrainConfig, seeds: Sequence[int], force_map: ForceMap | None = None
+    plant: Plant,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    force_map: ForceMap | None = None,
+    reachable: Reachable | None = None,
 ) -> None:
-    """Check a configuration against a plant, seeds and the map of the plant.
+    """Check a configuration against a plant, seeds, and the plant's map or reach.
 
     Raises:
-        ConfigurationError: they do not fit together, or the number of steps is less than a rollout.
+        ConfigurationError: they are incompatible, the fin can produce none of the forces of a cell,
+            or the number of steps is less than one rollout.
     """
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: use at least one seed, without duplicates")
@@ -216,6 +270,10 @@ def check(
             "ensemble = each: the plant must be an ensemble of at least two members; remove the "
             "option, or fit a streaming surrogate with --set members=5"
         )
+    if force_map is not None:
+        reachable = force_map.reachable
+    if reachable is not None:
+        _check_reach(config.cells, reachable)
     if config.begins_as_gaits and force_map is not None:
         _check_map(config, force_map)
 
@@ -226,11 +284,22 @@ def _check_map(config: TrainConfig, force_map: ForceMap) -> None:
     table = force_map.gaits.table
     # References outside the reachable region are moved into it, so gaits need not cover them.
     reachable_low, reachable_high = force_map.reachable.bounds()
-    low = np.maximum(box.low, reachable_low) + EDGE_ROUNDING_N
-    high = np.minimum(box.high, reachable_high) - EDGE_ROUNDING_N
+    rounding_n = EDGE_ROUNDING_N * force_map.reachable.size
+    low = np.maximum(box.low, reachable_low) + rounding_n
+    high = np.minimum(box.high, reachable_high) - rounding_n
     if np.any(table.low > low) or np.any(table.high < high):
         covered = Cell(low=tuple(map(float, table.low)), high=tuple(map(float, table.high)))
         raise ConfigurationError(
             f"map of {covered}: its gaits do not cover the references for training ({box}); map a "
             "box that contains them, or the full reachable region (softfin map without a box)"
         )
+
+
+def _check_reach(cells: Cells, reachable: Reachable) -> None:
+    for cell in cells:
+        if not _can_make(reachable, cell):
+            raise ConfigurationError(
+                f"range {cell}: this fin cannot produce any of these forces; its reach is "
+                f"{reachable.bounding_box()}; choose a range within it, or omit --range to train "
+                "for all of it"
+            )

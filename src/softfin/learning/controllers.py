@@ -30,7 +30,7 @@ REFINED = "refined"
 
 
 def write_learning(folder: Path) -> None:
-    """Write ``learning.svg`` next to the logs of a run and its tasks, with a curve for each seed of
+    """Write ``learning.svg`` next to the logs of a run and its tasks, with a curve for each seed in
     each log."""
     runs: dict[str, list[Curve]] = {}
     for log in sorted(folder.rglob(LOG)):
@@ -98,7 +98,7 @@ def save_controller(
     is_grid = config.controller == "grid"
     one = (index,) if is_grid else (index, 0)
     policies: Policy = jax.tree.map(lambda leaf: np.asarray(leaf)[one], trained.policies)
-    reachable = None if trained.force_map is None else trained.force_map.reachable
+    reachable = trained.reachable
     tracked = config.evaluation_references(reachable)
     keys = {
         "cells": [cell.model_dump(mode="json") for cell in config.cells],
@@ -151,4 +151,5 @@ def _scores(
 
 
 def _rounded(force: AnyArray) -> list[float]:
-    return [round(float(x), 4) for x in force]
+    # Four significant digits, for fins of any size.
+    return [float(f"{float(x):.4g}") for x in force]

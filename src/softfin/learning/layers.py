@@ -41,8 +41,8 @@ class LSTMCell(eqx.Module):
 
     @classmethod
     def create(cls, key: PRNGKeyArray, inputs: int, units: int) -> "LSTMCell":
-        """Initialize a cell with an open forget gate, so that gradients reach far back from the
-        start."""
+        """Initialize a cell with an open forget gate, so that gradients initially reach far back in
+        time."""
         first, second = jax.random.split(key)
         kernel = weights(first, (inputs, 4 * units))
         recurrent = weights(second, (units, 4 * units))
@@ -82,7 +82,7 @@ def weights(
     key: PRNGKeyArray, shape: tuple[int, int], gain: float = 1.0
 ) -> Float[Array, "inputs outputs"]:
     """Return uniform random weights whose outputs have the variance of the inputs times gain^2."""
-    # A uniform distribution on [-b, b] has the variance b^2 / 3.
+    # A uniform distribution on [-b, b] has variance b^2 / 3.
     bound = gain * (3 / shape[0]) ** 0.5
     return jax.random.uniform(key, shape, minval=-bound, maxval=bound)
 
@@ -122,8 +122,8 @@ class Normalisation(eqx.Module):
     def updated(self, x: NumberBatch, most: float | int = jnp.inf) -> "Normalisation":
         """Return the normalization updated by a batch of vectors.
 
-        Earlier vectors have the weight of at most `most` vectors. Means and variances are merged as
-        in Chan, Golub and LeVeque 1979.
+        Earlier vectors together are weighted as at most `most` vectors. Means and variances are
+        merged as in Chan, Golub and LeVeque 1979.
         """
         # With n = old + new vectors and d = mean_new - mean_old:
         # mean = mean_old + d new / n

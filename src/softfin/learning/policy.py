@@ -63,8 +63,8 @@ class Policy(eqx.Module):
     normalisation: Normalisation
     """Normalisation of the observations."""
     gaits: GaitTable | None
-    """Gaits to which the outputs of the networks are added, over references in the unit of the
-    observation; not trained."""
+    """Gaits to which the networks' outputs are added, with references in the observation's units;
+    not trained."""
 
     @classmethod
     def create(
@@ -183,7 +183,7 @@ class Critic(eqx.Module):
         return self.values.inverse(self._normalised(privileged)[..., None])[..., 0]
 
     def loss(self, privileged: PrivilegedBatch, target: BatchScalars) -> Float[Array, ""]:
-        """Return the mean square error of the normalized values."""
+        """Return the mean squared error of the normalized values."""
         error = self._normalised(privileged) - self.values(target[..., None])[..., 0]
         return jnp.mean(error**2)
 
@@ -194,7 +194,7 @@ class Critic(eqx.Module):
         most: float | int,
     ) -> "Critic":
         """Return the critic with its normalizations updated by inputs and values; earlier values
-        have the weight of at most `most` values.
+        together are weighted as at most `most` values.
 
         The last layer is adapted to the new normalization of the values, so that predictions stay
         the same (van Hasselt et al. 2016). The new normalization of the inputs still changes them
@@ -234,8 +234,8 @@ STORED_NAMES = {"log_std": "log_deviation", "normalisation.std": "normalisation.
 
 
 def policy_memory(policy: Policy) -> dict[str, int]:
-    """Return the memory of a policy or a stack of policies as JSON: weights and optimizer, without
-    critic and rollouts."""
+    """Return the memory use of a policy or a stack of policies as JSON: weights and optimizer,
+    without critic and rollouts."""
     count = math.prod(policy.log_std.shape[:-1])
     leaves = jax.tree.leaves(policy)
     weights = sum(leaf.size for leaf in leaves) // count

@@ -37,7 +37,7 @@ RECENT_UPDATES = 4
 increase as the policy learns."""
 
 MAX_LOG_RATIO = 20.0
-"""Logarithm at which a ratio of probabilities is clipped."""
+"""Upper limit of the logarithm of a probability ratio."""
 
 PerStep = Float[Array, "time environments"]
 
@@ -191,8 +191,9 @@ class PPO:
         value = critic(rollout.privileged_observation)
         next_value = critic(rollout.next_privileged_observation)
         reward = (1 - discount) * rollout.reward
-        # Later terms of an advantage are weighted like the actions there, because the policy would
-        # rarely take some of these actions for a relabelled reference (Munos et al. 2016).
+        # Later terms of an advantage are multiplied by the weights of their actions, because the
+        # policy would rarely take some of these actions for a relabelled reference (Munos et al.
+        # 2016).
         traces = self.config.gae_lambda * jnp.roll(rollout.weight, -1, axis=0)
         advantage = advantages(reward, value, next_value, rollout.truncated, discount, traces)
         normalised = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -316,7 +317,7 @@ class PPO:
 
         def epoch(carry: Learners, key: PRNGKeyArray) -> tuple[Learners, Metrics]:
             order_key, relabel_key = jax.random.split(key)
-            # Each epoch uses new references, and advantages of the policy and critic before the
+            # Each epoch uses new references, and advantages from the policy and critic before the
             # update.
             extended = self.relabelled(behaviour.policy, rollout, memories, references, relabel_key)
             order = jax.random.permutation(order_key, extended.reward.shape[1]).reshape(

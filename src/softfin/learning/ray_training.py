@@ -14,7 +14,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -24,6 +24,7 @@ from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import Reachable
 from softfin.installation import how_to_add
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.run import BestPolicies, TrainingResult
@@ -56,6 +57,10 @@ fork.
 """
 
 
+KnownFin: TypeAlias = tuple[Plant, ForceMap | None, Reachable | None]
+"""A plant, its map if there is one, and the forces that it can produce, if known."""
+
+
 class Task(NamedTuple):
     """Part of a training run."""
 
@@ -84,6 +89,7 @@ def train_on_ray(
     progress: Progress | None = None,
     force_map: ForceMap | None = None,
     cluster: str | None = None,
+    reachable: Reachable | None = None,
 ) -> TrainingResult:
     """Train like `softfin.learning.train.train`, on the cluster at HOST:PORT or on one started for
     this run.
@@ -94,19 +100,22 @@ def train_on_ray(
         ConfigurationError: `check` failed, or Ray or the cluster cannot be used.
         RunError: a task failed; the last valid checkpoints are kept.
     """
-    check(plant, config, seeds, force_map)
+    check(plant, config, seeds, force_map, reachable)
     if force_map is None:
         force_map = find_map(plant, config, run_directory, progress)
+    if force_map is not None:
+        reachable = force_map.reachable
     tasks = split_into_tasks(config, seeds)
     with _connected(cluster) as ray:
-        results = _run_tasks(ray, plant, tasks, run_directory, force_map, progress or silent)
+        fin = (plant, force_map, reachable)
+        results = _run_tasks(ray, fin, tasks, run_directory, progress or silent)
     # Tasks are in the order of seeds, then cells, so the leaves become (seeds, cells, ...).
     policies, evaluation = jax.tree.map(
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,
     )
     limits = Limits(*map(float, plant.limits))
-    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, force_map)
+    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, reachable)
 
 
 def check_cluster(cluster: str | None) -> None:
@@ -128,10 +137,9 @@ def check_cluster(cluster: str | None) -> None:
 
 def _run_tasks(
     ray: Any,
-    plant: Plant,
+    fin: KnownFin,
     tasks: Sequence[Task],
     run_directory: RunDirectory,
-    force_map: ForceMap | None,
     progress: Progress,
 ) -> list[BestPolicies]:
     # Ray hides GPUs from tasks that do not request one, and they would run on the CPU.
@@ -143,7 +151,7 @@ def _run_tasks(
         )
     remote = ray.remote(num_cpus=1, num_gpus=gpus_per_task, max_retries=MAX_RETRIES)(_run_task)
     # Copied to the object store once, not once per task.
-    shared = ray.put((plant, force_map))
+    shared = ray.put(fin)
     running = {}
     for task in tasks:
         running[remote.remote(shared, task, run_directory.part(task.name))] = task.name
@@ -179,13 +187,13 @@ def _task_outcome(ray: Any, reference: Any, name: str) -> BestPolicies | Softfin
 
 
 def _run_task(
-    shared: tuple[Plant, ForceMap | None], task: Task, run_directory: RunDirectory
+    fin: KnownFin, task: Task, run_directory: RunDirectory
 ) -> BestPolicies | SoftfinError:
     """Run a task on a worker. softfin's errors are returned, because Ray would wrap raised errors
     in a traceback."""
-    plant, force_map = shared
+    plant, force_map, reachable = fin
     try:
-        trained = train(plant, task.config, task.seeds, run_directory, None, force_map)
+        trained = train(plant, task.config, task.seeds, run_directory, None, force_map, reachable)
     except SoftfinError as error:
         return error
     return trained.policies, trained.evaluation

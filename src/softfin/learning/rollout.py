@@ -167,7 +167,7 @@ def reset_truncated(task: ForceTracking, env_state: EnvState) -> EnvState:
     def choose(new: Array, old: Array) -> Array:
         return jnp.where(truncated.reshape(-1, *[1] * (new.ndim - 1)), new, old)
 
-    # All environments are reset and the finished ones chosen, because a branch cannot depend on
+    # All environments are reset and the finished ones selected, because a branch cannot depend on
     # traced values.
     again = jax.vmap(task.reset)(env_state.states.key, env_state.states.references)
     return EnvState(jax.tree.map(choose, again, env_state.states), env_state.memories, truncated)

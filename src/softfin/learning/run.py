@@ -21,6 +21,7 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import named_key
 from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient
 from softfin.learning.policy import Policy
@@ -43,7 +44,7 @@ class RunState(NamedTuple):
 
 
 BestPolicies: TypeAlias = tuple[Policy, PolicyEvaluation]
-"""Policy with the lowest deterministic error of each agent, and its evaluation; leaves ``(seeds,
+"""Each agent's policy with the lowest deterministic error, and its evaluation; leaves ``(seeds,
 cells, ...)``."""
 
 
@@ -54,11 +55,11 @@ class TrainingResult(NamedTuple):
     limits: Limits
     seeds: tuple[int, ...]
     policies: Policy
-    """Policy of each agent with the lowest deterministic error; leaves ``(seeds, cells, ...)``."""
+    """Each agent's policy with the lowest deterministic error; leaves ``(seeds, cells, ...)``."""
     evaluation: PolicyEvaluation
     """Evaluation of these policies, ``(seeds, cells, references, 2)``."""
-    force_map: ForceMap | None = None
-    """Map of the fin, if any."""
+    reachable: Reachable | None = None
+    """Mean forces that the fin can produce, if known."""
 
 
 MemberState: TypeAlias = tuple[Int[Array, ""], State]
@@ -133,13 +134,18 @@ class TrainingRun:
     """The compiled programs of a training run and their arguments, for all agents."""
 
     def __init__(
-        self, plant: Plant, config: TrainConfig, seeds: tuple[int, ...], force_map: ForceMap | None
+        self,
+        plant: Plant,
+        config: TrainConfig,
+        seeds: tuple[int, ...],
+        force_map: ForceMap | None,
+        reachable: Reachable | None = None,
     ) -> None:
         self.config = config
         self.seeds = seeds
         self.force_map = force_map
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
-        self.reachable = None if force_map is None else force_map.reachable
+        self.reachable = reachable if force_map is None else force_map.reachable
         self.plant = jit_argument(plant)
         # The configuration is a static argument. Without cells, runs that differ only in their
         # cells and seeds share compiled programs.
@@ -177,7 +183,7 @@ class TrainingRun:
         return cast(AgentTree, jax.device_put(tree, parts))
 
     def update(self, agents: AgentState, number: int) -> tuple[AgentState, Metrics]:
-        """Do update number `number` of all agents.
+        """Run update `number` for all agents.
 
         Raises:
             RunError: a loss or its gradient is not finite.
@@ -192,7 +198,7 @@ class TrainingRun:
         """Evaluate the policies of all agents without exploration or sensing noise.
 
         Raises:
-            RunError: a force of the plant is not finite.
+            RunError: a plant force is not finite.
         """
         # Sensing noise is used only in training: the best policy is chosen under the conditions of
         # `softfin evaluate`.

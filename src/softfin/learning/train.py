@@ -35,19 +35,21 @@ def train(
     run_directory: RunDirectory,
     progress: Progress | None = None,
     force_map: ForceMap | None = None,
+    reachable: Reachable | None = None,
 ) -> TrainingResult:
     """Train a policy for each seed and cell; resume from the checkpoint in `run_directory`, if any.
 
-    If policies start from gaits and there is no `force_map`, the fin is mapped first.
+    If policies start from gaits and there is no `force_map`, the fin is mapped first. The
+    `reachable` forces may also be known without a map.
 
     Raises:
         ConfigurationError: `check` failed.
         RunError: a loss is not finite; the last valid checkpoint is kept in `run_directory`.
     """
-    check(plant, config, seeds, force_map)
+    check(plant, config, seeds, force_map, reachable)
     if force_map is None:
         force_map = find_map(plant, config, run_directory, progress)
-    run = TrainingRun(plant, config, tuple(seeds), force_map)
+    run = TrainingRun(plant, config, tuple(seeds), force_map, reachable)
     state = run.start()
     done = 0
     steps_per_update = run.config.learning.steps_per_update
@@ -80,7 +82,7 @@ def train(
     record.close()
     policies, evaluation = run.result(state)
     limits = Limits(*map(float, plant.limits))
-    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, force_map)
+    return TrainingResult(config, limits, tuple(seeds), policies, evaluation, run.reachable)
 
 
 def find_map(

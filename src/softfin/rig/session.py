@@ -29,7 +29,7 @@ MeasuredForce: TypeAlias = tuple[float, float]
 SessionState = Literal["unconfigured", "inactive", "active", "stopped"]
 
 Observer = Callable[[Sample, Target | None], None]
-"""Function called at each tick with the sample and the command in force; must return
+"""Function called at each tick with the sample and the active command; must return
 immediately."""
 
 FRESH_TICKS = 200

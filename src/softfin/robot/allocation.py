@@ -128,8 +128,8 @@ class Allocator:
         return parts
 
     def _within(self, right: MatrixColumns, parts: MatrixColumns) -> MatrixColumns:
-        """Return forces relative to the reaches, with lengths up to 1, after some steps towards the
-        optimum."""
+        """Return the forces as fractions of each fin's reach, at most 1, after some steps towards
+        the optimum."""
         # A gradient step is linear: descend @ x + shift.
         shift = self._step * right
         ahead = parts

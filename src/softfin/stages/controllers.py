@@ -4,6 +4,7 @@ Sec. III-C)."""
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from softfin.control.store import save_gaits
 from softfin.core.choices import EngineName
@@ -14,8 +15,10 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import MapConfig, check_star, find_force_map, load_force_map, save_map
-from softfin.gaits.reachable import PAPER_REFERENCES
-from softfin.learning.configuration import TrainConfig, check, choose_preset
+from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.gaits.reachable import PAPER_REFERENCES, PAPER_SIZED, Reachable
+from softfin.gaits.simulate import missing_gradient, survey
+from softfin.learning.configuration import TrainConfig, check, choose_preset, fit_to_reach
 from softfin.learning.controllers import save_controller, write_learning
 from softfin.learning.ray_training import check_cluster, train_on_ray
 from softfin.learning.train import train as train_in_process
@@ -23,7 +26,9 @@ from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.channels import learnt_from
-from softfin.task.references import PAPER_RANGE
+
+MakeConfig = Callable[[Reachable, GaitTable | None], TrainConfig]
+"""Function that returns the configuration for the forces that a fin can make, and its gaits."""
 
 
 def map_forces(
@@ -49,13 +54,16 @@ def map_forces(
         overwrite,
     )
     errors = found.gaits.force_error()
-    (star, warning) = check_star(found, config.tolerance_n)
+    tolerance_n = config.tolerance(found.reachable)
+    (star, warning) = check_star(found, tolerance_n)
     return {
         "map": str(out),
         "box_n": found.reachable.bounds(),
         "area_n2": found.reachable.area(),
         "nodes": errors.size,
-        "held": int((errors <= config.tolerance_n).sum()),
+        "held": int((errors <= tolerance_n).sum()),
+        "tolerance_n": tolerance_n,
+        "reach_n": found.reachable.reach_n,
         "beyond": [
             list(force) for force in PAPER_REFERENCES if not found.reachable.contains(force)
         ],
@@ -80,7 +88,7 @@ def find_gaits(
     artifacts.check_vacant(out, overwrite)
     moving = find_plant(plant)
     if force_map is None:
-        config = config or MapConfig(box=PAPER_RANGE)
+        config = config or MapConfig()
         found = find_force_map(moving, config, partial(progress, "gaits"))
     elif config is None:
         loaded = load_force_map(force_map, moving, plant_name(plant))
@@ -113,7 +121,7 @@ def _origin(plant: str | Plant, moving: Plant, force_map: Path | None) -> JsonOb
 def train(
     plant: str | Plant,
     out: Path,
-    config: TrainConfig | None = None,
+    config: TrainConfig | MakeConfig | None = None,
     *,
     force_map: Path | None = None,
     seeds: Sequence[int] = (0,),
@@ -127,22 +135,20 @@ def train(
     """Train controllers in a plant, usually a surrogate, by LSTM-PPO (paper Sec. III-C) or by
     gradients.
 
-    By default, a grid over the paper's cells is trained, by gradients if the plant is
-    differentiable. `force_map`, the folder of a map of the plant, provides the reachable forces and
-    gaits. Without it, the fin is mapped only if policies start from gaits; otherwise unreachable
-    references are used unchanged. One seed writes the controller's folder `out`; several write
+    By default, one policy is trained for all forces that the fin can produce, by gradients if the
+    plant is differentiable. A configuration may also be a function of the reachable forces and the
+    gaits. `force_map`, the folder of a map of the plant, provides both. Without it, the fin is
+    mapped, unless a fixed configuration starts without gaits; unreachable references are then used
+    unchanged. One seed writes the controller's folder `out`; several write
     ``out/seed-N``. The `engine` trains everything in this process, as one program, or in parts on a
     Ray `cluster`. The `reason` for the algorithm is stored with the controller.
     """
     _check_engine(engine, cluster)
     moving = find_plant(plant)
-    if config is None:
-        config, reason = choose_preset(moving)
-    can = (
-        None
-        if force_map is None
-        else load_force_map(force_map, moving, plant_name(plant)).force_map
-    )
+    given_map = None
+    if force_map is not None:
+        given_map = load_force_map(force_map, moving, plant_name(plant)).force_map
+    config, reason, can, reachable = _plan(moving, config, reason, given_map, progress)
     origin = _origin(plant, moving, force_map)
     learnt = learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
@@ -153,16 +159,18 @@ def train(
         "map": None if can is None else can.to_dict(),
     }
     # Before the run directory is claimed: a configuration that cannot be trained leaves no trace.
-    check(moving, config, seeds, can)
+    check(moving, config, seeds, can, reachable)
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:
         return run_directory.finish()
     if reason is not None:
         progress("algorithm", 1.0, reason)
     if engine == "ray":
-        trained = train_on_ray(moving, config, seeds, run_directory, progress, can, cluster)
+        trained = train_on_ray(
+            moving, config, seeds, run_directory, progress, can, cluster, reachable
+        )
     else:
-        trained = train_in_process(moving, config, seeds, run_directory, progress, can)
+        trained = train_in_process(moving, config, seeds, run_directory, progress, can, reachable)
 
     def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
         save_controller(
@@ -184,6 +192,53 @@ def train(
     else:
         artifacts.write_folder(out, save_all, overwrite)
     run_directory.finish()
+
+
+class TrainingPlan(NamedTuple):
+    """Configuration of a training run, and the reach of its fin."""
+
+    config: TrainConfig
+    reason: str | None
+    """Reason for the algorithm, if it was chosen here or by the caller."""
+    force_map: ForceMap | None
+    reachable: Reachable | None
+    """Forces that the fin can make, if they are known."""
+
+
+def _plan(
+    plant: Plant,
+    config: TrainConfig | MakeConfig | None,
+    reason: str | None,
+    force_map: ForceMap | None,
+    progress: Progress,
+) -> TrainingPlan:
+    """Find what the fin can make, unless the configuration does not depend on it."""
+    if isinstance(config, TrainConfig):
+        reachable = None if force_map is None else force_map.reachable
+        return TrainingPlan(config, reason, force_map, reachable)
+    if config is None:
+        preset, reason = choose_preset(plant, "single")
+        config = partial(fit_to_reach, preset)
+    if force_map is None:
+        # The settings of the search are the same whatever it finds.
+        settings = config(PAPER_SIZED, None).gradient.map
+        force_map, reachable = _find_reach(plant, settings, progress)
+    else:
+        reachable = force_map.reachable
+    table = None if force_map is None else force_map.gaits.table
+    return TrainingPlan(config(reachable, table), reason, force_map, reachable)
+
+
+def _find_reach(
+    plant: Plant, config: MapConfig, progress: Progress
+) -> tuple[ForceMap | None, Reachable]:
+    """Return the map of a fin, and the forces that it can make; a plant without gradients is only
+    surveyed, which gives no gaits."""
+    if missing_gradient(plant) is None:
+        force_map = find_force_map(plant, config, partial(progress, "map"))
+        return force_map, force_map.reachable
+    without_gradients = config.survey.model_copy(update={"pushes": 0})
+    return None, survey(plant, without_gradients, partial(progress, "survey")).reachable
 
 
 def _check_engine(engine: EngineName, cluster: str | None) -> None:

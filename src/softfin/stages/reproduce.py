@@ -28,6 +28,7 @@ from softfin.evaluation.figures import experiments_figure, held_figure, moving_f
 from softfin.evaluation.headline import headline
 from softfin.evaluation.report import prediction_figure, write_report
 from softfin.evaluation.results import EvaluationSummary, RunResults, StageRow
+from softfin.evaluation.scores import settled_band
 from softfin.learning.controllers import Curve, learning_figure
 from softfin.stages.collect import collect
 from softfin.stages.controllers import find_gaits, map_forces, train
@@ -351,8 +352,9 @@ class _Reproduction:
         }
         best = headline(results)
         if best is not None:
-            recording = shown[best.controller][1].recording
-            figures["headline"][best.caption] = held_figure(recording)
+            evaluation = shown[best.controller][1]
+            band_n = settled_band(evaluation.reachable)
+            figures["headline"][best.caption] = held_figure(evaluation.recording, band_n)
         for kind, (_, evaluation) in evaluated.items():
             caption = f"{kind} controller, seed {self.seed}"
             figures["experiment"][caption] = experiments_figure(evaluation.recording)

@@ -8,7 +8,7 @@ from softfin.core.configuration import Configuration
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.reachable import bounding_box
+from softfin.gaits.reachable import PAPER_REFERENCES, bounding_box
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
@@ -39,7 +39,7 @@ class ReproduceConfig(Configuration):
     """One policy for all references."""
     grid: TrainConfig | None = GRID
     """One policy per cell."""
-    evaluate: EvaluateConfig = EvaluateConfig(seeds=1)
+    evaluate: EvaluateConfig = EvaluateConfig(seeds=1, references=PAPER_REFERENCES)
     """Experiments; each trained controller runs all of them, `seeds` times. With `trim`, all run in
     the plant without and with force feedback."""
     seeds: PositiveInt = 5
@@ -109,7 +109,12 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
         gaits=GRADIENT_SINGLE.gradient.map,
         single=GRADIENT_SINGLE.changed(["steps=11520", "num_evaluations=4"]),
         grid=None,
-        evaluate=EvaluateConfig(seeds=1, recorded=ONE_STEP, trim=DisturbanceObserverConfig()),
+        evaluate=EvaluateConfig(
+            seeds=1,
+            references=PAPER_REFERENCES,
+            recorded=ONE_STEP,
+            trim=DisturbanceObserverConfig(),
+        ),
         seeds=2,
     ),
     "tiny": ReproduceConfig(
@@ -119,7 +124,11 @@ PRESETS: dict[ReproducePreset, ReproduceConfig] = {
         single=GRADIENT_SINGLE.changed(["steps=1152", "num_evaluations=1"]),
         grid=GRID.model_copy(update={"steps": 960}),
         evaluate=EvaluateConfig(
-            seeds=1, seconds=6, recorded=ONE_STEP, trim=DisturbanceObserverConfig()
+            seeds=1,
+            references=PAPER_REFERENCES,
+            seconds=6,
+            recorded=ONE_STEP,
+            trim=DisturbanceObserverConfig(),
         ),
         seeds=2,
     ),

@@ -1,8 +1,8 @@
 """The input and output channels of surrogates, by name: their scaling (``scaled = x * scale +
 offset``) and their training range.
 
-Every controller trained in a surrogate stores the training range and the name of the fin. A rig
-rejects controllers for other fins, and stops a controller far outside its training data.
+Every controller trained in a surrogate stores the training range and the fin's name. A rig rejects
+controllers for other fins, and stops a controller far outside its training data.
 """
 
 from collections.abc import Mapping, Sequence

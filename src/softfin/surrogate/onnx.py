@@ -2,8 +2,8 @@
 reading and next state out.
 
 The step is traced from the surrogate's JAX program (`softfin.storage.onnx_graph`). The file is
-written only if onnxruntime agrees with JAX over a free run of 30 s with random commands. Needs the
-extra ``softfin[onnx]``.
+written only if onnxruntime agrees with JAX over a free run of 30 s with random commands. Requires
+the extra ``softfin[onnx]``.
 """
 
 import hashlib
@@ -48,7 +48,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
     Raises:
         ConfigurationError: the extra is missing.
         ArtifactError: the file already exists, or the folder contains no surrogate.
-        RunError: the readings of the exported step differ from JAX's; no file is written.
+        RunError: the exported step's outputs differ from JAX's; no file is written.
     """
     artifacts.check_file(file, overwrite, "--onnx")
     import_extra("spox", "onnx", "onnxruntime")

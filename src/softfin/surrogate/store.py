@@ -37,10 +37,10 @@ def save_surrogate(
         path: The folder.
         surrogate: The surrogate.
         scores: Scores on test logs, if there are any.
-        provenance: Data, seed and versions that the surrogate comes from.
+        provenance: Data, seed and versions from which the surrogate was made.
         extra_files: Function that writes more files into the folder.
         overwrite: Replace an existing folder.
-        metadata: More entries of ``surrogate.json``.
+        metadata: Further entries of ``surrogate.json``.
     """
     entries, weights = surrogate.to_files()
     description = {

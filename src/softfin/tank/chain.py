@@ -3,7 +3,8 @@ on its plates.
 
 Plate i extends from its inner end, which is nearer the shaft, along d(phi) = (-cos phi, sin phi).
 Its normal is n = d' = (sin phi, cos phi). The absolute angles phi are the only coordinates, so the
-length is conserved exactly. Loads, momenta and motions of a plate refer to n, d and its inner end.
+length is conserved exactly. Each plate's loads, momenta and motions are resolved along n and d, at
+its inner end.
 """
 
 from collections.abc import Callable
@@ -145,7 +146,7 @@ def centripetal(pose: Pose, inertia: Moments, motion: PlateMotion) -> PlateWrenc
 
 
 def resultant(angles: PerPlate, wrench: PlateWrench) -> PlanarVector:
-    """Return the sum of the forces in the axes of the tank, (x, y)."""
+    """Return the sum of the forces in the tank's axes, (x, y)."""
     cos = jnp.cos(angles)
     sin = jnp.sin(angles)
     return jnp.stack(

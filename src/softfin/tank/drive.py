@@ -1,5 +1,5 @@
 """The drive: a positioning controller in profile position mode, a motor and a gearbox. Commands in,
-motion of the shaft out.
+shaft motion out.
 
 The controller follows a trapezoidal velocity profile to the target angle at the commanded velocity,
 within an acceleration limit. The profile is replanned in each step from its current state, so a
@@ -46,17 +46,16 @@ class DriveConfig(Configuration):
     lag_s: float = Field(0.001, ge=0)
     """Following error divided by velocity [s], caused by the servo's velocity damping."""
     stiffness_nm_rad: float = Field(300.0, gt=0)
-    """Torque of the servo per following error [N m/rad]."""
+    """Servo torque per following error [N m/rad]."""
     inertia_kg_m2: float = Field(0.028, gt=0)
-    """Inertia of rotor and gearbox times the square of the gear ratio [kg m2]; 22.6e-7 kg m2 at
+    """Inertia of the rotor and gearbox times the square of the gear ratio [kg m2]; 22.6e-7 kg m2 at
     111:1."""
     torque_limit_nm: float = Field(6.0, gt=0)
-    """Maximum torque of motor and gearbox [N m]; the limit of a 32 mm planetary gearbox."""
+    """Maximum torque of the motor and gearbox [N m]; the limit of a 32 mm planetary gearbox."""
     backlash_rad: float = Field(0.0, ge=0, le=0.2)
     """Backlash of the gearbox from end to end [rad]; catalogues state 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
-    """Resolution of the encoder [rad], for 2000 counts per turn at 111:1; 0 for no
-    quantization."""
+    """Encoder resolution [rad], for 2000 counts per turn at 111:1; 0 for no quantization."""
 
 
 class DriveState(NamedTuple):

@@ -3,7 +3,7 @@ rigid plates with elastic joints.
 
 The first joint connects the fin to the shaft. A time step applies the implicit midpoint rule to
 bending, structural damping, the resistance of the water, and the shaft. All other nonlinear terms
-are evaluated at a midpoint predicted from the last accelerations. The method is of second order and
+are evaluated at a midpoint predicted from the last accelerations. The method is second-order and
 needs one linear solve per step. It is stable for any stiffness and damping, but not for large
 rotations in one step (docs/appendix/tank.md, "Step of time").
 """
@@ -37,13 +37,13 @@ PlateSeries: TypeAlias = NDArray[np.floating[Any]]
 class FinConfig(Configuration):
     """Geometry and material; thickness and span change linearly from root to tip.
 
-    The defaults of length, bracket, modulus and damping come from a calibration against the
-    published fin (docs/appendix/tank.md). Span and thickness were fixed, because no log can
-    separate them from modulus and drag.
+    The default length, bracket, modulus and damping come from a calibration against the published
+    fin (docs/appendix/tank.md). Span and thickness were fixed, because no log can separate them
+    from modulus and drag.
     """
 
     plates: int = Field(8, ge=1, le=32)
-    """Number of rigid plates [-]. The error of the force decreases at least with its square."""
+    """Number of rigid plates [-]. The force error decreases at least with its square."""
     length_m: float = Field(0.187, gt=0)
     """Length from the shaft to the tip [m]."""
     root_length_m: float = Field(0.0195, ge=0)
@@ -57,13 +57,13 @@ class FinConfig(Configuration):
     tip_thickness_ratio: float = Field(1.0, gt=0)
     """Thickness at the tip divided by thickness at the shaft [-]."""
     youngs_modulus_pa: float = Field(2.72e6, gt=0)
-    """Young's modulus in bending [Pa]. The hardness of Shore A 22 corresponds to 0.8e6 (Gent 1958),
+    """Young's modulus in bending [Pa]. A hardness of Shore A 22 corresponds to 0.8e6 (Gent 1958),
     or 1.1e6 in a plate."""
     density_kg_m3: float = Field(1150.0, gt=0)
     """Density of the silicone [kg/m3]; 1050 to 1200 for addition silicones."""
     damping_s: float = Field(0.0273, ge=0)
-    """Kelvin-Voigt time: damping of each joint divided by its stiffness [s]. The default is a loss
-    factor of 0.27 at 1.6 Hz."""
+    """Kelvin-Voigt time: damping of each joint divided by its stiffness [s]. The default
+    corresponds to a loss factor of 0.27 at 1.6 Hz."""
 
     def span(self, along: PlateSeries) -> PlateSeries:
         """Return the span of the fin at distances from the shaft [m]."""
@@ -95,8 +95,8 @@ def plate_moments(
 
 
 def compliance(config: FinConfig) -> PlateSeries:
-    """Return the compliance of each joint [rad/(N m)]: that of the beam between the middles of the
-    adjacent plates.
+    """Return the compliance of each joint [rad/(N m)]: that of the beam between the midpoints of
+    the adjacent plates.
 
     The beam bends everywhere, but the chain only at its joints. Each part of the beam is therefore
     weighted by the work that a load at the tip does in bending it. The deflection under such a load
@@ -128,7 +128,7 @@ class FinState(NamedTuple):
     """State of the plates."""
 
     angles: PerPlate
-    """Angle of each plate in the axes of the tank [rad]."""
+    """Angle of each plate in the tank's axes [rad]."""
     rates: PerPlate
     """Angular velocity of each plate, including that of a rotating mount [rad/s]."""
     accelerations: PerPlate
@@ -138,8 +138,8 @@ class FinState(NamedTuple):
 
 
 class Mount(NamedTuple):
-    """Motion of the robot at the shaft during a tick, in the axes of the tank, which rotate with
-    the robot.
+    """Motion of the robot at the shaft during a tick, in the tank's axes, which rotate with the
+    robot.
 
     Motion along the shaft and rotation about other axes are neglected, because they move the fin
     edgewise.
@@ -213,8 +213,8 @@ class Fin(eqx.Module):
         return FinState(still, still, still, still)
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
-        """Return the positions of the shaft and of the outer end of each plate, in the axes of the
-        tank [m]."""
+        """Return the positions of the shaft and of each plate's outer end, in the tank's axes
+        [m]."""
         plates = self.plate_length * jnp.stack(
             [-jnp.cos(state.angles), jnp.sin(state.angles)], axis=-1
         )
@@ -227,15 +227,15 @@ class Fin(eqx.Module):
         return relative
 
     def momenta(self, state: FinState, around: Surroundings) -> tuple[PlanarVector, PlanarVector]:
-        """Return the momenta of the fin and of its added mass, in the axes of the tank [N s]."""
+        """Return the momenta of the fin and of its added mass, in the tank's axes [N s]."""
         return (
             chain.resultant(state.angles, self.inertia.times(self._motion(state))),
             chain.resultant(state.angles, around.inertia.times(self.relative(state, around))),
         )
 
     def inertial_force(self, state: FinState, around: Surroundings, mount: Mount) -> PlanarVector:
-        """Return the part of the momenta's rate of change that the motion of the mount causes, in
-        the axes of the mount [N].
+        """Return the part of the momenta's rate of change that the mount's motion causes, in the
+        mount's axes [N].
 
         The other part is the change of `momenta` in these axes.
         """
@@ -260,8 +260,8 @@ class Fin(eqx.Module):
     def step(
         self, state: FinState, shaft: Shaft, around: Surroundings, seconds: float
     ) -> tuple[FinState, Scalar, PlanarVector]:
-        """Advance by one time step; also return the mean rate of the shaft [rad/s] and the mean
-        force of the loads [N] in the step.
+        """Advance by one time step; also return the shaft's mean rate [rad/s] and the mean force of
+        the loads [N] in the step.
 
         With the mean rates w over a step h, this solves, for the mass matrix M, the resistance R
         and the joint matrix G = h/2 (C + h/2 K):
@@ -277,8 +277,8 @@ class Fin(eqx.Module):
         motion = chain.motion(pose, predicted)
         relative = jax.tree.map(jnp.subtract, motion, stream)
         resistance, push = around.loads(relative)
-        # The resistance acts on the motion relative to the stream. The part of the stream is known
-        # and moves to the right-hand side.
+        # The resistance acts on the motion relative to the stream. The stream's contribution is
+        # known and moves to the right-hand side.
         push = jax.tree.map(jnp.add, push, resistance.times(stream))
         inertia = jax.tree.map(jnp.add, self.inertia, around.inertia)
         driven = push
@@ -293,8 +293,8 @@ class Fin(eqx.Module):
             chain.centripetal(pose, around.inertia, relative),
             driven,
         )
-        # Angular impulse of the joints over half a step: strains at the initial bend, and grips per
-        # mean rate of bending.
+        # Angular impulse of the joints over half a step: `strains` for the initial bend, and
+        # `grips` per mean bending rate.
         grips = half * (self.damping + half * self.stiffness)
         bends = state.angles - jnp.concatenate([shaft.angle[None], state.angles[:-1]])
         strains = half * self.stiffness * bends
@@ -302,7 +302,7 @@ class Fin(eqx.Module):
             pose, jax.tree.map(lambda m, r: m + half * r, inertia, resistance)
         )
         right = chain.project(pose, impulse) - _between(strains)
-        # The first plate is solved separately, because backlash and torque limit of the shaft are
+        # The first plate is solved separately, because the shaft's backlash and torque limit are
         # nonlinear.
         root_inertia, root_impulse, expand = chain.condense(left + _joint_matrix(grips), right)
         bend = state.angles[0] - shaft.angle
@@ -333,11 +333,13 @@ def _held(
     bend: Scalar,
     half: float,
 ) -> tuple[Scalar, Scalar]:
-    """Return the mean rates over a step of the first plate and of the shaft relative to its mount.
+    """Return the mean rates of the first plate, and of the shaft relative to its mount, over a
+    step.
 
-    The step is first computed with a loose joint. If the joint is then within the play at the
-    midpoint of the step, it is loose; otherwise it is strained from that edge of the play. A
-    contact is therefore detected in the step in which it occurs.
+    The step is first computed with a loose joint. If this leaves the joint within the play at the
+    step's midpoint, the joint is loose; otherwise it is engaged, and its deflection is measured
+    from the edge of the play that it has passed. A contact is therefore detected in the step in
+    which it occurs.
 
     Args:
         inertia: Inertia at the first plate, from `chain.condense`.

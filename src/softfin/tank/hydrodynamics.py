@@ -8,9 +8,9 @@ causes.
 - Resistive loads: quadratic drag along the normal (Taylor 1952; Morison 1950) and skin friction
   along the plate (Blasius). The drag coefficient is constant, or decreases with the
   Keulegan-Carpenter number of the recent strokes of the plate.
-- Memory: the momentum that drag, friction and tip transfer to the water moves on as a stream and
-  decays. All loads depend on the motion relative to this stream. It does not contain the momentum
-  of the added mass, which returns to the fin.
+- Memory: the momentum that drag, friction and the tip transfer to the water persists as a stream
+  and decays. All loads depend on the motion relative to this stream. The stream does not contain
+  the added-mass momentum, which returns to the fin.
 
 Not modelled: free surface and walls, history (Basset) forces, and the pressure of an accelerating
 stream. Equations: docs/appendix/tank.md, "Water".
@@ -42,7 +42,7 @@ from softfin.tank.sensor import remaining
 class WaterConfig(Configuration):
     """Coefficients of the water's loads, and its memory.
 
-    The defaults of drag and stream come from a calibration against the published fin
+    The default drag and stream coefficients come from a calibration against the published fin
     (docs/appendix/tank.md). Those of added mass, tip and friction come from theory.
     """
 
@@ -214,7 +214,7 @@ class Water(eqx.Module):
             for d, s in zip(drag, places, strict=True)
         ]
         # The tip force is m w min(u, 0) n - m w^2/2 d. For u > 0 the first term is zero, because
-        # water at rest brings no momentum. The tip therefore never adds energy to the fin: the
+        # water at rest carries no momentum. The tip therefore never adds energy to the fin: the
         # power of the force is -m w^2 |u|/2.
         leaving = self.tip * jnp.maximum(-motion.along, 0.0)
         speed = jnp.sqrt(jnp.sqrt(motion.along**2 + SLOWEST_FRICTION_M_S**2))

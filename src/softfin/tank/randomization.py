@@ -35,8 +35,8 @@ class DomainRandomization(Configuration):
     temperature_c: float = Field(5.0, ge=0, le=20)
     """Half-width of the water temperature [degrees Celsius]."""
     stiffness: float = Field(0.1, ge=0, lt=1)
-    """Relative half-width of the stiffness, which depends on batch, age and temperature of the
-    silicone [-]."""
+    """Relative half-width of the stiffness, which depends on the silicone's batch, age and
+    temperature [-]."""
     drag: float = Field(0.1, ge=0, lt=1)
     """Relative half-width of the drag [-]."""
     added_mass: float = Field(0.05, ge=0, lt=1)
@@ -63,7 +63,7 @@ class DomainRandomization(Configuration):
         """
         if not 0 <= part < 1:
             raise ConfigurationError(
-                f"--randomize {part:g}: must be at least 0 (the same tank) and less than 1"
+                f"--randomize {part:g}: must be at least 0 (no randomization) and less than 1"
             )
         usual = cls()
         share = min(1.0, part / USUAL_PART)

@@ -51,11 +51,12 @@ def to_multiple(value: Float[Array, "*shape"], step: Scalar) -> Float[Array, "*s
 
 
 def mean_of_past(duration: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the distribution of the mean of an Ornstein-Uhlenbeck process over its past.
+    """Return the distribution of an Ornstein-Uhlenbeck process's mean over its past.
 
-    The process has variance 1, and the mean is taken over the last `duration` a, in time constants.
-    Given the current value x, the mean is normally distributed around c x with variance V - c^2,
-    where c = (1 - exp(-a)) / a, and V = 2 (a - 1 + exp(-a)) / a^2 is the unconditional variance.
+    The process has variance 1, and the mean is taken over the last `duration` (a, in time
+    constants). Given the current value x, the mean is normally distributed around c x with variance
+    V - c^2, where c = (1 - exp(-a)) / a, and V = 2 (a - 1 + exp(-a)) / a^2 is the unconditional
+    variance.
 
     Returns:
         c and V - c^2.
@@ -88,7 +89,7 @@ class SensorConfig(Configuration):
     range_n: float = Field(500.0, ge=0)
     """Magnitude at which each axis saturates before the zero is subtracted [N]."""
     zero_s: float = Field(2.0, ge=0)
-    """Duration of the rest whose mean reading is the zero [s]; 0 for no zeroing."""
+    """Duration of the rest period whose mean reading becomes the zero [s]; 0 for no zeroing."""
 
 
 IDEAL = SensorConfig(filter_s=0.0, noise_n=0.0, drift_n=0.0, resolution_n=0.0, range_n=0.0)

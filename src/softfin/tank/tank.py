@@ -34,8 +34,8 @@ class TankConfig(Configuration):
     sensor: SensorConfig = SensorConfig()
     """Force sensor under the fin."""
     steps_per_tick: int = Field(2, ge=1, le=1000)
-    """Number of time steps per tick of 10 ms [-]. The rms error of the force decreases with its
-    square and is 0.4% at 2."""
+    """Number of time steps per tick of 10 ms [-]. The rms force error is inversely proportional to
+    the square of this number; with 2 steps, it is 0.4%."""
 
 
 class TankState(NamedTuple):
@@ -50,7 +50,7 @@ class TankState(NamedTuple):
     force: PlanarVector
     """True mean force on the mount over the last tick, (x, y) [N]."""
     key: PRNGKeyArray
-    """Key of the sensor's noise."""
+    """Key for the sensor noise."""
 
 
 class Load(NamedTuple):
@@ -71,7 +71,7 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """Limits of commands: the paper's angles (Sec. III-A), and the velocities of the drive's
+    """Command limits: the paper's angles (Sec. III-A), and the velocities in the drive's
     configuration."""
 
     def __init__(self, config: TankConfig | None = None):
@@ -87,7 +87,7 @@ class Tank(eqx.Module):
 
     def init(self, key: PRNGKeyArray) -> TankState:
         """Return the state of a fin at rest at angle 0 with a zeroed sensor; the key determines the
-        drift and noise of the sensor."""
+        sensor's drift and noise."""
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
         return TankState(
@@ -118,8 +118,8 @@ class Tank(eqx.Module):
         return state.force
 
     def shape(self, state: TankState) -> Float[Array, "points 2"]:
-        """Return the positions of the shaft and of the outer end of each plate, in the axes of the
-        tank [m]."""
+        """Return the positions of the shaft and of each plate's outer end, in the tank's axes
+        [m]."""
         return self.fin.shape(state.fin)
 
     def tick(
@@ -133,7 +133,7 @@ class Tank(eqx.Module):
         seconds = TICK_S / self.steps_per_tick
         around = self.water.around(state.flow)
         carried = 0.0 if mount is None else mount.turn
-        # Stream and drag coefficients stay constant during the tick.
+        # The stream and the drag coefficients stay constant during the tick.
         if mount is not None:
             around = around._replace(
                 stream=around.stream - mount.velocity, acceleration=mount.acceleration
@@ -155,7 +155,7 @@ class Tank(eqx.Module):
             step, (drive, state.fin), length=self.steps_per_tick
         )
         # The momentum balance of the fin and its added mass over the tick gives the force on the
-        # mount: the loads of the water minus the rate of change of the momenta.
+        # mount: the water's loads minus the rate of change of the momenta.
         own, added = jax.tree.map(
             lambda before, after: (after - before) / TICK_S,
             self.fin.momenta(state.fin, around),

@@ -19,7 +19,7 @@ def read_range(text: str) -> tuple[float, float, float, float]:
         x0, y0, x1, y1 = (float(part) for part in text.split(","))
     except ValueError:
         raise ConfigurationError(
-            f"--range {text}: must be four numbers X0,Y0,X1,Y1 in newtons, e.g. 0.5,-1.5,3.5,1.5"
+            f"--range {text}: must be paper or four numbers X0,Y0,X1,Y1 in newtons, e.g. 1,-1,2,1"
         ) from None
     return x0, y0, x1, y1
 

@@ -131,7 +131,7 @@ def test_a_machine_of_topics_reads_moves_and_stops_a_driver_in_another_process(t
     assert told["counters"]["joint_refused"] == told["counters"]["wrench_refused"] == 0
     assert told["counters"]["joint_received"] > 100
     assert told["there"] == {"/joint": JOINT, "/wrench": WRENCH}
-    assert "/elsewhere: no geometry_msgs/msg/WrenchStamped in 1 s; found" in told["silent"]
+    assert "/elsewhere: no geometry_msgs/msg/WrenchStamped within 1 s; found" in told["silent"]
     assert (
         "/joint (sensor_msgs/msg/JointState), /wrench (geometry_msgs/msg/WrenchStamped)"
         in told["silent"]

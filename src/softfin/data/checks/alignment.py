@@ -75,8 +75,8 @@ def command_lag(command: LogSeries, angle: LogSeries) -> float | None:
 
 
 def force_lag(angle: LogSeries, force: Float[np.ndarray, "ticks 2"]) -> float | None:
-    """Estimate the lag from angle to force [ms]: the lag at which a linear model of the motion
-    explains most of the force, whatever its axes.
+    """Estimate the lag from angle to force [ms]: the lag at which a linear model of the motion best
+    explains the force, regardless of its axes.
 
     Returns None if the recording is too short, if the best lag is at the edge of the search range,
     or if the motion explains less than 10% of the force's variance.

@@ -42,7 +42,11 @@ USUAL_LAG_MS = 30.0
 
 MIN_FRAME_CORRELATION = 0.12
 """Lowest plausible correlation between the force and a model fin, in the best frame; the noisiest
-log of the published networks has 0.2."""
+of the published networks' logs has 0.2."""
+
+OFFSET_SHARE = 0.2
+"""Largest plausible mean force on the fin at rest, divided by the standard deviation of the
+force."""
 
 COUNTS_FIX = (
     "convert them in the file: angle = (count - count at rest) * 2 * pi / counts per turn; "
@@ -139,7 +143,7 @@ def check_jumps(log: CheckedLog) -> Iterator[Issue]:
     """Find jumps of the angle that are too fast for a fin: two joined logs, or an encoder that lost
     its count."""
     steps = np.abs(np.diff(log.calm.angle))
-    # 200 rad/s; the jumps of the published networks reach 1.5 rad.
+    # 200 rad/s; the jumps in the published networks' logs reach 1.5 rad.
     rows = np.flatnonzero(steps > 2.0)
     if rows.size:
         message = (
@@ -171,8 +175,8 @@ def check_stuck(log: CheckedLog) -> Iterator[Issue]:
         total = 0
         for start, last in true_runs(np.diff(values) == 0):
             rows = last + 1 - start
-            # The first 0.2 s are dead time. More than half a second of the run must be driven,
-            # because a blocked drive may push without moving.
+            # The first 0.2 s are dead time. More than half a second of the run must count as
+            # driven, because a blocked drive may push without moving.
             num_driven = driven[start + round(0.2 * RATE_HZ) : last + 1].sum()
             if rows >= STUCK_S * RATE_HZ and num_driven > 0.5 * STUCK_S * RATE_HZ:
                 runs.append((rows, -start))
@@ -309,10 +313,10 @@ def check_force_offset(log: CheckedLog) -> Iterator[Issue]:
     """Find a non-zero force while the fin is at rest."""
     found = log.statistics
     for axis, offset, deviation in zip(AXES, found.offset_n or (), found.force_std_n, strict=False):
-        if abs(offset) > max(0.3, 0.2 * deviation):
+        if abs(offset) > OFFSET_SHARE * deviation:
             message = (
-                f"{offset:+.2f} N while the fin is at rest; the standard deviation over the log is "
-                f"{deviation:.2f} N"
+                f"{offset:+.2g} N while the fin is at rest; the standard deviation over the log is "
+                f"{deviation:.2g} N"
             )
             fix = (
                 "tare the sensor in still water before each log, or subtract this offset from the "

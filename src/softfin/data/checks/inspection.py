@@ -111,7 +111,7 @@ def inspect(
         if progress is not None:
             progress("inspect", (index + 1) / len(logs), f"{index + 1:,} of {len(logs):,} logs")
     if len(comparable) > 1 and all(one.rows < MIN_ALIGNED_S * RATE_HZ for one in comparable):
-        # Short logs are joined end to end; their joints are few compared with the command steps.
+        # Short logs are joined end to end; the joins are few compared with the command steps.
         pool = series[:POOLED]
         joined = LogColumns(*map(np.concatenate, zip(*pool, strict=True)))
         name = f"the first {len(pool)} logs together"

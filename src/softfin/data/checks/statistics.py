@@ -24,8 +24,8 @@ from softfin.data.importing.clocks import NamedLog, Part
 
 MAX_RADIANS = {"command_angle": 2 * np.pi, "angle": 2 * np.pi, "command_velocity": 40.0}
 """Magnitudes above which values must be in degrees: a fin never makes a full turn, and its drive
-never reaches 6 turns per second. A large measured velocity proves nothing: jumps in the logs of the
-published networks reach 145 rad/s."""
+never reaches 6 turns per second. A large measured velocity proves nothing: jumps in the published
+networks' logs reach 145 rad/s."""
 
 MAX_DEGREES = 360.0
 """Magnitude above which an angle must be in encoder counts, not in degrees."""
@@ -94,8 +94,8 @@ def _magnitude(values: LogSeries) -> float:
 
 
 def channels_in_degrees(columns: LogColumns, is_velocity_given: bool) -> list[str]:
-    """Return the channels that are in degrees; `is_velocity_given` if an option set the commanded
-    velocity, which is then in rad/s."""
+    """Return the channels that are in degrees. Set `is_velocity_given` if an option sets the
+    commanded velocity, which is then in rad/s."""
     found = []
     for name, limit in MAX_RADIANS.items():
         if _magnitude(getattr(columns, name)) > limit:
@@ -129,8 +129,8 @@ def without_spikes(values: LogSeries) -> LogSeries:
     """Replace outliers of one or two samples with the median of five samples.
 
     A spike deviates from that median by more than 1.2 times half the range of 98% of the samples;
-    jumps in the logs of the published networks reach 0.8 times. Its second difference must also
-    have a robust z-score above 8, so that noise is not treated as spikes.
+    jumps in the published networks' logs reach 0.8 times. Its second difference must also have a
+    robust z-score above 8, so that noise is not treated as spikes.
     """
     if len(values) < MIN_ALIGNED_S * RATE_HZ:
         return values

@@ -222,7 +222,7 @@ def _check_rate(track: Track, name: str) -> list[Issue]:
 def find_wraps(angle: Float[np.ndarray, "rows"]) -> Int[np.ndarray, "wraps"]:
     """Find the rows at which an angle jumps by one turn.
 
-    Returns none for an angle that exceeds one turn: its encoder does not wrap.
+    Returns no rows for an angle that exceeds one turn: its encoder does not wrap.
     """
     if np.ptp(angle) > TURN_RAD + TURN_TOLERANCE_RAD:
         return np.array([], int)

@@ -10,7 +10,8 @@ from softfin.core.configuration import Configuration
 from softfin.data.importing.names import KINDS, UNITS, Channel
 
 NO_COLUMN = "-"
-"""Value of --columns for a channel that the file does not have, even if a name looks like it."""
+"""Value of --columns for a channel that is not in the file, even if one of the column names looks
+like a match."""
 
 AngleChannel = Literal["command_angle", "command_velocity", "angle", "velocity"]
 

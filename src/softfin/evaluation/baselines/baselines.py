@@ -36,7 +36,9 @@ from softfin.evaluation.evaluate import (
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import Baselines, EvaluationSummary
 from softfin.gaits.inverse_model import InverseConfig
+from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage import artifact as artifacts
+from softfin.task.signals import ReferenceForce
 
 BASELINES_KIND = "baselines"
 
@@ -44,6 +46,8 @@ BASELINES_KIND = "baselines"
 class BaselinesConfig(ExperimentsConfig):
     """Configuration of the search for baselines and of their evaluation."""
 
+    references: tuple[ReferenceForce, ...] = Field(default=PAPER_REFERENCES, min_length=1)
+    """Reference forces (x, y) [N]; the paper's six."""
     search: open_loop.SearchConfig = open_loop.SearchConfig()
     """Search for sines and gaits."""
     inverse: InverseConfig = InverseConfig()

@@ -263,7 +263,7 @@ class OpenLoopSearch(NamedTuple):
 
     def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
         """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError if
-        the force is against the model's direction."""
+        the force opposes the model's direction."""
         amplitude = np.linspace(*amplitudes, self.config.trials)
         forces = self.forces_of_sines(
             np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1)

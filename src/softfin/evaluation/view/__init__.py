@@ -1,1 +1,1 @@
-"""Animations of a fin: its bent shape, its force and their traces, as a film or a page."""
+"""Animations of a fin: its bent shape, its force and their traces, as a video or an HTML page."""

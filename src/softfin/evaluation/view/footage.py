@@ -186,9 +186,11 @@ def choose_scale(
     axis = (-force_n, force_n)
     if greatest is None:
         axis = (min(float(shown.min()), 0.0), max(float(shown.max()), 0.0))
-        # At least 0.5 N, so that the noise of a fin at rest is not magnified.
-        force_n = max(float(np.linalg.norm(shown, axis=1).max()), 0.5)
-        mean_n = force_n if footage.reference is None else max(mean_n, 0.25)
+        # At least 0.5 N for the paper's fin, so that the noise of a fin at rest is not magnified.
+        # At the same speed, the forces of similar fins grow with their area.
+        min_n = 0.5 * (length / TankConfig().fin.length_m) ** 2
+        force_n = max(float(np.linalg.norm(shown, axis=1).max()), min_n)
+        mean_n = force_n if footage.reference is None else max(mean_n, min_n / 2)
     # The longest arrow is a fixed fraction of the fin's length. One newton of a mean is never drawn
     # shorter than one newton of a force.
     per_newton = LONGEST * length / force_n

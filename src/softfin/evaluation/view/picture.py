@@ -182,7 +182,7 @@ class Picture:
             )
 
     def _draw_key(self, axes: Axes, right: float, top: float) -> None:
-        """Draw arrows of round forces as a key."""
+        """Draw arrows for round force values as a key."""
         scale = self.scale
         name = "force" if self.footage.true_force is None else "true force"
         keys = [(f"{name} {scale.key_n:g} N", scale.key_n * scale.metres_per_newton, BLUE)]

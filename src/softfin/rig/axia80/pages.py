@@ -22,7 +22,7 @@ SETTINGS = "/netftapi2.xml"
 CALIBRATION = "/netftcalapi.xml"
 
 MAX_PAGE_BYTES = 256 * 1024
-"""Maximum page size [bytes]; real pages have a few thousand bytes."""
+"""Maximum page size [bytes]; real pages are a few thousand bytes."""
 
 PAGE_TIMEOUT_S = 3.0
 """Longest wait for the connection, and for each part of the response [s]."""

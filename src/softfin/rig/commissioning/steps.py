@@ -100,7 +100,7 @@ WAYS_TO_STOP = {
     "Ctrl-C": Way("press Ctrl-C", BY_A_PERSON),
     "Enter": Way("press Enter", BY_A_PERSON),
     "sensor cable": Way("pull the force sensor's cable", SENSOR_GONE),
-    "CAN cable": Way("pull the CAN cable at the drive", DRIVE_GONE, is_cut=True),
+    "CAN cable": Way("unplug the CAN cable from the drive", DRIVE_GONE, is_cut=True),
     "CAN adapter": Way("pull the CAN adapter from the computer", DRIVE_GONE, is_cut=True),
     "switch": Way("switch off the motor's supply", DRIVE_GONE, is_cut=True),
 }
@@ -269,7 +269,7 @@ def stop_in_every_way(context: StepContext) -> Iterator[Item]:
     """Step 4: test every way to stop five times, within +-0.3 rad at 1 rad/s."""
     _require_proof(context)
     operator = context.operator
-    operator.wait("Next, the shaft will swing slowly several times; keep your hands away")
+    operator.wait("Next, the shaft will swing slowly several times; keep your hands clear")
     narrow = narrowed(context.config, SMALL_RAD, SLOW_RAD_S)
     for name, way in WAYS_TO_STOP.items():
         yield from _try_way(context, narrow, name, way)
@@ -300,10 +300,10 @@ def move_fully(context: StepContext) -> Iterator[Item]:
     amplitude = min(drive.angle_max_rad, -drive.angle_min_rad)
     ticks = stroke_ticks(amplitude, drive.fastest_rad_s)
     targets = swings(amplitude, drive.fastest_rad_s, STROKES)
-    context.operator.wait("Next, the shaft will make full strokes; keep your hands away")
+    context.operator.wait("Next, the shaft will make full strokes; keep your hands clear")
     request = StopRequest()
     with context.operator.moving(
-        f"The shaft is now making {STROKES} full strokes; keep away", request
+        f"The shaft is now making {STROKES} full strokes; stand clear", request
     ):
         stopped = move(context.rig(), targets, ticks, request, context.bag("strokes"))
     passed = stopped.cause == "none"
@@ -346,14 +346,15 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
     full = min(drive.angle_max_rad, -drive.angle_min_rad)
     for medium in ("air", "water"):
         context.operator.wait(
-            f"Put the fin on the shaft, in {medium}, at rest at zero; then keep away, because it "
-            "will swing next"
+            f"Mount the fin on the shaft in {medium}, at rest at zero; then stand clear, because "
+            "it will swing next"
         )
         for amplitude in (SMALL_RAD, full / 2, full):
             velocity = SLOW_RAD_S if amplitude == SMALL_RAD else drive.fastest_rad_s
             request = StopRequest()
             with context.operator.moving(
-                f"The fin is now swinging by +-{amplitude:.2f} rad in {medium}; keep away", request
+                f"The fin is now swinging by +-{amplitude:.2f} rad in {medium}; stand clear",
+                request,
             ):
                 ticks = stroke_ticks(amplitude, velocity)
                 bag = context.bag(f"{medium}-{amplitude:.1f}")
@@ -544,7 +545,7 @@ def _try_way(context: StepContext, config: RigConfig, name: str, way: Way) -> It
         stops.append(_provoke(context, config, f"{name}-{trial + 1}", way.instruction))
         operator.wait(
             f"After {name}: put everything back and wait until the devices run again; then "
-            "keep your hands away, because the shaft may swing next"
+            "keep your hands clear, because the shaft may swing next"
         )
         left_on += _reset(context)
     yield _compare_stops(name, way, stops)
@@ -568,7 +569,7 @@ def _try_signal(
     allowed_s = config.drive.heartbeat_s + braking_s + REST_MARGIN_S
     operator.wait(
         f"Next, the shaft will swing {TRIALS} times, and {number.name} ends softfin each "
-        "time; no key stops it then, so keep your hands away and the switch within reach"
+        "time; no key stops it then, so keep your hands clear and the switch within reach"
     )
     deaths = []
     is_left_on = False

@@ -157,7 +157,7 @@ class Epos2(Exchange):
                 (
                     enabled and status.state is not State.OPERATION_ENABLED,
                     f"drive is {status.words} although it was enabled; check its enable input "
-                    "and end other programs that use the drive",
+                    "and close other programs that use the drive",
                 ),
                 (
                     enabled and is_limited,
@@ -349,7 +349,7 @@ class Epos2(Exchange):
 
     def _power_up(self, then_arm: bool, meanwhile: Callable[[], object] = lambda: None) -> None:
         if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
-            raise DeviceError("drive is still being stopped; wait, then enable it again")
+            raise DeviceError("drive is still stopping; wait, then enable it again")
         try:
             with self.lock:
                 if self.stopped:

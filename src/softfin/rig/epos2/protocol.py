@@ -239,7 +239,8 @@ FAULTS = {
     ),
     0x7320: (
         "position sensor error",
-        "check the encoder and its cable; the drive's encoder lines must match the encoder",
+        "check the encoder and its cable; the encoder line count set in the drive must match the "
+        "encoder",
     ),
     0x8110: ("CAN overrun, objects lost", "use fewer nodes or a higher bitrate on the bus"),
     0x8111: ("CAN overrun", "use fewer nodes or a higher bitrate on the bus"),

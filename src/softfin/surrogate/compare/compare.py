@@ -119,8 +119,8 @@ def compare_surrogates(
 ) -> Comparison:
     """Score every surrogate in free runs over the same segments of the logs.
 
-    `noise_floor` is the name of a plant, and the plant: its predictions are scored like those of
-    a surrogate, as if the measurement had been repeated.
+    `noise_floor` contains a plant's name and the plant. Its predictions are scored like a
+    surrogate's, as if the measurement had been repeated.
     """
     scored = _plan_rows(found, logs, config)
     num_scorings = len(found) * len(scored.parts) + (noise_floor is not None)
@@ -145,7 +145,8 @@ def compare_surrogates(
     if noise_floor is not None:
         second = _noise_floor_group(noise_floor, scored, config)
         name = second.row["name"]
-        # Two independent recordings with errors of equal variance differ by sqrt(2) of each.
+        # The difference between two independent recordings with equal error variances has sqrt(2)
+        # times the error of either one.
         notes.append(
             f"{name}: contains its own noise and drift: up to sqrt(2) times the error of a "
             "perfect model"
@@ -280,7 +281,7 @@ def _count_rows(rows: int, segments: Sequence[Segment], ticks: int) -> dict[str,
 
 
 def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) -> list[JsonObject]:
-    """Return the scores at each horizon, as mean and 95% interval over the seeds."""
+    """Return the scores at each horizon, as means and 95% intervals over the seeds."""
     rows = []
     for index, horizon in enumerate(config.horizons_s):
         seeds = [horizons[index] for horizons in scores]
@@ -348,7 +349,7 @@ def beyond_limits(members: Sequence[Candidate], logs: Sequence[Log]) -> tuple[fl
 
     Returns:
         The fraction of commands outside the training range, and the largest distance from it
-        relative to the range; the maximum over the members of both.
+        relative to the range; both are maxima over the members.
     """
     commands = np.concatenate([np.stack(log.command, axis=1) for log in logs]).astype(np.float64)
     # (members, 1, angle or velocity, minimum or maximum), against commands (rows, 2).

@@ -47,8 +47,8 @@ def write_comparison(folder: Path, comparison: Comparison, summary: Mapping[str,
 def comparison_figure(comparison: Comparison) -> Figure:
     """Plot the measured and predicted force, and below it up to three panels of errors.
 
-    The panels show errors against the horizon, the distribution of errors of the mean force, and
-    errors relative to the intervals.
+    The panels show errors against the horizon, the distribution of mean-force errors, and errors
+    relative to the intervals.
     """
     longest = [group.longest[0] for group in comparison.groups]
     draw = [_draw_horizons]
@@ -143,7 +143,7 @@ def _draw_noise_floor(axes: Axes, noise_floor: Group) -> None:
 
 
 def _draw_means(axes: Axes, comparison: Comparison) -> None:
-    """Plot the cumulative distribution of the errors of the mean force."""
+    """Plot the cumulative distribution of the mean-force errors."""
     styled_groups = []
     for group, (colour, line, _) in zip(comparison.groups, cycle(STYLES), strict=False):
         styled_groups.append((group, colour, line, 1.4))
@@ -206,5 +206,5 @@ def _draw_reliability(axes: Axes, comparison: Comparison) -> None:
 
 
 def _pooled(group: Group, field: str) -> np.ndarray:
-    """Return a field of the scores at the longest horizon, of all seeds together."""
+    """Return a field of the scores at the longest horizon, pooled over all seeds."""
     return np.concatenate([np.ravel(getattr(scores, field)) for scores in group.longest])

@@ -1,4 +1,4 @@
-"""Runs surrogates free over logs and scores their predictions: Table I, and several horizons.
+"""Scores the predictions of surrogates for logs: Table I, and free runs over several horizons.
 
 The paper does not state how it normalises the distance of dynamic time warping (DTW). softfin
 divides the minimum sum of |difference| over all warping paths within a Sakoe-Chiba band of 1 s by
@@ -56,7 +56,7 @@ Means = Float[np.ndarray, "segments windows 2"]
 """Mean forces over the evaluation window, (x, y) [N]."""
 
 Segment = tuple[int, int]
-"""First row of a segment: index of the log, and row in it."""
+"""First row of a segment: log index, and row in that log."""
 
 Record = TypeVar("Record")
 """A log or reading, or another named tuple of arrays with time on the first axis."""
@@ -121,7 +121,7 @@ def free_run(
 
 
 def run_from_rest(plant: Plant, logs: Sequence[Log], key: PRNGKeyArray) -> list[Reading]:
-    """Predict complete logs with a plant that starts at rest; the arrays are NumPy's.
+    """Predict complete logs with a plant that starts at rest; return NumPy arrays.
 
     Raises:
         CommandError: a command is outside the plant's limits.
@@ -260,8 +260,8 @@ class HorizonScores(NamedTuple):
     """Scores of one surrogate at one horizon."""
 
     scores: dict[str, float]
-    """Scores by name with unit. Horizons shorter than the evaluation window have none for the mean
-    force; only ensembles have coverage and half-width."""
+    """Scores by name, which includes the unit. Horizons shorter than the evaluation window have
+    none for the mean force; only ensembles have coverage and half-width."""
     mean_errors: Means | None
     """Errors of the mean force, predicted minus measured."""
     half_widths: Means | None

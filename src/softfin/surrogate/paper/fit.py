@@ -1,7 +1,7 @@
 """Fits PosNet and ForceNet to logs: both are trained together on the same windows to predict one
 step ahead (Sec. III-B).
 
-Adam minimizes the mean square error of the scaled outputs. Each network keeps the weights with the
+Adam minimizes the mean squared error of the scaled outputs. Each network keeps the weights with the
 lowest error on held-out logs, and training stops early if neither improves.
 """
 
@@ -44,7 +44,7 @@ class FitConfig(Configuration):
     forcenet: NetworkConfig = FORCENET
     """Network from angle and commands to force."""
     epochs: PositiveInt = 12
-    """Maximum number of passes over all windows. The learning rate decays to zero over them
+    """Maximum number of passes over all windows, during which the learning rate decays to zero
     (cosine)."""
     patience: PositiveInt = 4
     """Number of epochs without a lower held-out error in either network after which training
@@ -76,7 +76,7 @@ def fit_paper(
     training, holding, scaling, starts = split(logs, config)
     table = jnp.asarray(np.concatenate([scaling.table(COLUMNS, log) for log in training]))
     # All calls have the same number of updates, so that one compiled program runs them all. The
-    # windows left over differ from epoch to epoch, because each epoch has another order.
+    # windows left over differ from epoch to epoch, because each epoch has a different order.
     calls = max(1, -(-(len(starts) // config.batch) // UPDATES_A_CALL))
     updates = len(starts) // config.batch // calls * calls
     learner = PaperLearner(config, updates)
@@ -110,7 +110,8 @@ def fit_paper(
             for net, value in zip(Nets._fields, values, strict=True):
                 scalars[f"{part}/{net}_mse"] = float(value)
         record.write(epoch + 1, **scalars)
-        # After the log, so that an interrupted epoch is repeated and its line rewound.
+        # Saved after the log is written, so that an interrupted epoch is repeated and its log entry
+        # is removed.
         run_directory.save(state, done)
     record.close()
     return Surrogate(state.best.posnet, state.best.forcenet, scaling)
@@ -136,7 +137,7 @@ def _run_epoch(
 def split(
     logs: Sequence[Log], config: FitConfig
 ) -> tuple[Sequence[Log], Sequence[Log], Scaling, Int[np.ndarray, "windows"]]:
-    """Return training logs, held-out logs, the scaling, and the first rows of the training windows.
+    """Return the training and held-out logs, the scaling, and the training windows' first rows.
 
     Raises:
         LogError: there are too few logs or rows, or a channel never changes.
@@ -176,13 +177,13 @@ class PaperLearner:
     def _run(
         self, state: TrainingState, table: Array, batches: Array, key: PRNGKeyArray
     ) -> tuple[TrainingState, Nets]:
-        """Do one update per batch and return the losses averaged over them.
+        """Run one update per batch and return the losses averaged over the batches.
 
         Args:
             state: State before the updates.
             table: Scaled rows of all training logs, ``(rows, channels)``.
             batches: First rows of the windows, ``(updates, batch)``.
-            key: Key of the epoch, for dropout.
+            key: The epoch's key, for dropout.
         """
 
         def update(
@@ -204,7 +205,7 @@ class PaperLearner:
 def loss(
     nets: Nets, table: Float[Array, "rows channels"], starts: Int[Array, "batch"], key: PRNGKeyArray
 ) -> tuple[Float[Array, ""], Nets]:
-    """Return the mean square error of the scaled outputs, summed over both networks.
+    """Return the mean squared error of the scaled outputs, summed over both networks.
 
     The networks share no weights, so the gradient of each depends only on its own error.
     """
@@ -225,7 +226,7 @@ def loss(
 # A diverged network overflows here; keep_best_nets then stops with its own error message.
 @np.errstate(over="ignore", invalid="ignore")
 def _mean_square_error(net: Network, scaling: Scaling, logs: Sequence[Log]) -> float:
-    """Return the mean square error of the scaled outputs for the rows after the first window."""
+    """Return the mean squared error of the scaled outputs for the rows after the first window."""
     channels = (*net.config.channels, *net.config.outputs)
     num_inputs = len(net.config.channels)
     errors = []

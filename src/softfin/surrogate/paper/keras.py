@@ -1,4 +1,4 @@
-"""Imports Keras 2 ``.keras`` files, zip archives with the layers as JSON and the weights as HDF5,
+"""Imports Keras 2 ``.keras`` files (zip archives with the layers as JSON and the weights as HDF5)
 without TensorFlow.
 
 The scalers are read from a JSON file, ``{channel: {scale, offset, data_min, data_max}}``. Pickled
@@ -56,12 +56,12 @@ LAYERS: dict[str, tuple[Callable[[JsonObject], JsonObject], JsonObject]] = {
     "Flatten": (lambda _: {"kind": "flatten"}, {}),
     "GlobalAveragePooling1D": (lambda _: {"kind": "mean_pool"}, {}),
 }
-"""Layers by Keras class name: the conversion of a layer's options, and the required values of
-options that softfin does not support otherwise."""
+"""Layers by Keras class name: the conversion of a layer's options, and the options for which
+softfin supports only the value listed here."""
 
 
 def read_keras_surrogate(posnet: Path, forcenet: Path, scalers: Path) -> Surrogate:
-    """Read a surrogate from two ``.keras`` files and the JSON file of the scalers.
+    """Read a surrogate from two ``.keras`` files and the scalers' JSON file.
 
     Raises:
         SoftfinError: a file is missing, damaged or unsupported.

@@ -42,7 +42,7 @@ def abstract(*shape: int) -> Any:
 
 
 class BaseLayer(Configuration):
-    """Base class of layers; it returns its input.
+    """Base class for layers; it returns its input.
 
     Layers process a batch with a few large matrix products, which is faster than mapping a layer of
     Equinox over the examples.
@@ -113,7 +113,7 @@ class LSTM(BaseLayer):
         return {**kernels, "bias": abstract(gates)}
 
     def apply(self, parameters: Parameters, x: Float[Array, "batch steps features"]) -> Array:
-        """Do one matrix product per step, of the input and hidden state together.
+        """Compute one matrix product per step, with the input and hidden state combined.
 
         The first step starts from a zero state, so it needs neither the forget gate nor the
         recurrent kernel.
@@ -213,8 +213,8 @@ class NetworkConfig(Configuration):
         return sum(shape.size for layer in self.shapes() for shape in layer.values())
 
     def flops(self) -> int:
-        """Return the floating-point operations of the matrix products for one window, counting two
-        per multiply-add."""
+        """Return the number of floating-point operations in the matrix products for one window,
+        counting two per multiply-add."""
         trace = jax.make_jaxpr(lambda layers, x: Network(self, layers)(x))
         program = trace(self.shapes(), abstract(1, len(self.channels), self.window))
         flops = 0
@@ -267,7 +267,8 @@ class Network(eqx.Module):
     def __call__(
         self, windows: Float[Array, "batch channels window"], key: PRNGKeyArray | None = None
     ) -> Float[Array, "batch outputs"]:
-        """Map scaled windows to scaled outputs. Dropout is active only with a key, in training."""
+        """Map scaled windows to scaled outputs. Dropout is active only if a key is given, in
+        training."""
         x = windows
         for index, (layer, parameters) in enumerate(
             zip(self.config.layers, self.layers, strict=True)

@@ -4,7 +4,7 @@
                         └───────────────────────────────────────────────────┴──> ForceNet ──> force
 
 All ticks of an action are computed as one batch per network, because the command is held: PosNet's
-input contains only commands, and ForceNet's only angles that PosNet has already predicted.
+input contains only commands, and ForceNet's adds only angles that PosNet has already predicted.
 """
 
 from collections.abc import Sequence
@@ -81,7 +81,7 @@ class Surrogate(eqx.Module):
         """Return the state after the last `memory` rows of a recorded history.
 
         Raises:
-            LogError: the history is shorter.
+            LogError: the history is too short.
         """
         if history.rows < self.memory:
             raise LogError(
@@ -176,7 +176,8 @@ class Surrogate(eqx.Module):
         }
 
     def flops_per_tick(self) -> int:
-        """Return the floating-point operations of the matrix products for one sample of one fin."""
+        """Return the number of floating-point operations in the matrix products per sample and
+        fin."""
         return self.posnet.config.flops() + self.forcenet.config.flops()
 
     def parameters(self) -> int:

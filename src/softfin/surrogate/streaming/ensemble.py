@@ -1,13 +1,13 @@
-"""Members of an ensemble (a drive network and a force network in series), their predictions of
-logs, and their error estimates.
+"""The members of an ensemble (each a drive network and a force network in series), their
+predictions for logs, and their error estimates.
 
 The interval for the mean force is computed by split conformal prediction (Lei et al. 2018, J. Am.
-Stat. Assoc. 113:1094): errors on held-out logs are divided by the error expected from the spread of
-the members, and a quantile of these ratios scales the interval. All errors on one log and axis
-share its drift, so K logs contain few more than 2 K independent errors. The quantile is therefore
-multiplied by the ratio of the quantile of Student's t with 2 K degrees of freedom to the normal
-quantile. The coverage is not guaranteed, because the same logs were used to choose the weights of
-each member among up to ten.
+Stat. Assoc. 113:1094): errors on held-out logs are divided by the error expected from the members'
+spread, and a quantile of these ratios scales the interval. All errors on one log and axis share its
+drift, so K logs contain only slightly more than 2 K independent errors. The quantile is therefore
+multiplied by the ratio of the Student's t quantile with 2 K degrees of freedom to the normal
+quantile. The coverage is not guaranteed, because the same logs were used to choose each member's
+weights from up to ten candidates.
 
 The distance of a motion from the training data is the Mahalanobis distance (Lee et al. 2018,
 NeurIPS), measured in the memory of a force network, which depends on the recent motion.
@@ -57,7 +57,7 @@ EVERY = 7
 
 
 class MemberState(NamedTuple):
-    """States of the two networks of a member."""
+    """States of a member's two networks."""
 
     drive: FollowingState
     force: ForceState
@@ -206,15 +206,15 @@ class Interval(Configuration):
     coverage: float = Field(gt=0, lt=1)
     """Target fraction of mean forces inside the interval [-]."""
     factor: float = Field(gt=0)
-    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, widened for their small
-    number [-]."""
+    """Quantile of |error| / sqrt(spread^2 + floor^2) on the held-out logs, enlarged to allow for
+    their small number [-]."""
     floor_n: float = Field(gt=0)
     """Root mean square error of the ensemble's mean on the held-out logs [N]. It contains noise,
     drift, and the error that all members have in common."""
     windows: int = Field(ge=1)
     """Number of mean forces used for the calibration, over both axes."""
     logs: int = Field(ge=1)
-    """Number of held-out logs they come from."""
+    """Number of held-out logs from which these mean forces come."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """Return the half width of the interval [N], given the mean force of each member."""
@@ -245,8 +245,8 @@ def calibrated(
     error = np.abs(means.mean(axis=0) - measured)
     floor_n = float(np.sqrt(np.mean(error**2)))
     ratio = error / (means.var(axis=0) + floor_n**2) ** 0.5
-    # A new error is one of n + 1 exchangeable ones, so its quantile is at COVERAGE (n + 1) / n of
-    # the n known ones.
+    # A new error and the n known errors are exchangeable, so its quantile is that of the known
+    # errors at COVERAGE (n + 1) / n.
     level = min(1.0, COVERAGE * (1 + 1 / ratio.size))
     factor = float(np.quantile(ratio, level, method="inverted_cdf"))
     # Errors on one log and axis are correlated, because they share its drift. The factor is
@@ -259,7 +259,7 @@ def calibrated(
 
 
 class Familiarity(eqx.Module):
-    """Distribution of the memory of the first member's force network over the training data."""
+    """Distribution of the first member's force-network memory over the training data."""
 
     mean: Float[Array, "remembered"]
     """Mean of the memory [-]."""
@@ -292,8 +292,8 @@ def familiar(nets: ForceNet, motion: Sequence[Motion], burn_in: int) -> Familiar
     # With the covariance V diag(s) V^T, the Mahalanobis distance is |(m - mean) V / sqrt(s)|.
     mean = memory.mean(axis=0)
     values, vectors = np.linalg.eigh(np.cov(memory, rowvar=False))
-    # Without the lower bound, rounding errors in a direction of no variation would count as a large
-    # distance.
+    # Without the lower bound, rounding errors in a direction without variation would count as a
+    # large distance.
     whitening = vectors / np.sqrt(np.maximum(values, 1e-6 * values.max()))
     far = np.quantile(np.linalg.norm((memory - mean) @ whitening, axis=1), RARE)
     return Familiarity(jnp.asarray(mean, jnp.float32), jnp.asarray(whitening / far, jnp.float32))

@@ -71,13 +71,13 @@ class StreamingConfig(Configuration):
     force: ForceNetConfig = ForceNetConfig()
     """Network from motion to force."""
     members: PositiveInt = 5
-    """Number of members of the ensemble. Each starts from different weights and is trained on
-    different segments."""
+    """Number of ensemble members. Each starts from different weights and is trained on different
+    segments."""
     drive_updates: PositiveInt = 400
-    """Number of updates of the drive networks. The learning rate decays to a hundredth of its peak
-    over them (cosine)."""
+    """Number of drive-network updates, over which the learning rate decays to a hundredth of its
+    peak (cosine)."""
     force_updates: PositiveInt = 2000
-    """Number of updates of the force networks, with the same schedule."""
+    """Number of force-network updates, with the same schedule."""
     batch: PositiveInt = 16
     """Number of log segments per update and member."""
     ticks: int = Field(default=250, ge=2)
@@ -88,7 +88,7 @@ class StreamingConfig(Configuration):
     learning_rate: float = Field(default=0.01, gt=0)
     """Peak learning rate of Adam."""
     free_running: tuple[float, float] = (0.2, 0.8)
-    """Start and end of the transition from measured to predicted motion as input of the force
+    """Start and end of the transition from measured to predicted motion as input to the force
     networks, as fractions of their training."""
     held_out: float = Field(default=0.1, gt=0, lt=1)
     """Fraction of the training logs held out to choose weights and calibrate intervals; at least
@@ -135,7 +135,7 @@ class StreamingLearner:
         count: int,
         key: PRNGKeyArray,
     ) -> tuple[TrainingState, Float[Array, "members"]]:
-        """Do updates number `first` to `first + count - 1` and return the mean loss of each member.
+        """Run updates `first` to `first + count - 1` and return each member's mean loss.
 
         `count` is static.
         """
@@ -153,8 +153,7 @@ class StreamingLearner:
             return optax.apply_updates(net, step), optimiser, loss
 
         def update(carry: PyTree, number: Int[Array, ""]) -> Any:
-            # Keys depend only on the number of the update, so a resumed run equals an uninterrupted
-            # one.
+            # Keys depend only on the update number, so a resumed run equals an uninterrupted one.
             keys = jax.random.split(jax.random.fold_in(key, number), self.config.members)
             nets, optimiser = carry
             each = jax.vmap(member, in_axes=(0, 0, 0, None, 0))
@@ -168,7 +167,7 @@ class StreamingLearner:
 
 
 def motion_error(predicted: Motion, measured: Motion | Reading, scales: Scales) -> Any:
-    """Return the square error of angle plus that of velocity, each divided by its scale."""
+    """Return the sum of the squared angle and velocity errors, in units of their scales."""
     angle = (predicted.angle - measured.angle) / scales.angle_rad
     velocity = (predicted.velocity - measured.velocity) / scales.velocity_rad_s
     return angle**2 + velocity**2
@@ -197,7 +196,7 @@ def force_loss(
     key: PRNGKeyArray,
     config: StreamingConfig,
 ) -> Float[Array, ""]:
-    """Return the mean square error of the scaled force, summed over both axes.
+    """Return the mean squared error of the scaled force, summed over both axes.
 
     The input is the measured motion of a segment or the motion predicted by the drive network. The
     probability of the latter rises from 0 to 1 over the `free_running` part of the training.
@@ -248,9 +247,9 @@ def fit_streaming(
     record = run_directory.log(rewind_to=sum(done.values()))
 
     def learn(name: str, predicted: Motion, errors: Callable[[PyTree], list[np.ndarray]]) -> Any:
-        """Do all updates of one kind of network and return the best weights of each member.
+        """Run all updates of one kind of network and return each member's best weights.
 
-        `errors` returns the square errors on each held-out log, ``(members, rows)``.
+        `errors` returns the squared errors on each held-out log, ``(members, rows)``.
         """
         key = named_key(seed, f"fit/{name}")
         call, round_of = _calls(updates[name])
@@ -296,7 +295,7 @@ def fit_streaming(
     nothing = jnp.zeros((config.members, table.force.shape[0]))
     not_used = Motion(nothing, nothing)
     drives = learn("drive", not_used, drive_errors)
-    # Predictions of complete logs, end to end like the rows of the table.
+    # Predictions for complete logs, concatenated like the rows of the table.
     motion = predict_motion(drives, training)
     joined = jax.tree.map(lambda *parts: jnp.asarray(np.concatenate(parts, axis=1)), *motion)
     held_motion = predict_motion(drives, holding)
@@ -313,7 +312,7 @@ def fit_streaming(
 def split_streaming(
     logs: Sequence[Log], config: StreamingConfig
 ) -> tuple[Sequence[Log], list[Log], Scales, Table]:
-    """Return training logs, held-out logs, and the scales and table of the training logs.
+    """Return the training logs, the held-out logs, and the training logs' scales and table.
 
     Raises:
         LogError: there are too few logs or rows, or a channel never changes.
@@ -331,7 +330,7 @@ def split_streaming(
 
 
 def _calls(updates: int) -> tuple[int, int]:
-    """Return the number of updates per call and per round between two scorings.
+    """Return the number of updates per call, and between two scorings.
 
     All calls except the last have the same length, so that they share one compiled program.
     """

@@ -1,9 +1,9 @@
-"""The networks of one fin, which advance by one tick at a time: drive network (commands to motion)
-and force network (motion to force).
+"""The networks of one fin, which advance one tick at a time: the drive network (commands to motion)
+and the force network (motion to force).
 
-A fin is symmetric about the plane y = 0. Under this mirror, angle, angular velocity and force y
-change sign (odd quantities), while force x and speeds do not (even quantities). The recurrent core
-of both networks has this symmetry by construction.
+A fin is symmetric about the plane y = 0. Under this mirror, the angle, angular velocity and y force
+change sign (odd quantities), while the x force and speeds do not (even quantities). The recurrent
+core of both networks has this symmetry by construction.
 """
 
 from typing import Literal, NamedTuple
@@ -35,9 +35,9 @@ class Parity(NamedTuple):
 class MirrorCore(eqx.Module):
     """A mirror-symmetric gated recurrent unit, h' = h + u (c - h), with gates u and candidates c.
 
-    Odd candidates are odd functions of odd inputs. Gates, even candidates and factors of the odd
-    candidates are functions of even inputs and of the `magnitude` of mixtures of odd inputs.
-    Mirrored inputs therefore give exactly mirrored outputs.
+    Odd candidates are odd functions of odd inputs. The gates, the even candidates and the factors
+    of the odd candidates are functions of the even inputs and of the `magnitude` of mixtures of odd
+    inputs. Mirrored inputs therefore produce exactly mirrored outputs.
     """
 
     odd_in: Float[Array, "odd_inputs candidates_and_magnitudes"]
@@ -102,10 +102,10 @@ def magnitude(x: Array) -> Array:
 def _uniform(key: PRNGKeyArray, inputs: int, outputs: int) -> Float[Array, "inputs outputs"]:
     """Draw a matrix with entries of variance 1 / (2 inputs).
 
-    A variance of 1 / inputs would preserve the variance of the signal. It is lower here, because
-    all memory is fed back.
+    A variance of 1 / inputs would preserve the signal variance. It is lower here, because all
+    memory is fed back.
     """
-    # A uniform distribution on [-r, r] has the variance r^2 / 3.
+    # A uniform distribution on [-r, r] has variance r^2 / 3.
     reach = jnp.sqrt(1.5 / inputs)
     return jax.random.uniform(key, (inputs, outputs), minval=-reach, maxval=reach)
 
@@ -162,8 +162,8 @@ class FollowingNet(eqx.Module):
     def step(self, state: FollowingState, command: Command) -> FollowingState:
         """Advance by one tick under a command; the new state contains the new motion of the
         shaft."""
-        # The profile was identified before and is not trained, because its corners give poor
-        # gradients.
+        # The profile has already been identified and is not trained, because its corners produce
+        # poor gradients.
         fixed: Profile = jax.lax.stop_gradient(self.profile)
         profile, target = fixed.step(state.profile, command)
         before = fixed.motion(state.profile)
@@ -195,12 +195,12 @@ class ForceNetConfig(Configuration):
     """Number of wake vectors, which are fixed in the tank's axes. Their initial time constants are
     0.05 to 1.5 s."""
     mirror: Literal[True] = True
-    """Whether mirrored motion gives mirrored force."""
+    """Whether mirrored motion produces a mirrored force."""
     turning: Literal[True] = True
     """Whether the force rotates with the fin, as in a tank without a preferred direction."""
     quasi_steady: Literal[True] = True
-    """Whether a force of added mass and drag, with fitted coefficients, is added to the output of
-    the network."""
+    """Whether an added-mass and drag force with fitted coefficients is added to the network's
+    output."""
     heteroscedastic: Literal[False] = False
     """Whether the network also predicts the variance of the readings."""
 
@@ -266,8 +266,7 @@ class ForceNet(eqx.Module):
         # In the frame of the fin, the wake rotates in the opposite direction to the fin.
         wake = Parity(*_turned(state.wake.even, state.wake.odd, state.motion.angle - motion.angle))
         # Morison's equation for a moving body: thrust and drag are proportional to the square of
-        # the velocity, the force of the added mass to its change. All rates are in units of
-        # `scales`.
+        # the velocity, the added-mass force to its change. All rates are in units of `scales`.
         velocity = motion.velocity / self.scales.velocity_rad_s
         change = (motion.velocity - state.motion.velocity) / self.scales.change_rad_s
         drag = velocity * jnp.abs(velocity)

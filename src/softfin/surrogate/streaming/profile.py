@@ -1,7 +1,7 @@
 """The trapezoidal profile of a positioning drive, with coefficients identified from logs.
 
-The equations of the profile are in `softfin.tank.drive`. CMA-ES minimizes the mean absolute error
-of the angle, which limits the influence of strokes that the profile cannot explain.
+The equations of the profile are in `softfin.tank.drive`. CMA-ES minimizes the mean absolute angle
+error, which limits the influence of strokes that the profile cannot explain.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, SegmentBatch
 from softfin.tank.drive import delayed, next_velocity
 
 STEPS_PER_TICK = 2
-"""Integration steps per tick; the time of a corner between two ticks is accurate to 5 ms."""
+"""Number of integration steps per tick; the times of corners between ticks are accurate to 5 ms."""
 
 SEGMENTS = 48
 """Number of log segments from which the coefficients are identified."""
@@ -96,14 +96,14 @@ class Profile(eqx.Module):
 
 
 def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
-    """Identify the coefficients from logs; also return their mean absolute error of the angle
-    [rad]."""
+    """Identify the coefficients from logs; also return the mean absolute angle error [rad]."""
     ticks = min(TICKS, max(log.rows for log in logs) - MAX_DELAY - 1)
     segments = Table.of(logs, ticks).draw(jax.random.key(seed), SEGMENTS, ticks)
     errors = jax.jit(jax.vmap(lambda coded: _error(_profile(coded), segments)))
     speed = max(np.abs(log.reading.velocity).max() for log in logs)
     change = np.abs(np.concatenate([np.diff(log.reading.velocity) for log in logs])) / TICK_S
-    # The initial acceleration: a high one among those that are not just noise at constant velocity.
+    # The initial acceleration: a high value among those that are not merely noise at constant
+    # velocity.
     steep = np.quantile(change[change > 0.1 * change.max()], 0.8)
     results = []
     for start in range(STARTS):
@@ -126,8 +126,8 @@ def identify(logs: Sequence[Log], seed: int) -> tuple[Profile, float]:
 def _profile(coded: Float[Array, "coefficients"]) -> Profile:
     """Convert a point of the search to coefficients.
 
-    The search uses the logarithm of gain, factor, limit and acceleration, which must be positive,
-    and the absolute value of delay and lag.
+    The search uses the logarithms of gain, factor, limit and acceleration, which must be positive,
+    and the absolute values of delay and lag.
     """
     # The factors set the step size of each coefficient. That of the velocity limit is small,
     # because a limit above all commands has no effect and a search would get lost there.
@@ -144,7 +144,7 @@ def _profile(coded: Float[Array, "coefficients"]) -> Profile:
 
 
 def _error(profile: Profile, segments: SegmentBatch) -> Float[Array, ""]:
-    """Return the mean absolute error of the angle in free runs over the segments [rad]."""
+    """Return the mean absolute angle error in free runs over the segments [rad]."""
 
     def one(segment: SegmentBatch) -> Float[Array, ""]:
         def step(state: ProfileState, command: Command) -> tuple[ProfileState, AnyArray]:

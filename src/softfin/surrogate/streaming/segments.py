@@ -28,13 +28,13 @@ class Motion(NamedTuple):
 
 
 class Scales(Configuration):
-    """Scales that inputs and outputs of the networks are divided by, measured in the training
+    """Scales by which the networks' inputs and outputs are divided, computed from the training
     logs."""
 
     velocity_rad_s: float = Field(gt=0)
     """Standard deviation of the shaft's velocity [rad/s]."""
     change_rad_s: float = Field(gt=0)
-    """Standard deviation of the velocity's change from tick to tick [rad/s]."""
+    """Standard deviation of the tick-to-tick change in velocity [rad/s]."""
     force_n: float = Field(gt=0)
     """Root mean square of the force on both axes [N]."""
     angle_rad: float = Field(gt=0)
@@ -87,11 +87,11 @@ class Table(NamedTuple):
     motion: Motion
     force: Float[Array, "rows 2"]
     starts: Int[Array, "choices"]
-    """Rows at which a segment may start so that all of it is in one log."""
+    """Rows at which a segment can start and lie entirely within one log."""
 
     @classmethod
     def of(cls, logs: Sequence[Log], ticks: int) -> "Table":
-        """Build the table for segments of `ticks`.
+        """Build the table for segments of `ticks` ticks.
 
         Raises:
             LogError: no log is long enough for a segment.

@@ -46,7 +46,7 @@ SURROGATE_CHANNELS = {"in": list(COMMAND_COLUMNS), "out": list(READINGS)}
 
 
 class StreamingState(NamedTuple):
-    """State of an ensemble; its size does not depend on the time."""
+    """State of an ensemble; its size is constant over time."""
 
     tick: Int[Array, ""]
     """Time since the start [10 ms]."""
@@ -99,7 +99,7 @@ class StreamingSurrogate(eqx.Module):
         """Return the state after a free run over the last `memory` rows of a recorded history.
 
         Raises:
-            LogError: the history is shorter.
+            LogError: the history is too short.
         """
         if history.rows < self.memory:
             raise LogError(
@@ -111,7 +111,7 @@ class StreamingSurrogate(eqx.Module):
         # The first MAX_DELAY rows only fill the queue of commands; the free run starts after them.
         motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])
         waiting = jax.tree.map(lambda part: part[:MAX_DELAY][::-1], command)
-        # The command of the last row affects only the next row, so `advance` gets it.
+        # The command of the last row affects only the next row, so it is passed to `advance`.
         passed = jax.tree.map(lambda part: part[MAX_DELAY:-1], command)
         tick = tick_at(float(history.reading.time[-1]))
         return StreamingState(jnp.int32(tick), _after(self.members, motion, waiting, passed))
@@ -155,7 +155,7 @@ class StreamingSurrogate(eqx.Module):
         return self.familiarity.distance(remembered(single(state.members.force)))
 
     def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
-        """Return the ensemble's mean predictions of logs: by the drive networks, and by the force
+        """Return the ensemble's mean predictions for logs: by the drive networks, and by the force
         networks from both measured and predicted motion."""
         drive = self.members.drive
         force = self.members.force
@@ -179,7 +179,7 @@ class StreamingSurrogate(eqx.Module):
         }
 
     def flops_per_tick(self) -> int:
-        """Return the floating-point operations of the matrix products for one sample of one fin,
+        """Return the number of floating-point operations in the matrix products per sample and fin,
         over all members."""
         # A multiplication and an addition per weight.
         return 2 * products(single(self.members)) * self.size
@@ -223,7 +223,7 @@ class StreamingSurrogate(eqx.Module):
         scales = Scales.model_validate(description["scales"])
         size = int(description["members"])
 
-        # Only its shapes are evaluated: nothing is computed for the weights that are replaced.
+        # Only shapes are evaluated: the weights are replaced, so they need not be computed.
         def skeleton() -> dict[str, Any]:
             memory = 2 * (force.units + force.wake)
             familiarity = Familiarity(jnp.zeros(memory), jnp.zeros((memory, memory)))

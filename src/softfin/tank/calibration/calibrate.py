@@ -177,8 +177,8 @@ def calibrate_tank(
 def scores(
     modelled: Float[np.ndarray, "segments ticks channels"], segments: Segments
 ) -> ChannelScores:
-    """Return R2, RMSE, and the mean and standard deviation of measurement and model for each
-    channel, pooled over all segments."""
+    """Return R2, RMSE, and the mean and standard deviation of the measurement and the model for
+    each channel, pooled over all segments."""
     rows = {}
     for index, channel in enumerate(FITTED_CHANNELS):
         true = np.asarray(segments.compared, np.float64)[..., index]
@@ -199,7 +199,7 @@ def scores(
 def calibration_figure(
     test: Segments, modelled: Float[np.ndarray, "segments ticks channels"], scores: ChannelScores
 ) -> Figure:
-    """Plot the test segment with the median error, and the mean forces over 2 s of all segments."""
+    """Plot the test segment with the median error, and the 2 s mean forces of all segments."""
     measured = np.asarray(test.measured)
     ticks = slice(test.warm_up, test.warm_up + TRACE_S * RATE_HZ)
     # In units of each channel's standard deviation, so that angle and forces can be added.

@@ -55,8 +55,8 @@ FREE: dict[str, CalibrationRange] = {
 """Ranges of the parameters that are fitted by default.
 
 Span and root thickness are excluded, because they can be measured with a ruler and no log can
-separate them from Young's modulus, drag and added mass. The misalignment of the sensor is excluded,
-because it cannot be separated from the two offsets of the shaft's angle.
+separate them from Young's modulus, drag and added mass. The sensor's misalignment is excluded,
+because it cannot be separated from the two shaft-angle offsets.
 """
 
 # The order matters, because the first match is used: "_rad_s" must precede "_s".
@@ -214,7 +214,7 @@ class CalibrateConfig(Configuration):
     step: float = Field(0.1, gt=0, le=1)
     """Standard deviation of the first generation, as a fraction of each range."""
     search_plates: int = Field(4, ge=1, le=32)
-    """Number of plates of the fin in the global search; the local search uses that of `tank`."""
+    """Number of fin plates in the global search; the local search uses that of `tank`."""
     search_steps: int = Field(1, ge=1)
     """Time steps per tick in the global search; the local search uses those of `tank`."""
     iterations: int = Field(12, ge=1)
@@ -227,13 +227,12 @@ class CalibrateConfig(Configuration):
     segment_s: float = Field(12.0, ge=0.1)
     """Length of each segment [s]."""
     warm_up_s: float = Field(2.0, ge=0)
-    """Part of each segment that is simulated but not compared [s]; longer than a stroke, because
-    the simulation starts at rest and the log may start mid-stroke."""
+    """Part of each segment that is simulated but not compared [s]; must be longer than a stroke,
+    because the simulation starts at rest and the log may start mid-stroke."""
     block_s: float = Field(2.0, ge=0.01)
-    """Length of the blocks of time whose errors are assumed to be independent in the standard
-    errors [s]."""
+    """Length of the time blocks whose errors are assumed independent in the standard errors [s]."""
     excitation: ExcitationConfig = ExcitationConfig()
-    """Excitation of a plant; logs contain their own commands."""
+    """Excitation for a plant; logs contain their own commands."""
     velocity_rad_s: CalibrationRange | None = None
     """Range of the commanded velocities in the excitation [rad/s]; null for the plant's limits."""
 

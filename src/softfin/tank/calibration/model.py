@@ -1,4 +1,4 @@
-"""The data of a calibration, and a compiled program that simulates many tanks on it: points in,
+"""The calibration data, and a compiled program that simulates many tanks on them: points in,
 residuals out.
 
 The logs of a dataset, or of a plant that is excited for the fit, are cut into equal segments. The
@@ -105,14 +105,14 @@ def cut(logs: Sequence[Log], count: int, rows: int, warm_up: int, split: str) ->
 def material(
     data: str | Path | Plant, config: CalibrateConfig, seed: int
 ) -> tuple[list[Log], list[Log], JsonObject]:
-    """Return training logs, test logs, and the hash of the data or the identity of the plant.
+    """Return the training logs, the test logs, and the hash of the data or the plant's identity.
 
     `data` is the folder of a dataset, or a plant, its name, or the folder of a surrogate.
 
     Raises:
-        ArtifactError: the folder contains no dataset or surrogate, or the dataset no test logs.
-        ConfigurationError: a range of velocities is set for a dataset, or exceeds the limits of the
-            plant.
+        ArtifactError: the folder contains no dataset or surrogate, or the dataset contains no test
+            logs.
+        ConfigurationError: a velocity range is set for a dataset, or exceeds the plant's limits.
     """
     if not isinstance(data, str | Path):
         return _of_plant(data, config, seed)
@@ -164,8 +164,7 @@ def _of_plant(
 Errors = Callable[
     [Sequence[CalibrationPoint]], Iterator[Float[np.ndarray, "segments compared channels"]]
 ]
-"""Function that yields the errors of each point, divided by the standard deviation of the
-channel."""
+"""Function that yields each point's errors, divided by the channel's standard deviation."""
 
 QUIET = {
     "sensor": {"noise_n": 0.0, "drift_n": 0.0, "resolution_n": 0.0},
@@ -180,7 +179,7 @@ class Model(NamedTuple):
 
     tank: Plant
     recording: dict[str, Float[Array, "*models"]]
-    """Values by the names of `RecordingConfig`."""
+    """Values by field name of `RecordingConfig`."""
 
     @classmethod
     def build(cls, tank: TankConfig, recording: RecordingConfig) -> "Model":
@@ -194,7 +193,7 @@ class Model(NamedTuple):
         The fields of `command` are commands of a log, ``(ticks,)``.
         """
         by = self.recording
-        # From the units and zeros of the log to those of the tank, and back below.
+        # Converted from the log's units and zeros to the tank's, and back below.
         angle = by["angle_gain"] * command.angle + by["angle_offset_rad"]
         velocity = jnp.minimum(by["velocity_factor"] * command.velocity, by["velocity_limit_rad_s"])
         # The readings contain no noise, so the key does not matter.
@@ -221,8 +220,8 @@ def read(models: Model, command: Command) -> Float[Array, "models segments ticks
 
 @eqx.filter_jit
 def _errors(models: Model, segments: Segments) -> Float[Array, "models segments compared channels"]:
-    """Return model minus measurement after the warm-up, divided by the standard deviation of the
-    channel; its mean square is 1 - R2."""
+    """Return model minus measurement after the warm-up, divided by the channel's standard
+    deviation; its mean square is 1 - R2."""
     found: Array = (
         read(models, segments.command)[:, :, segments.warm_up :] - segments.compared
     ) / segments.deviation
@@ -238,7 +237,7 @@ class Space:
         """Build the box.
 
         Raises:
-            ConfigurationError: the box contains invalid values, or not the initial values.
+            ConfigurationError: the box contains invalid values, or excludes the initial values.
         """
         self.parameters = tuple(parameters)
         self._fixed = {**tank.model_dump(), "recording": recording.model_dump()}

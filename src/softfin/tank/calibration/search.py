@@ -2,15 +2,15 @@
 
 CMA-ES (Hansen 2016, arXiv:1604.00772) searches the entire box, then least squares starts from its
 best point. A resumed run does not load the state of CMA-ES but recomputes it: the same seed and the
-same losses give the same generation. The local search is SciPy's trust region method with a
+same losses produce the same generation. The local search is SciPy's trust region method with a
 Jacobian from finite differences.
 
-Standard errors are computed by a jackknife over blocks of time in the linear model around the
-optimum: each block is left out once. Errors within a block may have any correlation, which model
-errors always have; blocks are assumed to be independent (Cameron and Miller 2015, J. Human
-Resources 50, 317, sec. VI.B). The standard error for uncorrelated errors is a lower bound. A
-parameter at an end of its range is treated as fixed there. A parameter without any effect, such as
-a limit that is never reached, is excluded.
+Standard errors are computed by a jackknife over time blocks in the linear model around the optimum:
+each block is left out once. Errors within a block may be correlated in any way, as model errors
+always are; blocks are assumed to be independent (Cameron and Miller 2015, J. Human Resources 50,
+317, sec. VI.B). The standard error for uncorrelated errors is a lower bound. A parameter at an end
+of its range is treated as fixed there. A parameter without any effect, such as a limit that is
+never reached, is excluded.
 """
 
 from collections.abc import Callable, Sequence
@@ -162,7 +162,7 @@ def polish(
         return np.asarray(weighted)
 
     def slopes(point: CalibrationPoint) -> Float[np.ndarray, "samples parameters"]:
-        # A neighbour of a tank with finite readings may have none.
+        # A neighbour of a tank with finite readings may itself have non-finite ones.
         jacobian = np.nan_to_num(
             linearised(errors, point, weights).jacobian, nan=0.0, posinf=0.0, neginf=0.0
         )
@@ -217,7 +217,7 @@ def determination(
     """
     normal, gradient = linear.normal()
     at = linear.point
-    # At an end of its range, and the loss would decrease outside.
+    # Parameters at an end of their range, beyond which the loss would decrease.
     low = (at <= DIFFERENCE) & (gradient > 0)
     high = (at >= 1 - DIFFERENCE) & (gradient < 0)
     idle = np.diag(normal) < IDLE
@@ -230,7 +230,7 @@ def determination(
     jacobian = linear.jacobian[free].astype(np.float64)
     residuals = linear.residuals.astype(np.float64)
     count_within = max(residuals.shape[1] // block_ticks, 1)
-    # The estimate moves if block b is left out. With N = J^T J, of which the block contributes
+    # Leaving out block b moves the estimate. With N = J^T J, to which the block contributes
     # J_b^T J_b, (1 - N^-1 J_b^T J_b) move = N^-1 J_b^T r_b. This is solved by least squares,
     # because the matrix is singular if only this block determines a parameter.
     moves = []

@@ -1,0 +1,204 @@
+"""What is tuned for the paper's fin in newtons follows the size of any other fin.
+
+The plants of these tests differ in the scale of their force alone, so gaits, policies and
+corrections must be the same, and forces proportional.
+"""
+
+from functools import cache
+
+import jax
+import numpy as np
+import pytest
+
+from softfin.control.controller import Measured
+from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.references import default_references
+from softfin.core.errors import ConfigurationError
+from softfin.evaluation.headline import within
+from softfin.evaluation.scores import SETTLED_N, settled_band, step_responses
+from softfin.gaits.force_map import MapConfig, find_force_map
+from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import PAPER_REACH_N, PAPER_REFERENCES, PAPER_SIZED, Reachable
+from softfin.gaits.search import GaitConfig
+from softfin.gaits.simulate import SurveyConfig
+from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, check, fit_to_reach
+from softfin.learning.gradient import Gradient
+from softfin.task.references import stack_references
+from softfin.task.task import ForceTracking
+from tests.control.test_disturbance_observer import Carrier
+from tests.plants import StrokeFin
+
+GAIN = 0.9
+SCALES = (0.05, 10.0)
+"""Forces relative to those of a fin of the paper's size."""
+
+QUICK_MAP = MapConfig(nodes=12, survey=SurveyConfig(pushes=2), gaits=GaitConfig(steps=4))
+
+
+def circle(radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> Reachable:
+    return Reachable(np.array(centre, np.float32), np.full(32, radius, np.float32))
+
+
+@cache
+def mapped(scale: float) -> ForceMap:
+    return find_force_map(StrokeFin(GAIN * scale), QUICK_MAP)
+
+
+@pytest.mark.parametrize(
+    ("reach_n", "size"),
+    [(2.4, 1), (1.8, 1), (3.3, 1), (3.6, 2), (12, 5), (24, 10), (0.16, 0.05), (0.1, 0.05)],
+)
+def test_the_size_of_a_fin_is_one_two_or_five_in_its_decade(reach_n: float, size: float) -> None:
+    corners = 32
+    # A polygon is smaller than the circle through its corners.
+    area = corners / 2 * np.sin(2 * np.pi / corners)
+    region = circle(reach_n * np.sqrt(np.pi / area))
+    assert region.reach_n == pytest.approx(reach_n, rel=1e-5)
+    assert region.size == size
+
+
+def test_a_fin_without_force_has_a_size_all_the_same() -> None:
+    assert circle(0).size == 1
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_map_has_the_same_gaits_for_forces_that_are_proportional(scale: float) -> None:
+    usual = mapped(1.0)
+    scaled = mapped(scale)
+    assert scaled.gaits.table.nodes == usual.gaits.table.nodes
+    assert scaled.reachable.size == usual.reachable.size * scale
+    np.testing.assert_allclose(scaled.reachable.reach_n, scale * usual.reachable.reach_n, rtol=0.02)
+    error = scaled.gaits.force_error() / scale
+    assert np.median(error) < np.median(usual.gaits.force_error()) + 0.01
+    np.testing.assert_allclose(
+        scaled.gaits.table.references() / scale, usual.gaits.table.references(), atol=0.01
+    )
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_preset_for_the_reach_learns_the_same_policy(scale: float) -> None:
+    def first_update(scale: float) -> tuple[np.ndarray, float]:
+        found = mapped(1.0)
+        table = found.gaits.table._replace(
+            low=found.gaits.table.low * scale, high=found.gaits.table.high * scale
+        )
+        reachable = Reachable(*(scale * np.asarray(part) for part in found.reachable))
+        preset = GRADIENT_SINGLE.changed(["gradient.num_envs=2", "gradient.num_steps=6"])
+        config = fit_to_reach(preset, reachable, table)
+        task = ForceTracking(StrokeFin(GAIN * scale), config.task)
+        learner = Gradient(task, config.gradient, config.policy, config.num_updates, table)
+        references = stack_references(config.cells, reachable)
+        agent = learner.init(jax.random.key(0), jax.tree.map(lambda x: x[0], references))
+        agent, metrics = jax.jit(learner.update)(agent)
+        return np.asarray(agent.policy.net.hidden.kernel), float(metrics["loss"])
+
+    kernel, loss = first_update(1.0)
+    scaled_kernel, scaled_loss = first_update(scale)
+    assert scaled_loss == pytest.approx(loss, rel=1e-3)
+    # The first step of Adam has the sign of the gradient, which rounding may turn where it is 0.
+    assert np.mean(np.abs(scaled_kernel - kernel) > 1e-5) < 0.01
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_preset_for_the_reach_is_in_its_newtons(scale: float) -> None:
+    reachable = circle(PAPER_REACH_N * scale, (PAPER_REACH_N * scale, 0))
+    config = fit_to_reach(GRADIENT_SINGLE, reachable)
+    assert config.cells == (reachable.bounding_box(),)
+    assert config.margin_n == pytest.approx(0.1 * scale)
+    assert config.task.force_scale_n == pytest.approx(3 * scale)
+    assert config.gradient.rounding_n == pytest.approx(0.05 * scale)
+    assert config.task.reward.weight == pytest.approx((1 / scale, 1 / scale))
+
+
+def test_a_grid_over_the_reach_has_no_cell_that_the_fin_cannot_reach() -> None:
+    tall = Reachable(np.zeros(2, np.float32), np.array([1, 0.01, 1, 0.01], np.float32))
+    round_one = fit_to_reach(GRADIENT_GRID, circle(1))
+    assert len(round_one.cells) == 6
+    for region in (tall, circle(1)):
+        config = fit_to_reach(GRADIENT_GRID, region)
+        for cell in config.cells:
+            assert region.contains(cell.lattice(8)).any()
+
+
+def test_a_range_that_the_fin_cannot_reach_is_refused_with_its_reach() -> None:
+    small = circle(0.1)
+    with pytest.raises(ConfigurationError) as refused:
+        check(StrokeFin(), GRADIENT_SINGLE, (0,), reachable=small)
+    assert str(refused.value).startswith("range x 0.5 .. 3.5, y -1.5 .. 1.5 N: ")
+    assert "x -0.1 .. 0.1, y -0.1 .. 0.1 N" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "reachable",
+    [circle(0.16, (0.16, 0)), circle(30, (20, 0)), circle(2, (-2, 0)), circle(0.02, (1, 1))],
+)
+def test_the_references_of_an_evaluation_are_six_that_the_fin_can_make(
+    reachable: Reachable,
+) -> None:
+    references = default_references(reachable)
+    assert len(set(references)) == 6
+    assert reachable.contains(references).all()
+    assert references != PAPER_REFERENCES or reachable.reach_n > 1
+
+
+def test_the_references_are_the_papers_if_the_fin_can_make_them() -> None:
+    assert default_references(None) == PAPER_REFERENCES
+    assert default_references(PAPER_SIZED) == PAPER_REFERENCES
+
+
+def test_a_small_fin_has_to_settle_in_a_narrower_band() -> None:
+    assert settled_band(None) == settled_band(PAPER_SIZED) == SETTLED_N
+    assert settled_band(circle(0.24)) == pytest.approx(SETTLED_N / 10)
+    reference = np.zeros((1500, 2))
+    reference[500:] = (0.1, 0)
+    force = reference.copy()
+    force[500:] += 0.05
+    (paper,) = step_responses(force, reference)
+    (small,) = step_responses(force, reference, settled_band(circle(0.24)))
+    assert paper["settling_s"] is not None
+    assert small["settling_s"] is None
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_force_feedback_corrects_a_proportional_error_by_as_much(scale: float) -> None:
+    def corrections(scale: float) -> np.ndarray:
+        reachable = circle(PAPER_REACH_N * scale)
+        observer = DisturbanceObserver(Carrier(reachable, cells=(reachable.bounding_box(),)))
+        state = observer.init()
+        tracked = []
+        for _ in range(60):
+            force = state.tracked[0] + np.array([0.3, -0.2]) * scale
+            reference = (1.0 * scale, 1.0 * scale)
+            state, _ = observer.act(state, Measured(0.0, force), reference)
+            tracked.append(state.bias)
+        return np.array(tracked)
+
+    usual = corrections(1.0)
+    assert abs(usual[-1] - (0.3, -0.2)).max() < 0.1
+    np.testing.assert_allclose(corrections(scale) / scale, usual, atol=1e-5)
+
+
+def test_a_size_that_is_given_is_used_whatever_the_reach() -> None:
+    config = DisturbanceObserverConfig(size=2)
+    assert config.scaled(circle(0.24)).limit_n == 2 * DisturbanceObserverConfig().limit_n
+    assert DisturbanceObserverConfig().scaled(circle(0.24)).limit_n == pytest.approx(0.1)
+    assert DisturbanceObserverConfig().scaled(None).limit_n == 1
+
+
+def test_a_bound_has_as_many_decimals_as_the_size_needs() -> None:
+    assert within(0.0712) == "0.08"
+    assert within(0.00071, 4) == "0.0008"
+
+
+def test_force_feedback_is_compiled_with_the_reach_of_its_controller() -> None:
+    reachable = circle(PAPER_REACH_N / 10)
+    observer = DisturbanceObserver(Carrier(reachable, cells=(reachable.bounding_box(),)))
+
+    @jax.jit
+    def act(observer: DisturbanceObserver) -> jax.Array:
+        force = jax.numpy.zeros(2)
+        state, _ = observer.act(observer.init(), Measured(jax.numpy.float32(0), force), force)
+        return jax.numpy.asarray(state.covariance)
+
+    variance = float(act(observer)[0])
+    assert variance == pytest.approx((DisturbanceObserverConfig().bias_n / 10) ** 2)
