@@ -64,7 +64,7 @@ SLIPS: list[tuple[list[str], str]] = [
         ["train", "tank", *OUT, "--cells", "3"],
         "--cells 3: must be paper, a grid such as 3x3",
     ),
-    (["train", "tank", *OUT, "--range", "3"], "--range 3: must be four numbers"),
+    (["train", "tank", *OUT, "--range", "3"], "--range 3: must be paper or four numbers"),
     (["train", "tank", *OUT, "--seeds", "few"], "--seeds few: not a count or a list"),
     (
         ["train", "tank", *OUT, "--controller", "gaits", "--steps", "3"],

@@ -12,6 +12,7 @@ QUICK = [
         "survey.batch=256",
         "survey.directions=8",
         "survey.pushes=1",
+        "spacing_n=0.5",
         "gaits.cycles=2",
         "gaits.steps=6",
         "box={low: [0.5, -0.5], high: [1.5, 0.5]}",

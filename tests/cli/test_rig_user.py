@@ -106,7 +106,7 @@ def test_zeroing_asks_for_what_it_does(values, monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdin", _Typed("move\n"))
     Armed(arm=True).confirm(robot, "the motor is powered")
     said = capsys.readouterr().err
-    assert "rig of emulated: the motor is powered.\nCtrl-C" in said
+    assert "rig of emulated: the motor is powered.\nPress Ctrl-C" in said
     assert "will move" not in said
 
 

@@ -105,4 +105,4 @@ def test_a_controller_that_misses_its_targets_is_not_written_without_a_warning()
     far = {"error_n": [0.2, 0.2], "tracked_reference_n": [0.2, 0.1]}
     assert missed_targets([near, near]) == []
     (warning,) = missed_targets([near, far, far])
-    assert warning.startswith("warning: the errors are 87% of the target forces")
+    assert warning.startswith("warning: the errors are 88% of the target forces")

@@ -44,7 +44,7 @@ def trained(kind: str) -> TrainingResult:
         switching = SwitchingConfig(replay=False, fade_actions=0, margin_n=0)
         return _normalised(untrained(GRID.model_copy(update={"switching": switching})))
     run = _phased(GRID)
-    return run._replace(force_map=KNOWN)
+    return run._replace(reachable=KNOWN.reachable)
 
 
 def _phased(config: TrainConfig) -> TrainingResult:

@@ -134,7 +134,8 @@ def test_a_plant_that_cannot_be_traced_is_refused_in_one_line():
             raise RuntimeError("no\nwater")
 
     with pytest.raises(
-        PlantError, match=r"Broken: cannot be traced \(RuntimeError: no water\); softfin.testing"
+        PlantError,
+        match=r"Broken: cannot be traced \(RuntimeError: no water\); run softfin.testing",
     ):
         jit_argument(Broken())
 

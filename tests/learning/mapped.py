@@ -15,7 +15,9 @@ from tests.plants import StrokeFin
 FIN = StrokeFin()
 SURVEY = SurveyConfig(cycles=2, batch=256, directions=16, pushes=6)
 GAITS = GaitConfig(cycles=2, steps=16, halvings=0)
-WITHIN = MapConfig(box=Cell(low=(0.5, -0.5), high=(1.5, 0.5)), survey=SURVEY, gaits=GAITS)
+WITHIN = MapConfig(
+    box=Cell(low=(0.5, -0.5), high=(1.5, 0.5)), spacing_n=0.5, survey=SURVEY, gaits=GAITS
+)
 """Three by three forces that the fin can make, each with ease."""
 
 simulate_gait = eqx.filter_jit(simulate.simulate_gait)

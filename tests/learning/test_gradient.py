@@ -56,7 +56,7 @@ QUICK = GRADIENT_SINGLE.model_copy(
             num_envs=4,
             num_steps=6,
             learning_rate=1e-2,
-            map=MapConfig(survey=SURVEY, gaits=GAITS),
+            map=MapConfig(spacing_n=0.5, survey=SURVEY, gaits=GAITS),
         ),
     }
 )
@@ -280,12 +280,12 @@ def test_a_plant_has_a_gradient_where_its_force_has_a_slope(
         (
             Branching(),
             PlantError,
-            "^plant Branching: cannot be traced .TracerBoolConversionError: .*check_plant says",
+            "^plant Branching: cannot be traced .TracerBoolConversionError: .*check_plant to find out",
         ),
         (
             Broken(),
             PlantError,
-            "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant says",
+            "^plant Broken: cannot be traced .KeyError: 'gear'.; .*check_plant to find out",
         ),
     ],
     ids=["branching", "broken"],
@@ -356,17 +356,17 @@ def test_a_run_that_was_stopped_twice_ends_with_the_weights_of_one_that_never_wa
     jax.tree.map(np.testing.assert_array_equal, resumed.policies, whole.policies)
     jax.tree.map(np.testing.assert_array_equal, resumed.evaluation, whole.evaluation)
     assert "map" not in stages
-    assert resumed.force_map is not None
-    assert whole.force_map is not None
-    jax.tree.map(np.testing.assert_array_equal, resumed.force_map, whole.force_map)
+    assert resumed.reachable is not None
+    assert whole.reachable is not None
+    jax.tree.map(np.testing.assert_array_equal, resumed.reachable, whole.reachable)
 
 
 def test_a_run_knows_what_the_fin_can_do_over_its_cells(whole: TrainingResult) -> None:
-    assert whole.force_map is not None
+    assert whole.reachable is not None
     assert WITHIN.box is not None
-    table = whole.force_map.gaits.table
-    assert (np.asarray(table.low) <= np.array(WITHIN.box.low) + 1e-6).all()
-    assert (np.asarray(table.high) >= np.array(WITHIN.box.high) - 1e-6).all()
+    low, high = whole.reachable.bounds()
+    assert (np.asarray(low) <= np.array(WITHIN.box.low) + 1e-6).all()
+    assert (np.asarray(high) >= np.array(WITHIN.box.high) - 1e-6).all()
     assert isinstance(whole.policies, Policy)
 
 

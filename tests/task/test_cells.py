@@ -157,7 +157,7 @@ def test_a_range_is_four_numbers() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1,2,3", "--range 1,2,3: must be four numbers X0,Y0,X1,Y1"),
+        ("1,2,3", "--range 1,2,3: must be paper or four numbers X0,Y0,X1,Y1"),
         ("1,2,3,x", "must be paper or four numbers"),
         ("nan,0,1,1", "--range nan,0,1,1: low.0.* = nan: .* finite"),
         ("2,0,1,1", "--range 2,0,1,1: low .* must not be greater than high"),

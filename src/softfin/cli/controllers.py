@@ -160,8 +160,9 @@ class TrainArguments(Configured):
         config: TrainConfig = configure(PAPER_SIZED)
         # Without --cells, --range paper means the cells of the preset: the paper's.
         fixed = self._with_cells(preset, within if self.cells else None)
-        # A file with cells in newtons does not depend on the reach.
-        is_fixed = self._is_paper or self._with_cells(preset, None).cells != preset.cells
+        # Cells of a file are in newtons, so they do not depend on the reach.
+        is_from_file = within is None and fixed.cells == config.cells
+        is_fixed = self._is_paper or is_from_file
         if config.algorithm != preset.algorithm:
             raise ConfigurationError(
                 f"algorithm = {config.algorithm}: other defaults depend on the algorithm; use "

@@ -19,12 +19,12 @@ from softfin.gaits.reachable import (
     format_force,
 )
 
-EDGE_FRACTION = 3e-5
+CELL_EDGE_FRACTION = 3e-5
 """References outside a cell by less than this fraction of its largest force are on its edge: forces
 are float32, which rounds their decimals."""
 
 
-SHARES = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1])
+PATTERN_SCALES = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1])
 """Sizes, relative to the natural one, at which the pattern of the paper's references is tried."""
 
 SPREAD = 0.6
@@ -42,7 +42,7 @@ def default_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
     if reachable is None or reachable.contains(paper).all():
         return PAPER_REFERENCES
     natural = reachable.reach_n / PAPER_REACH_N
-    for scale in natural * SHARES:
+    for scale in natural * PATTERN_SCALES:
         for way in (1, -1):
             pattern = _rounded(scale * way * paper, scale)
             if reachable.contains(pattern).all():
@@ -75,7 +75,7 @@ def check_within(cells: Sequence[Cell], reference: ForceVector) -> None:
     """Raise CoverageError if the reference [N] is outside every cell."""
     nearest = min(cells, key=lambda cell: cell.distance(reference))
     beyond = nearest.distance(reference)
-    if beyond > EDGE_FRACTION * max(map(abs, (*nearest.low, *nearest.high))):
+    if beyond > CELL_EDGE_FRACTION * max(map(abs, (*nearest.low, *nearest.high))):
         which = "the range that this controller was trained for"
         fix = "use a reference within this range, or train a controller with a larger cell"
         if len(cells) > 1:

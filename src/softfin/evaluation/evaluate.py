@@ -116,8 +116,6 @@ class Evaluation:
     """Recording of the first seed: fields ``(references, 1, ticks)``, as NumPy arrays."""
     uncertainty: SurrogateUncertainty | None = None
     """Uncertainty estimated by a surrogate; None for other plants."""
-    reachable: Reachable | None = None
-    """Forces that the fin can produce, if the controller's file contains them."""
     warnings: tuple[str, ...] = ()
     """Warnings about references that were replaced by the nearest reachable forces."""
     moving: tuple[MovingScores, ...] = ()
@@ -126,6 +124,8 @@ class Evaluation:
     """Errors over the controller's range."""
     random: RandomErrors | None = None
     """Errors over random references."""
+    reachable: Reachable | None = None
+    """Forces that the fin can produce, if the controller's file contains them."""
 
     def summary(self) -> EvaluationSummary:
         """Return the conditions, the scores by reference and their mean, as written by

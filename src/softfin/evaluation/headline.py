@@ -14,7 +14,7 @@ from softfin.evaluation.results import (
 from softfin.evaluation.scores import SETTLED_N
 from softfin.storage.figures import with_minus_signs
 
-NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+NUMBER_WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 class Headline(NamedTuple):
@@ -95,7 +95,7 @@ def _missed_references(
 
 
 def _number_word(number: int) -> str:
-    return NUMBERS[number] if number < len(NUMBERS) else str(number)
+    return NUMBER_WORDS[number] if number < len(NUMBER_WORDS) else str(number)
 
 
 def greatest_error(row: MeanScores) -> float:

@@ -82,7 +82,7 @@ def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None 
     """Survey a plant, find a gait for each node, and determine the region that the gaits reach.
 
     Raises:
-        PlantError: the plant has no gradient, or produces no force.
+        PlantError: the plant has no gradient.
     """
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(

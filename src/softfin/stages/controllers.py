@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from softfin.control.store import save_gaits
 from softfin.core.choices import EngineName
-from softfin.core.errors import ConfigurationError
+from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
@@ -148,7 +148,7 @@ def train(
     given_map = None
     if force_map is not None:
         given_map = load_force_map(force_map, moving, plant_name(plant)).force_map
-    config, reason, can, reachable = _plan(moving, config, reason, given_map, progress)
+    config, reason, can, reachable = _plan(moving, config, reason, given_map, seeds, progress)
     origin = _origin(plant, moving, force_map)
     learnt = learnt_from(plant)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
@@ -210,6 +210,7 @@ def _plan(
     config: TrainConfig | MakeConfig | None,
     reason: str | None,
     force_map: ForceMap | None,
+    seeds: Sequence[int],
     progress: Progress,
 ) -> TrainingPlan:
     """Find what the fin can make, unless the configuration does not depend on it."""
@@ -220,9 +221,11 @@ def _plan(
         preset, reason = choose_preset(plant, "single")
         config = partial(fit_to_reach, preset)
     if force_map is None:
-        # The settings of the search are the same whatever it finds.
-        settings = config(PAPER_SIZED, None).gradient.map
-        force_map, reachable = _find_reach(plant, settings, progress)
+        # The settings of the search are the same whatever it finds, and what is wrong with the
+        # budget is reported before it.
+        proposal = config(PAPER_SIZED, None)
+        check(plant, proposal, seeds)
+        force_map, reachable = _find_reach(plant, proposal.gradient.map, progress)
     else:
         reachable = force_map.reachable
     table = None if force_map is None else force_map.gaits.table
@@ -238,7 +241,12 @@ def _find_reach(
         force_map = find_force_map(plant, config, partial(progress, "map"))
         return force_map, force_map.reachable
     without_gradients = config.survey.model_copy(update={"pushes": 0})
-    return None, survey(plant, without_gradients, partial(progress, "survey")).reachable
+    reachable = survey(plant, without_gradients, partial(progress, "survey")).reachable
+    if reachable.reach_n == 0:
+        raise PlantError(
+            "this plant produces no mean force, whatever its commands; check its model"
+        )
+    return None, reachable
 
 
 def _check_engine(engine: EngineName, cluster: str | None) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from softfin.control.controller import LoadedController
+from softfin.control.controller import Controller
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError, PlantError
@@ -122,7 +122,7 @@ def baselines(
 
 
 def _resolve(
-    controller: LoadedController, references: Sequence[tuple[float, float]]
+    controller: Controller, references: Sequence[tuple[float, float]]
 ) -> tuple[list[tuple[float, float]], list[str]]:
     """Return the references that the controller tracks, and warnings about replaced ones."""
     forces = []

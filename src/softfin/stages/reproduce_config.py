@@ -8,7 +8,7 @@ from softfin.core.configuration import Configuration
 from softfin.data.collect import CollectConfig
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.gaits.force_map import MapConfig
-from softfin.gaits.reachable import PAPER_REFERENCES, bounding_box
+from softfin.gaits.reachable import PAPER_REFERENCES, bounding_box, format_force
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
 from softfin.learning.configuration import GRADIENT_GRID, GRADIENT_SINGLE, GRID, SINGLE, TrainConfig
@@ -88,8 +88,8 @@ class ReproduceConfig(Configuration):
             for kind, own in cells.items():
                 if all(cell.distance(reference) > 0 for cell in own):
                     raise ValueError(
-                        f"evaluate.references has {reference} N, which no cell of {kind} covers; "
-                        "add a cell"
+                        f"evaluate.references has {format_force(reference)} N, which no cell of "
+                        f"{kind} covers; add a cell"
                     )
         return self
 

@@ -144,7 +144,7 @@ LAUGHS = "".join(f'<!ENTITY l{k} "{f"&l{k - 1};" * 10}">' for k in range(1, 10))
 )
 def test_a_hostile_or_broken_page_is_refused_in_one_line(hostile):
     with pytest.raises(
-        RigError, match=r"sensor: .*(not a page of an Axia80|is required)"
+        RigError, match=r"sensor: .*(not a page of an Axia80|missing required key)"
     ) as refused:
         parse_settings(hostile, None, "sensor")
     assert "\n" not in str(refused.value)

@@ -210,7 +210,7 @@ def test_a_row_that_cannot_be_written_spoils_no_other(tmp_path):
     recorder.wrench(1.0, (1.0, 2.0))
     recorder.event(2.0, "still here")
     recorder.close()
-    assert "/fin/wrench : invalid values (1.0, 2.0)" in recorder.failure
+    assert "/fin/wrench: invalid values (1.0, 2.0)" in recorder.failure
     assert list(by_rosbags(recorder.path)) == [EVENTS]
 
 

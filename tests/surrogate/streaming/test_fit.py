@@ -139,7 +139,7 @@ def test_held_out_logs_reach_no_weight(tmp_path, whole):
         (
             LOGS,
             ["ticks=390"],
-            "training logs: the longest of 3 has 400 rows; at least 411 are required; .* shorter "
+            "training logs: the longest of 3 has 400 rows; at least 411 are required; .* shorter segments "
             ".--set ticks=N",
         ),
         (

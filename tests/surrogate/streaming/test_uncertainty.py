@@ -132,7 +132,7 @@ def test_commands_that_were_never_trained_are_far(known):
 
 
 @pytest.mark.parametrize(
-    ("logs", "said"), [(10, None), (9, "9 held-out logs;"), (1, "1 held-out log;")]
+    ("logs", "said"), [(10, None), (9, "9 held-out logs and"), (1, "1 held-out log and")]
 )
 def test_an_interval_from_few_logs_says_that_it_hardly_covers_them(logs, said):
     caveat = small.interval().model_copy(update={"logs": logs}).caveat()
