@@ -33,13 +33,13 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     """Track a reference force. Episodes never terminate; they are truncated after
     `config.episode_actions`.
 
-    Observations and actions are those of `ForceTracking`. `info` contains the window's ``error_n``,
-    its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the ``force_n`` at every
-    tick of the action.
+    The observations and actions are those of `ForceTracking`. `info` contains the window's
+    ``error_n``, its Sobolev term ``smoothness_n``, the ``reference_n`` (each x, y) and the
+    ``force_n`` at every tick of the action.
 
     `plant` is a Plant or its name: tank, a tank's YAML file, a surrogate's folder or
     package.module:plant. The plant is loaded when the environment is created; create a new
-    environment if the plant changes. In the render mode ``rgb_array``, `render` draws the fin, its
+    environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin, its
     force, the reference and the traces of the episode so far.
     """
 
@@ -66,13 +66,13 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         )
         self.observation_space = gymnasium.spaces.Box(-high, high, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        # Wrapped in new functions, because JAX would reuse the trace of an equal task.
+        # Wrapped in new functions, because JAX would otherwise reuse the trace of an equal task.
         self._reset = jax.jit(partial(self.task.reset))
         self._observe = jax.jit(partial(self.task.observe))
         self._step = jax.jit(partial(self.task.step))
         self._film: Any = None
         if render_mode is not None:
-            # Imported here, so that nobody has to wait for Matplotlib unless they render.
+            # Imported here, because Matplotlib imports slowly and is needed only for rendering.
             from softfin.evaluation.view.picture import EpisodeFilm
 
             seconds = self.task.config.episode_actions / ACTION_RATE_HZ

@@ -19,7 +19,7 @@ DISTRIBUTIONS = {
     "stable_baselines3": "sb3-contrib",
     "yaml": "pyyaml",
 }
-"""Distributions by module name, if the names differ."""
+"""Distribution names by module name, if the two differ."""
 
 
 def installed_version(distribution: str) -> str | None:

@@ -19,15 +19,15 @@ from softfin.core.quantities import TICK_S, Command, Limits, Reading, action_to_
 STROKE_TICKS = ACTION_TICKS[0]
 
 Problem = tuple[str, ...]
-"""Message: the problem, and the requirement."""
+"""Error message: the problem and the requirement."""
 
 
 def check_plant(plant: Any) -> None:
     """Raise a PlantError with the problem and the requirement, unless `plant` meets the contract.
 
-    Checks the members, the limits, shapes and types, time, and finite readings at the corners of
-    the limits. Also checks that the same state and command produce the same readings (purity), that
-    the plant can be distinguished from plants with other parameters
+    Checks the members, limits, shapes, types and time, and that readings are finite at the corners
+    of the limits. Also checks that the same state and command produce the same readings (purity),
+    that the plant can be distinguished from plants with other parameters
     (`softfin.core.plant_identity.identity`), that holding a command equals single ticks, and that
     `jit`, `vmap`, `scan` and `grad` work. An optional `hold_action` must do the same as `advance`,
     and an optional `true_force` must be finite, work with `jit` and `vmap`, and not change the
@@ -70,8 +70,8 @@ def _members(plant: Any) -> Iterator[Problem]:
 
 
 def _purity(plant: Plant) -> Iterator[Problem]:
-    """Check that equal inputs produce equal outputs; not compiled, which would hide data that a
-    plant keeps outside its state."""
+    """Check that equal inputs produce equal outputs; nothing is compiled here, because that would
+    hide data that a plant keeps outside its state."""
     command = _stroke(plant)
     state = plant.init(jax.random.key(0))
     results = [plant.advance(state, command, STROKE_TICKS) for _ in range(2)]
@@ -154,7 +154,8 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
         command = Command(angle, jnp.float32(plant.limits.velocity_max))
         return plant.advance(plant.init(jax.random.key(0)), command, STROKE_TICKS)[1].force.mean()
 
-    # Training by gradients needs this derivative; it is NaN if a plant takes, say, a root of 0.
+    # Training by gradients needs this derivative; it is NaN if a plant takes the square root of 0,
+    # for example.
     slope = jax.jit(jax.grad(mean_force))(_stroke(plant).angle)
     if not jnp.isfinite(slope):
         yield (
@@ -217,7 +218,7 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
     for command, force in zip(corners, forces, strict=True):
         if not jnp.isfinite(force).all():
             yield f"true_force is not finite under {command}", "it must be finite within the limits"
-    # Not compiled: compilation would hide changes of the state.
+    # Not compiled, because compilation would hide changes to the state.
     state = plant.init(jax.random.key(0))
     before = [np.array(leaf) for leaf in _numbers(state)]
     plant.true_force(state)

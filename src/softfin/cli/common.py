@@ -215,13 +215,12 @@ class LogOptions(ImportConfig):
 
     @property
     def recordings(self) -> ImportConfig:
-        """The import options alone."""
+        """Only the import options."""
         return ImportConfig(**{name: getattr(self, name) for name in ImportConfig.model_fields})
 
     @staticmethod
     def columns_read(columns: Mapping[str, str]) -> str:
-        """Return one line for each way in which columns without softfin's names were
-        interpreted."""
+        """Return one line per log: how columns without softfin's names were interpreted."""
         return "".join(f"{log}: {text}\n" for log, text in columns.items())
 
 
@@ -269,7 +268,7 @@ class Armed(Configuration):
             f"the fin will move between {limits.angle_min:.2f} and {limits.angle_max:.2f} rad, at "
             f"up to {limits.velocity_max:.2f} rad/s"
         )
-        # Enter typed before the prompt must not count as an answer.
+        # Enter pressed before the prompt must not count as an answer.
         discard_typed_ahead()
         sys.stderr.write(
             f"{printable(name)}: {motion}.\n"

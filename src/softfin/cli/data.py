@@ -130,7 +130,7 @@ def inspection_table(result: JsonObject) -> str:
 
 
 def _issue_lines(issue: JsonObject) -> list[str]:
-    """Return the place of an issue, then its message and its fix, indented."""
+    """Return the location of an issue, then its message and its fix, indented."""
     row = issue["row"]
     others = len(issue["logs"]) - 1
     place = [issue["log"], "" if row is None else f"row {row}", issue["column"] or ""]

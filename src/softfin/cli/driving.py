@@ -90,8 +90,8 @@ class Driving(Armed, Common):
     ) -> JsonObject:
         """Ask for confirmation, then move and record.
 
-        `line` is called with each line typed meanwhile. Returns the path of the recording and the
-        errors over its last window.
+        `line` is called with each line typed in the meantime. Returns the path of the recording and
+        the errors over its last window.
         """
         bag = self.bag or Path(f"run-{time.strftime('%Y%m%d-%H%M%S')}.mcap")
         guard = Guard(robot.safety, robot.machine.limits, controller.artifact.training_range)
@@ -206,7 +206,7 @@ def _follow(
             try:
                 say(line)
             except OSError as error:
-                # The terminal was closed, or the program that reads the output has ended.
+                # The terminal was closed, or the program that reads the output has exited.
                 session.stop_request.ask(
                     "emergency_stop", f"nobody reads the output any more ({error.strerror})"
                 )

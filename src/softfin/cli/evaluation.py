@@ -167,7 +167,7 @@ def moving_table(rows: "Sequence[MovingRow]") -> str:
 
 
 def map_line(errors: "ErrorMapRows") -> str:
-    """Return the error map in one line."""
+    """Return the error map as one line."""
     (x0, y0) = errors["low_n"]
     (x1, y1) = errors["high_n"]
     gaps = ""
@@ -183,7 +183,7 @@ def map_line(errors: "ErrorMapRows") -> str:
 
 
 def random_line(errors: "RandomErrors") -> str:
-    """Return the errors over random references in one line."""
+    """Return the errors over random references as one line."""
     x = errors["x"]
     y = errors["y"]
     return (
@@ -231,8 +231,8 @@ class BaselinesArguments(Configured):
 def baselines_table(
     summaries: "Mapping[str, EvaluationSummary]", left_out: Mapping[str, str]
 ) -> str:
-    """Return Table II of every baseline, then a table of means and of how often the limits of the
-    plant or model clipped each baseline."""
+    """Return Table II for every baseline, then a table with each baseline's means and how often the
+    limits of the plant or model clipped it."""
     from softfin.cli.tables import aligned, table_two
 
     limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")

@@ -48,11 +48,11 @@ class Option:
     positional: bool = False
     """Whether the option is a positional argument."""
     parse: Callable[[str, str], object] | None = None
-    """Function of a text and the option's name that returns the value; raises
+    """Function that takes a text and the option's name and returns the value; raises
     ConfigurationError."""
     check: Callable[[str | Path, Configuration], object] | None = None
-    """Function of a value and its command that raises a SoftfinError if a file, folder or plant
-    does not exist."""
+    """Function that takes a value and its command, and raises a SoftfinError if a file, folder or
+    plant does not exist."""
     former_name: str | None = None
     """Name of the option before it was renamed; the error for the old name suggests the new one."""
 
@@ -87,7 +87,7 @@ class Field:
     @property
     def name(self) -> str:
         """The option as typed, such as ``--test-logs``; the metavar of a positional argument."""
-        # Field names end in their unit; option names leave it out, to save typing.
+        # Field names end in their unit; option names omit it, to save typing.
         field = re.sub("_(hz|rad_s|ms|s|)$", "", self.field)
         return self.metavar if self.option.positional else f"--{field.replace('_', '-')}"
 
@@ -143,7 +143,7 @@ def _section(command: type[Configuration], name: str) -> str:
     """Return the `HELP_TITLE` of the base class that adds the option, if it has one."""
     section = "options"
     for base in command.__mro__:
-        # The last one wins: it is the base that introduces the field.
+        # The last one wins, because it is the base class that introduces the field.
         if "HELP_TITLE" in vars(base) and name in getattr(base, "model_fields", ()):
             section = vars(base)["HELP_TITLE"]
     return section

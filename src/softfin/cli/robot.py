@@ -152,7 +152,7 @@ class RobotRos2Arguments(NodeOptions):
 
 
 def _reach_lines(found: JsonObject) -> list[str]:
-    """Return rank, singular values and the largest forces and moments of a robot."""
+    """Return a robot's rank, singular values, and largest forces and moments."""
     singular_values = "  ".join(map("{:.3f}".format, found["singular_values"]))
     lines = [
         f"{found['robot']}: {found['fins']} fins, rank {found['rank']} of 6",

@@ -203,7 +203,8 @@ WARPED = (
 
 
 def comparison_tables(summary: JsonObject) -> str:
-    """Return the errors, mean force and DTW for a terminal of 120 columns, followed by notes."""
+    """Return tables of the errors, mean force and DTW for a 120-column terminal, followed by
+    notes."""
     yardstick = summary["flops_ratio_to"]
     groups = [(_heading(row, yardstick), row["horizons"]) for row in summary["groups"]]
     if (floor := summary["noise_floor"]) is not None:

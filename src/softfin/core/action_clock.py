@@ -2,12 +2,12 @@
 10 ms. No JAX."""
 
 ACTION_TICKS = (33, 33, 34)
-"""Durations of consecutive actions [ticks], repeated: exactly 3.0 Hz, so six actions are 200
-samples."""
+"""Durations of consecutive actions [ticks], repeated in this order. The rate is exactly 3.0 Hz, so
+six actions last 200 samples."""
 
 MAX_ACTION_TICKS = max(ACTION_TICKS)
-"""Number of rows of an action in a compiled program, where all actions have the same shape; a
-shorter action ignores the last row."""
+"""Number of rows per action in a compiled program, where all actions have the same shape; a shorter
+action ignores the last row."""
 
 ACTION_RATE_HZ = 3.0
 
@@ -16,8 +16,8 @@ CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
 causes no ripple in the window's mean."""
 
 WINDOW = 2 * sum(ACTION_TICKS)
-"""Number of samples in the mean force by which controllers are evaluated: 200, i.e. 2 s or six
-actions (paper, Sec. IV-B)."""
+"""Number of samples in the mean force used to evaluate controllers: 200, i.e. 2 s or six actions
+(paper, Sec. IV-B)."""
 
 
 def action_ticks(actions: int) -> list[int]:

@@ -2,8 +2,8 @@
 
 from typing import Literal, TypeAlias
 
-# Tables have an entry for each: PRESETS of reproductions and calibrations, SIGNALS of an evaluation
-# and UNITS of columns.
+# Other modules have tables with an entry for each name: PRESETS for reproductions and calibrations,
+# SIGNALS for evaluations and UNITS for columns.
 ReproducePreset: TypeAlias = Literal["demo", "best", "streaming", "paper", "tiny"]
 CalibratePreset: TypeAlias = Literal["full", "quick"]
 MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
@@ -41,4 +41,4 @@ LOOPBACK = "127.0.0.1"
 """Address that can be reached only from this computer."""
 
 SEEDS = 2**31
-"""Number of seeds; every random number generator accepts whole numbers from 0 to one less."""
+"""Number of seeds; every random number generator accepts seeds from 0 to this number minus 1."""

@@ -16,7 +16,7 @@ shortest time that is treated as a suspend."""
 
 
 class Clock:
-    """The computer's own time, with waiting based on `threading`."""
+    """The computer's own clock; waits using `threading`."""
 
     def __call__(self) -> float:
         """Return the monotonic time [s]."""

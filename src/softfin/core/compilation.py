@@ -22,11 +22,11 @@ def jit(effort: Literal["high", "low", "none"]) -> Callable[[Function], Function
     """Return a decorator that compiles with the given effort.
 
     Compared with `equinox.filter_jit`, on two cores:
-    - high: two thirds of the time to compile; networks of a surrogate learn at the same speed.
-    - low: half the time to compile; the virtual tank runs at the same speed, the networks of a
-      surrogate up to 1.5 times slower.
-    - none: a third of the time to compile; everything runs three times slower. For programs that
-      run once.
+    - high: two thirds of the compile time; a surrogate's networks train at the same speed.
+    - low: half the compile time; the virtual tank runs at the same speed, but a surrogate's
+      networks are up to 1.5 times slower.
+    - none: a third of the compile time; everything runs three times slower. For programs that run
+      once.
     """
     options: dict[str, Any] = dict(OLDER_GENERATOR)
     if effort in OPTIMISATION_LEVELS:

@@ -93,7 +93,7 @@ def read_yaml(path: Path) -> JsonObject:
 
 
 def parse_yaml(text: str) -> Any:
-    """Parse a YAML value; raises ValueError with a one-line message for anything else."""
+    """Parse a YAML value; raises ValueError with a one-line message if the text cannot be used."""
     loader = yaml.SafeLoader(text)
     try:
         node = loader.get_single_node()
@@ -160,18 +160,18 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
     if first["type"] == "missing":
-        # The input of this error is the mapping that lacks the key.
+        # For this error, the input is the mapping that lacks the key.
         return f"{name}: missing required key"
     if first["type"] == "value_error" and isinstance(first["input"], Mapping):
-        # An error of an entire model: its validator's message describes the problem, and its input
-        # is the entire mapping, so it is not shown.
+        # This error is about an entire model: the validator's message describes the problem, and
+        # the input is the entire mapping, so it is not shown.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {first['msg']}"
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:
-    """Return the configuration class, such as ``FitConfig``, that pydantic inserts into a path of
-    fields."""
+    """Return the configuration class, such as ``FitConfig``, that pydantic inserts into a field
+    path."""
     return next(
         (part for part in place if isinstance(part, str) and part.rstrip("]").endswith("Config")),
         None,

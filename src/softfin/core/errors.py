@@ -3,7 +3,7 @@ values and the fix."""
 
 
 class SoftfinError(Exception):
-    """Root of all errors that softfin raises on purpose."""
+    """Base class of all errors that softfin raises on purpose."""
 
     exit_code = 1
 

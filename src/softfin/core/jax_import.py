@@ -34,10 +34,10 @@ class _JaxFinder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of JAX; None for any other module."""
+        """Return JAX's module spec; None for any other module."""
         if fullname != JAX:
             return None
-        # Skip this finder, which would call itself without end.
+        # Skip this finder, which would otherwise call itself endlessly.
         for finder in sys.meta_path:
             spec = None if finder is self else finder.find_spec(fullname, path, target)
             if spec is not None:

@@ -1,4 +1,4 @@
-"""Operations for the formulas of controllers: the array API, and operations that differ between
+"""Operations used in the controllers' formulas: the array API, and operations that differ between
 array libraries.
 
 Each formula exists only once: NumPy runs it on the robot, and JAX compiles it and traces it for

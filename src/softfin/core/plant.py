@@ -26,7 +26,8 @@ Ticks: TypeAlias = int | Int[Array, ""]
 
 @runtime_checkable
 class Plant(Protocol):
-    """A fin, real enough for training. One fin, without batch axes (`jax.vmap` adds them).
+    """A fin that is realistic enough for training. It is a single fin, without batch axes
+    (`jax.vmap` adds them).
 
     Compiled programs hold an action by calling `advance` one tick at a time in a scan. A plant that
     computes many ticks at once more quickly may have a method `hold_action(state, command, ticks)`,
@@ -35,15 +36,15 @@ class Plant(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """Limits of the accepted commands, including angle 0 [rad, rad/s]; outside them, readings
-        are meaningless."""
+        """Limits of the accepted commands, which include angle 0 [rad, rad/s]; outside them,
+        readings are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
         """Return the state of a fin at rest at angle 0, time 0. The key determines everything
         random (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
-        """Hold the scalar command for `ticks` samples of 10 ms (a static number) and read after
+        """Hold the scalar command for `ticks` samples of 10 ms (`ticks` is static) and read after
         each sample; fields have the shape ``(ticks,)``."""
 
 
@@ -59,7 +60,7 @@ class TrueForcePlant(Plant, Protocol):
 
 @runtime_checkable
 class ForceInterval(Protocol):
-    """Prediction interval for the mean force of an ensemble over one window."""
+    """Prediction interval for an ensemble's mean force over one window."""
 
     def half_width(self, means: Float[AnyArray, "members *shape"]) -> Float[AnyArray, "*shape"]:
         """Return half of the interval's width [N], from the mean force of each member [N]."""
@@ -79,7 +80,7 @@ class EnsemblePlant(Plant, Protocol):
 
     @property
     def interval(self) -> ForceInterval:
-        """Interval for the mean force, from the disagreement of the members."""
+        """Interval for the mean force, based on the disagreement between the members."""
 
     def member(self, index: Int[Array, ""]) -> Plant:
         """Return one member as a separate plant; `index` may be a traced value."""
@@ -88,8 +89,8 @@ class EnsemblePlant(Plant, Protocol):
         """Like `advance`, but return the readings of every member: fields ``(members, ticks)``."""
 
     def distance(self, state: State) -> Float[Array, ""]:
-        """Return the distance of the last motion from the training data: 1 at their edge, larger
-        outside."""
+        """Return the distance of the last motion from the training data: 1 at the edge of the data,
+        larger outside."""
 
 
 def check_commands(limits: Limits, commands: Command) -> None:
@@ -102,8 +103,8 @@ def check_commands(limits: Limits, commands: Command) -> None:
         if isinstance(channel, jax.core.Tracer):
             continue
         values = np.asarray(channel)
-        # Limits have double precision, commands single precision, whose rounding error grows with
-        # the magnitude of the limit.
+        # Limits are in double precision and commands in single precision, whose rounding error
+        # grows with the magnitude of the limit.
         tolerance = 1e-6 * max(1.0, abs(low), abs(high))
         # Negated, so that NaN is outside as well.
         outside = ~((values >= low - tolerance) & (values <= high + tolerance))
@@ -177,7 +178,7 @@ def hold_action_with_true_force(
 def repeat(
     tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks
 ) -> tuple[State, Output]:
-    """Call `tick` that many times; its results are stacked as ``(34, ...)``, of which the first
+    """Repeat `tick` for `ticks` ticks; its results are stacked as ``(34, ...)``, of which the first
     `ticks` are valid."""
     # For gradients, recomputing a tick is faster than storing its intermediate values.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)

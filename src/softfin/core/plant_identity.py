@@ -25,7 +25,7 @@ from softfin.core.plant import EnsemblePlant, Plant, TrueForcePlant
 from softfin.core.quantities import Command, Limits
 
 PLAIN = (bool, int, float, str, type(None))
-"""Types of leaves that are fully described by their text."""
+"""Types of leaves that their text describes completely."""
 
 CALLBACK = re.compile(r"custom_call @\w*python\w*callback")
 """Pattern of a Python callback in a lowered program. The program does not contain what the callback
@@ -65,7 +65,7 @@ def identity(plant: Plant, computed: bool = False) -> str:
 
 
 def matches_identity(stated: str | None, plant: Plant) -> bool:
-    """Whether the identity in a file, written by this or an earlier version, is that of a plant."""
+    """Whether a plant has the identity that this or an earlier version stored in a file."""
     return stated in (identity(plant), identity(plant, computed=True))
 
 
@@ -73,9 +73,9 @@ def jit_argument(plant: Plant) -> Plant:
     """Return the plant as a pytree whose arrays are traced, and whose compiled program is reused
     only for equal plants.
 
-    For `equinox.filter_jit`. A user's simulator is traced on each call of this function: a compiled
-    program contains the simulator as it was then, and is reused only while the simulator computes
-    the same.
+    For use with `equinox.filter_jit`. A user's simulator is traced on each call of this function: a
+    compiled program contains the simulator as it was then, and is reused only while the simulator
+    computes the same.
     """
     arrays, static = eqx.partition(plant, eqx.is_array)
     if _is_own(plant, static):
@@ -185,5 +185,5 @@ def _digest(arrays: PyTree, text: str) -> str:
         is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         digest.update(np.asarray(jax.random.key_data(leaf) if is_key else leaf).tobytes())
     digest.update(text.encode())
-    # 64 bits: collisions between the few plants of a user are out of the question.
+    # 64 bits: collisions among a user's few plants are practically impossible.
     return digest.hexdigest()[:16]

@@ -3,7 +3,8 @@ sequences."""
 
 
 def printable(text: str, keep: str = "", most: int | None = None) -> str:
-    r"""`text` with unprintable characters as escapes such as ``\x1b``, cut to `most` characters.
+    r"""Return `text` with unprintable characters escaped, such as ``\x1b``, cut to `most`
+    characters.
 
     Control characters, direction marks, lone surrogates and line ends are escaped, unless `keep`
     contains them.

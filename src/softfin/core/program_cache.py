@@ -17,7 +17,7 @@ MAX_CACHE_BYTES = 2**30
 """Size above which the least recently used programs are deleted [bytes]."""
 
 JAX_SETTINGS = {
-    # Store small programs as well: an evaluation in the tank has 45 of them, each of which takes
+    # Store small programs as well: an evaluation in the tank uses 45 of them, each of which takes
     # 30 ms to compile.
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     # On a GPU, XLA would write additional files, which JAX would not count or delete.
@@ -75,7 +75,7 @@ def delete_old_programs(folder: Path, max_bytes: int) -> None:
     with contextlib.suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             status = entry.stat()
-            # File systems mounted with noatime do not update the time of the last access.
+            # File systems mounted with noatime do not update the last access time.
             last_use = max(status.st_atime, status.st_mtime)
             programs.append((last_use, status.st_size, entry.path))
     size = sum(program_bytes for _, program_bytes, _ in programs)

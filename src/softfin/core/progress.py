@@ -1,4 +1,4 @@
-"""Progress reports of long computations."""
+"""Progress reports from long computations."""
 
 from typing import Protocol, runtime_checkable
 

@@ -22,8 +22,7 @@ precision, and neither can represent Unix time."""
 
 
 def tick_at(time_s: float) -> int:
-    """Return the tick within the day for a time of any clock, such as that of a log or a
-    computer."""
+    """Return the tick within the day for a time on any clock, such as a log's or a computer's."""
     return round(time_s * RATE_HZ) % DAY
 
 
@@ -103,15 +102,15 @@ MAX_VELOCITY_RAD_S = 50.0
 water."""
 
 REST_TOLERANCE_RAD = 0.03
-"""Distance from angle 0 that is treated as angle 0 [rad]; random commands rarely come closer to the
-end of a range."""
+"""Distance from angle 0 within which an angle is treated as 0 [rad]; random commands rarely come
+closer to the end of a range."""
 
 REST_FIX = (
     "measure all angles, including the limits, from the fin's rest position; on a rig, turn the "
     "fin there and run softfin rig zero --arm; in logs, subtract it from the angle and its command"
 )
-"""Fix for a range of angles that excludes angle 0, where every experiment, episode and log starts
-and ends."""
+"""Suggested fix for an angle range that excludes angle 0, where every experiment, episode and log
+starts and ends."""
 
 ALLOWED_LIMITS = (
     f"a fin's limits must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
@@ -200,8 +199,7 @@ def action_to_command(limits: Limits, action: Any) -> Command:
 
 
 def command_limits(logs: Sequence[Log]) -> Limits:
-    """Return the range of the commands in logs, which becomes the limits of a surrogate fitted to
-    them.
+    """Return the command range in logs, which sets the limits of a surrogate fitted to them.
 
     A range that ends close to angle 0 is extended to it: random commands never quite reach the end
     of a range, but the fin rests there.

@@ -1,5 +1,5 @@
-"""The evaluation window: controllers are rewarded and evaluated by the mean force over 200 samples
-(paper, Sec. IV-B).
+"""The evaluation window: controllers are rewarded and evaluated based on the mean force over 200
+samples (paper, Sec. IV-B).
 
     mean = sum(f) / 200        error = mean - reference
 
@@ -20,8 +20,8 @@ from softfin.core.quantities import AnyArray
 CONFIDENCE = 0.95
 
 FEWEST = 3
-"""Minimum number of samples for an interval of the mean: with two samples, it is 12.7 times as wide
-as their distance."""
+"""Minimum number of samples for an interval of the mean: with two samples, the interval is 12.7
+times as wide as the distance between them."""
 
 
 def window_mean(forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""]) -> Any:
@@ -42,7 +42,7 @@ def window_error(
 def sobolev(
     forces: Float[AnyArray, "n 2"], count: Int[AnyArray, ""], form: Literal["sum", "mean"] = "mean"
 ) -> Any:
-    """Return the Sobolev term of the last `count` of `n` samples (paper Sec. III-C2) [N]: the
+    """Return the Sobolev term over the last `count` of `n` samples (paper Sec. III-C2) [N]: the
     change between consecutive forces.
 
     The paper's form `sum`, sqrt(sum_i |F_{i+1} - F_i|^2), grows with the square root of the
@@ -60,10 +60,11 @@ def sobolev(
 
 
 def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:
-    """Return the mean over every complete window, ``(*batch, windows, channels)``; the first covers
+    """Return the mean over each complete window, ``(*batch, windows, channels)``; the first covers
     the first `window` samples."""
     xp: Any = series.__array_namespace__()
-    # In float64 if available: the difference of two long cumulative sums loses digits in float32.
+    # In float64 if available: the difference between two long cumulative sums loses digits in
+    # float32.
     total = xp.cumsum(series, axis=-2, dtype=np.float64 if xp is np else series.dtype)
     # sum over window i = total[i + window] - total[i]
     total = xp.concatenate([xp.zeros_like(total[..., :1, :]), total], axis=-2)
@@ -95,8 +96,8 @@ def interval(
 ) -> list[float] | None:
     """Return the interval [low, high] of the mean of independent samples, by Student's t.
 
-    None for fewer than `FEWEST` samples, or if all are equal, because then they are not
-    independent.
+    Returns None for fewer than `FEWEST` samples, or if all samples are equal, because they are then
+    not independent.
     """
     n = len(values)
     if n < FEWEST or np.ptp(values) == 0:

@@ -1,4 +1,4 @@
-"""Zero of the force sensor: set it, verify it, and detect later if it was lost.
+"""The force sensor's zero: set it, verify it, and detect later whether it was lost.
 
 The sensor loses its zero when it loses power. Its sample counter reveals that: `zero_force` saves
 the counter in the rig's record, and it is compared each time the rig is opened.

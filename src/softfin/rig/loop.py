@@ -108,7 +108,7 @@ def recorded_reference(
     resolve: ResolveReference,
     report: Callable[[str], None],
 ) -> ReferenceSource:
-    """Return a source of the references in a file's rows, each valid from its time on. All are
+    """Return a source of the references in a file's rows, each valid from its time onwards. All are
     resolved now, before anything moves."""
     resolved = [resolve(each) for each in force]
     warnings = [warning for _, warning in resolved if warning is not None]

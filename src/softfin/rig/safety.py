@@ -104,7 +104,7 @@ def check_target(target: Target, limits: Limits) -> Trip | None:
                 "controller's weights or inputs may be damaged, so evaluate it on a surrogate "
                 "first",
             )
-        # The tolerance is for rounding errors of a controller.
+        # The tolerance allows for a controller's rounding errors.
         if not low - 1e-3 <= value <= high + 1e-3:
             return Trip(
                 f"command_{name}",

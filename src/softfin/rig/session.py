@@ -73,7 +73,7 @@ class Session:
         self.recorder: BagRecorder | None = None
         self.state: SessionState = "unconfigured"
         self.target: Target | None = None
-        """Command in force."""
+        """Active command."""
         self.newest: Sample | None = None
         """Sample of the latest tick."""
         self.trip: Trip | None = None
@@ -271,7 +271,7 @@ class Session:
             self.recorder.command(self.pace.clock(), target.angle, target.velocity)
 
     def record_reference(self, reference: tuple[float, float]) -> None:
-        """Record the reference force in force from now on [N]."""
+        """Record the reference force that applies from now on [N]."""
         if self.recorder is not None:
             self.recorder.reference(self.pace.clock(), reference)
 

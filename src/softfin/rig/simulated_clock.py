@@ -125,8 +125,7 @@ class SimulatedClock(Clock):
         with self._guard:
             if self._running is not None or not self._waiting:
                 return
-            # Members are in the order of their arrival, so the first that is ready has waited
-            # longest.
+            # Members are in order of arrival, so the first that is ready has waited longest.
             chosen = next((each for each in self._waiting if each.ready()), None)
             if chosen is None:
                 chosen = min(self._waiting, key=lambda each: each.end)

@@ -5,12 +5,13 @@ Forces f = (x, y of the first fin, of the second, ...) minimise
 
     |Q^(1/2) (B f - wrench)|^2 / 2 + ridge / 2 sum_i |f_i - p_i|^2 / r_i^2,   |f_i| <= r_i
 
-with the fins' matrix B, priorities Q, preferred forces p and reaches r. If no fin is at its reach,
-the solution is linear in the wrench, and the ridge is so small that the full wrench is produced.
-Otherwise it is a quadratic program over disks, solved by an accelerated projected gradient method
-with restarts (Nesterov 1983; O'Donoghue and Candes 2015), with a few steps per call, starting from
-the forces of the previous call. From an arbitrary start, these steps come within 0.1 N of the
-optimum in nine cases out of ten; while the wrench changes slowly, they reach it.
+with the allocation matrix B, priorities Q, preferred forces p and reaches r. If no fin is at its
+reach, the solution is linear in the wrench, and the ridge is so small that the full wrench is
+produced. Otherwise it is a quadratic program over disks, solved by an accelerated projected
+gradient method with restarts (Nesterov 1983; O'Donoghue and Candes 2015), with a few steps per
+call, starting from the forces of the previous call. From an arbitrary start, these steps come
+within 0.1 N of the optimum in nine cases out of ten; while the wrench changes slowly, they reach
+it.
 """
 
 from typing import NamedTuple
@@ -52,7 +53,7 @@ class Allocation(NamedTuple):
 
 
 class Allocator:
-    """Allocator of wrenches to the fins of one robot."""
+    """Allocator that distributes wrenches among the fins of one robot."""
 
     def __init__(
         self,
@@ -128,8 +129,8 @@ class Allocator:
         return parts
 
     def _within(self, right: MatrixColumns, parts: MatrixColumns) -> MatrixColumns:
-        """Return the forces as fractions of each fin's reach, at most 1, after some steps towards
-        the optimum."""
+        """Return the forces as fractions of each fin's reach, with magnitudes of at most 1, after a
+        few steps towards the optimum."""
         # A gradient step is linear: descend @ x + shift.
         shift = self._step * right
         ahead = parts

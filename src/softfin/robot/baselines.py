@@ -46,8 +46,8 @@ def build_drivers(robot: RobotConfig, gaits: Sequence[FinGaits]) -> dict[str, Ma
 
 
 def _analytic(gaits: FinGaits) -> FinGaits:
-    """Return gaits with the amplitudes of the inverse model, up to its maximum, and the limits and
-    ripple of a fin's own gaits."""
+    """Return gaits that combine the inverse model's amplitudes, up to its maximum, with the limits
+    and ripple of a fin's own gaits."""
     model = InverseConfig()
     amplitude = find_amplitude(FORCES_N, STROKE_HZ, model.constant)
     count = max(2, int((amplitude <= model.amplitude_max_rad).sum()))

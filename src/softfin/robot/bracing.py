@@ -23,11 +23,11 @@ EFFORT = 0.02
 """Cost of a squared force relative to that of a squared shortfall below `brace_n`."""
 
 SAME_N = 1e-6
-"""Force difference below which two bracings are the same [N]."""
+"""Force difference below which two bracings are treated as the same [N]."""
 
 
 class BracedAllocation:
-    """Allocation of wrenches to the fins of a robot, as configured under `allocation` in its
+    """Allocation of wrenches to a robot's fins, as configured under `allocation` in the robot's
     file."""
 
     def __init__(self, robot: RobotConfig, reach: Sequence[float | int]) -> None:
@@ -65,7 +65,8 @@ class BracedAllocation:
         return Allocation(smoothed, self.allocator.matrix @ smoothed.ravel(), found.given_up), brace
 
     def _bracing(self) -> Float[np.ndarray, "braces fins 2"]:
-        """Return forces that cancel each other, with sizes around `brace_n`; the first is zero."""
+        """Return sets of forces that cancel each other, with magnitudes around `brace_n`; the first
+        set is zero."""
         alive = np.repeat(self.allocator.reach > 0, 2)
         _, values, rows = np.linalg.svd(self.allocator.matrix[:, alive])
         # Null space of the matrix: right singular vectors with a singular value of 0.
@@ -99,8 +100,8 @@ class BracedAllocation:
         # bracing may not be among them.
         unchanged = np.abs(self._braces - present).max(axis=(1, 2)) < SAME_N
         costs[unchanged] -= self._config.brace_change
-        # Round, so that of equal costs the first is chosen regardless of differences in the last
-        # digits.
+        # Round, so that the first of several equal costs is chosen regardless of differences in the
+        # last digits.
         return np.asarray(self._braces[costs.round(6).argmin()])
 
 

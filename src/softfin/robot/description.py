@@ -26,14 +26,14 @@ UNIT_TOLERANCE = 1e-3
 
 
 class FinMountConfig(Configuration):
-    """Mount of a fin on the body, and the plant of the fin."""
+    """A fin's mount on the body, and the fin's plant."""
 
     position_m: Three
     """Position of the shaft, where the fin's force acts [m]."""
     zero_direction: Three
     """Unit vector of the fin's thrust on the body at shaft angle 0, i.e. the x axis of the fin."""
     shaft_axis: Three
-    """Unit vector of the shaft; positive angles follow the right-hand rule."""
+    """Unit vector along the shaft; positive angles follow the right-hand rule."""
     range_rad: tuple[float, float] | None = None
     """Minimum and maximum shaft angle [rad]; None means unlimited rotation. Limited ranges are not
     supported yet."""
@@ -120,7 +120,7 @@ class RobotConfig(Configuration):
         """Return the allocation matrix: its columns are the wrenches on the body, in body axes, of
         unit forces along x and y of the first fin, then of the second, and so on."""
         places, axes, _ = self.mounts()
-        # For each fin, its axes (force) above place x axes (moment).
+        # For each fin: its axes (force), stacked on position x axes (moment).
         columns = [
             np.concatenate([a, np.cross(place, a, axisb=0).T])
             for place, a in zip(places, axes, strict=True)

@@ -86,7 +86,7 @@ class Dynamics(NamedTuple):
         return -(self.drag_linear + self.drag_quadratic * speeds) * twist
 
     def restoring(self, attitude: Quaternion) -> SixVector:
-        """Return the wrench of weight and buoyancy at an attitude."""
+        """Return the wrench due to weight and buoyancy at an attitude."""
         up = matrix(attitude)[2]
         # Moment of both forces about the origin: (B r_b - W r_g) x up.
         lever = self.buoyancy * self.centre_of_buoyancy - self.weight * self.centre_of_gravity
@@ -94,15 +94,15 @@ class Dynamics(NamedTuple):
 
     @property
     def righting_nm_rad(self) -> float:
-        """Righting stiffness of weight and buoyancy in roll and pitch [N m/rad]; if negative, the
-        body tips over."""
+        """Righting stiffness due to weight and buoyancy in roll and pitch [N m/rad]; if negative,
+        the body tips over."""
         return float(
             self.buoyancy * self.centre_of_buoyancy[2] - self.weight * self.centre_of_gravity[2]
         )
 
     def gyroscopic(self, twist: SixVector) -> SixVector:
-        """Return the gyroscopic wrench of the momentum of body and water, for a twist relative to
-        the water."""
+        """Return the gyroscopic wrench due to the momentum of the body and the water, for a twist
+        relative to the water."""
         # Kirchhoff's equations with the momentum (p, h) = M (v, omega): p x omega, and h x omega +
         # p x v.
         momentum = self.inertia @ twist

@@ -72,7 +72,7 @@ class RobotEvaluateConfig(Configuration):
     dead: bool = False
     """Whether one fin dies at a random time in every trial, each fin in turn."""
     noise: NoiseConfig = NoiseConfig()
-    """Noise of the estimate of the robot's state."""
+    """Noise of the robot's state estimate."""
     seed: int = Field(0, ge=0)
     """Seed of all random numbers."""
 
@@ -235,7 +235,8 @@ def _rms(values: Float[np.ndarray, "n"]) -> float:
 def draw_wrenches(
     robot: RobotConfig, gaits: Sequence[FinGaits], config: RobotEvaluateConfig
 ) -> Float[np.ndarray, "n 6"]:
-    """Draw wrenches of random fin forces, uniform over disks of a fraction of each fin's reach."""
+    """Draw the wrenches of random fin forces, which are uniform over disks with a fraction of each
+    fin's reach as their radius."""
     random = named_generator(config.seed, "robot/wrenches")
     reach = np.array([each.reach for each in gaits])
     # The square root makes the distribution uniform over the disk.
@@ -288,7 +289,7 @@ def _orders(driver: WrenchDriver, wrench: Float[np.ndarray, "6"]) -> Orders:
 
 
 def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.ndarray, "n ticks 6"]:
-    """Return the wrenches of the fins on a fixed body."""
+    """Return the fins' wrenches on a fixed body."""
     together = jax.tree.map(lambda *rows: np.stack(rows), *orders)
     wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(together), float)
     return wrenches.reshape(len(orders), -1, 6)[:, np.array(valid_rows(WRENCH_ACTIONS))]

@@ -1,9 +1,9 @@
 """Convert a fin's mean force to a gait: strokes to both sides of the thrust direction. NumPy only.
 
 Still water is the same in all directions, so one family of gaits is enough for a fin with unlimited
-rotation: strokes of one action each, at 1.5 Hz, with their amplitude determining the force and
-their centre its direction. The mean force points along the centre; across it there is a ripple,
-which is the largest force of all.
+rotation: strokes of one action each, at 1.5 Hz, whose amplitude determines the force and whose
+centre determines its direction. The mean force points along the centre; the ripple across it is the
+largest force of all.
 """
 
 import math
@@ -109,8 +109,7 @@ def stroke(
     size = math.hypot(x, y)
     direction = state.direction
     if size > WEAK_N:
-        # At angle a the thrust points along (cos a, -sin a); the fin turns there by the shorter
-        # way.
+        # At angle a the thrust points along (cos a, -sin a); the fin turns there the shorter way.
         direction += math.remainder(math.atan2(-y, x) - direction, 2 * math.pi)
     target = direction + side * gaits.find_amplitude(size)
     velocity = gaits.stroke_velocity(abs(target - state.target))

@@ -1,5 +1,5 @@
-"""Search for a fin's gaits in its tank: simulate strokes of many amplitudes and invert the map to
-mean force."""
+"""Search for a fin's gaits in its tank: simulate strokes of many amplitudes and invert the map from
+amplitude to mean force."""
 
 import equinox as eqx
 import jax
@@ -27,7 +27,7 @@ MAX_SIDE_FORCE_FRACTION = 0.05
 within their action, so each one starts differently."""
 
 STREAM_M_S = 0.05
-"""Velocity through the water, along and across the thrust, at which the loss of force is measured
+"""Velocity through the water, along and across the thrust, at which the force loss is measured
 [m/s]."""
 
 

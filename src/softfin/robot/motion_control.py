@@ -45,8 +45,8 @@ AxisTransitions = Float[np.ndarray, "6 3 3"]
 
 
 class AxisFilter(NamedTuple):
-    """Kalman filters of the six axes, with state x = (error, its rate, acceleration by
-    disturbances) and input u = acceleration by the fins."""
+    """Kalman filters of the six axes, with state x = (error, its rate, acceleration due to
+    disturbances) and input u = acceleration due to the fins."""
 
     forward: AxisTransitions
     """State transition from one action to the next."""
@@ -80,7 +80,8 @@ class AxisFilter(NamedTuple):
                 [[0, 1, 0, 0], [-stiffness[axis], -damping[axis], 1, 1], [0, 0, 0, 0], [0, 0, 0, 0]]
             )
             step = _exponential(slope * ACTION_S)
-            # The mean over the last two actions is about the state in their middle, one action ago.
+            # The mean over the last two actions approximates the state in their middle, one action
+            # ago.
             half = np.linalg.inv(step)
             forward = step[:3, :3]
             driven = step[:3, 3]
@@ -118,8 +119,8 @@ STILL_M_S = 0.01
 
 SURGE_MEMORY_S = 20.0
 """Averaging time of the longitudinal force [s]. A long body has little longitudinal drag, 0.2 to
-0.5 N in a current of 5 cm/s. A single estimate has an error of that size; the mean has one third of
-it."""
+0.5 N in a current of 5 cm/s. A single estimate has an error of that size; the error of the mean is
+a third of that."""
 
 MAX_DAMPING = 8 / ACTION_S
 """Upper limit of the damping in the filters [1/s]; with more, motion would decay within one
@@ -136,7 +137,7 @@ class ControlState(NamedTuple):
     """Error, its rate and the disturbance for each axis, in path axes [m, m/s, m/s2; rad, rad/s,
     rad/s2]."""
     accelerations: Float[np.ndarray, "2 6"]
-    """Accelerations by the fins, in addition to the path's, in the last two actions, latest
+    """Accelerations due to the fins, in addition to the path's, in the last two actions, latest
     first."""
     heading: float
     """Angle by which the robot has turned away from the path's heading into a current [rad]."""
@@ -257,7 +258,7 @@ class MotionController:
             return surge_n, state.side, state.heading
         side = state.side
         # Below the noise level the sign is a guess, but waiting would mean drifting away: turning
-        # in the wrong direction passes through abeam and also reaches the goal, only later. The
+        # in the wrong direction passes through abeam and also reaches the goal, just later. The
         # turn is reversed only if the force exceeds the noise, otherwise an undecided robot would
         # stay abeam.
         if not side or abs(surge_n) > self._surge_noise_n:

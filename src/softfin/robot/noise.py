@@ -1,4 +1,5 @@
-"""Noise of a robot's state estimate, with NumPy in trials and JAX in compiled programs."""
+"""Noise of a robot's state estimate, computed with NumPy in trials and with JAX in compiled
+programs."""
 
 import math
 from typing import Any
@@ -15,7 +16,8 @@ from softfin.robot.rotation import multiply
 
 
 class NoiseConfig(Configuration):
-    """Noise of the estimated state of the robot, normal and independent for each component."""
+    """Noise of the robot's estimated state, normally distributed and independent for each
+    component."""
 
     position_m: NonNegativeFloat = 0.01
     """Standard deviation of each coordinate [m]."""

@@ -69,7 +69,8 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
     """Return a path along a closed curve, ``curve(0 .. 1)``, at a mean speed, with a slow start and
     the nose in the direction of travel."""
     points = np.array([curve(u) for u in np.linspace(0, 1, 2001)])
-    # Fraction of the curve per second: speed divided by length, which is that of a polygon.
+    # Fraction of the curve per second: speed divided by length, where the length is that of a
+    # polygon.
     rate = speed_m_s / float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 
     def part(time: float) -> float:
@@ -77,7 +78,7 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
             # Smooth start: the integral of a smoothstep, which rises from 0 to 1.
             u = max(time, 0.0) / STARTING_S
             return rate * STARTING_S * (u**3 - u**4 / 2)
-        # The slow start covers half the distance of the full speed.
+        # The slow start covers half the distance that full speed would.
         return rate * (time - STARTING_S / 2)
 
     def place(time: float) -> Vector:
@@ -91,7 +92,7 @@ def along(curve: Callable[[float], Vector], speed_m_s: float | int) -> Path:
     def target(time: float) -> PathPoint:
         times = (time - DIFFERENCE_STEP_S, time, time + DIFFERENCE_STEP_S)
         before, now, after = map(place, times)
-        # Jumps by 2 pi would become spikes of the angular velocity.
+        # Jumps of 2 pi would become spikes in the angular velocity.
         yaws = np.unwrap([heading(at) for at in times])
         turn = np.zeros(3)
         turning = np.zeros(3)

@@ -18,7 +18,7 @@ DELAY_TICKS = ACTION_TICKS[0] // 3
 """Delay between consecutive phases [ticks]."""
 
 MUCH = 0.4
-"""Fraction of the current ripple below which the ripple of a new pattern must be for a change. A
+"""Fraction of the current ripple below which a new pattern's ripple must be to justify a change. A
 fin that changes its phase misses a stroke, and a robot that keeps station needs a new wrench in
 every action."""
 
@@ -55,8 +55,8 @@ def choose_phases(
     ripple: Complex[np.ndarray, "6 fins"],
     inverse_inertia: Float[np.ndarray, "6 6"],
 ) -> Phases:
-    """Return the phases with the least motion of the body due to ripple; unless `starting`, keep
-    the current ones if the gain is small."""
+    """Return the phases with the least body motion due to ripple; unless `starting`, keep the
+    current ones if the gain is small."""
     # At a fixed frequency, displacements are proportional to accelerations.
     moved = inverse_inertia @ ripple
     moved[3:] *= METRES_PER_RADIAN

@@ -23,7 +23,7 @@ def _namespace(*arrays: Array) -> Any:
 
 
 def six(first: Array, second: Array) -> SixVector:
-    """Concatenate two vectors ``(3,)`` to one ``(6,)``."""
+    """Concatenate two vectors ``(3,)`` into one ``(6,)``."""
     joined: SixVector = _namespace(first, second).concatenate([first, second])
     return joined
 

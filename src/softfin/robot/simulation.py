@@ -43,7 +43,7 @@ class Orders(NamedTuple):
     """Delay from the start of the action to each fin's command [ticks]."""
 
     def at(self, tick: Int[Array, ""]) -> Command:
-        """Return the commands in force at a tick of the action."""
+        """Return the commands that are active at a tick of the action."""
         held: Command = jax.tree.map(
             lambda old, new: jnp.where(tick < self.delays, old, new), self.before, self.now
         )

@@ -142,7 +142,8 @@ def run_trial(
 
 
 def _ambient(trouble: Disturbances, time: float, ticks: int) -> Ambient:
-    """Return the current and the push during the action of `ticks` that starts at `time` [s]."""
+    """Return the current and the push during the action of `ticks` ticks that starts at `time`
+    [s]."""
     push = np.zeros(6)
     if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
         # Constant force over the action: impulse / time.
@@ -160,7 +161,7 @@ def rest_commands(driver: WrenchDriver) -> Command:
 
 
 def stack_commands(commands: Sequence[Command]) -> Command:
-    """Stack the commands of all fins to one command with fields ``(fins,)``."""
+    """Stack the commands of all fins into one command with fields ``(fins,)``."""
     return Command(*(jnp.asarray(x, jnp.float32) for x in zip(*commands, strict=True)))
 
 

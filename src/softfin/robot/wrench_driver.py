@@ -35,7 +35,7 @@ class FinOrders(NamedTuple):
     """Command for each fin [rad, rad/s]."""
     delays: tuple[int, ...]
     """Delay from the start of the action to each fin's command, in ticks of 10 ms; until then, the
-    previous command stays in force."""
+    previous command stays active."""
     forces: FinForces
     """Mean force of each fin, in the fin's axes [N]."""
     wrench: SixVector
@@ -44,7 +44,8 @@ class FinOrders(NamedTuple):
     """Axes in which the target wrench is out of reach."""
 
     def told(self, wrench: SixVector) -> str:
-        """Describe the part of a target wrench that is out of reach; empty if there is none."""
+        """Describe the part of a target wrench that is out of reach; returns an empty string if
+        there is none."""
         if not self.given_up.any():
             return ""
         units = ("N",) * 3 + ("N m",) * 3

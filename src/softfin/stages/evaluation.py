@@ -46,7 +46,7 @@ def evaluate(
     figures to `out`.
 
     `randomize` requires a tank as plant: every repetition runs in a different, randomly perturbed
-    tank. With 0, all run in the tank itself.
+    tank. With 0, all repetitions run in the tank itself.
     """
     if out is not None:
         artifacts.check_vacant(out, overwrite)

@@ -69,7 +69,7 @@ def is_shown(plant: Plant) -> bool:
 
 
 def _check_named(given: Sequence[object], num_distinct: int) -> None:
-    """Raise ConfigurationError unless there are one or more names, each once."""
+    """Raise ConfigurationError unless there is at least one name and no duplicates."""
     if not given or num_distinct < len(given):
         names = ", ".join(map(str, given)) or "nothing"
         raise ConfigurationError(f"{names}: must be one or more, no duplicates")

@@ -49,11 +49,11 @@ Confirm = Callable[[RobotSetup], None]
 yes."""
 
 EXTRA_TICKS = 20
-"""Number of ticks read after the last row of a log: the force filter delays its output."""
+"""Number of ticks read after the last row of a log, because the force filter delays its output."""
 
 HALF_TICK_S = TICK_S / 2
-"""Time by which command stamps are moved back [s], so that a tick's jitter cannot move a command to
-the next row."""
+"""Time by which command stamps are moved back [s], so that the jitter of the ticks cannot move a
+command to the next row."""
 
 GAP_S = 0.05
 """Longest gap between two readings of a device that is interpolated [s]. Even at 3 Hz a fin moves
@@ -62,7 +62,7 @@ smoothly over this time."""
 STATE = "collect.json"
 
 DRIFT_N = 0.2
-"""Change of the rest force since the first log of a collection above which softfin warns [N]. The
+"""Change in the rest force, since the first log of a collection, above which softfin warns [N]. The
 rest force is subtracted from each log, but a sensor that drifts between logs also drifts within
 them."""
 
@@ -115,7 +115,7 @@ def collect_live(
             for index, name in enumerate(missing):
                 # Default arguments bind the index and name of this iteration.
                 def report(row: int, sample: Sample, index: int = index, name: str = name) -> None:
-                    # Remaining rows, plus the rest before each remaining log.
+                    # Remaining rows, plus the rest period before each remaining log.
                     left = ((len(missing) - index) * config.rows - row) / RATE_HZ
                     left_s = timedelta(
                         seconds=round(left + (len(missing) - index - 1) * robot.settle_s)
@@ -419,7 +419,7 @@ def _record(
             if not issued or commands[tick] != issued[-1][1]:
                 session.command(commands[tick])
                 issued.append((sample.time - HALF_TICK_S, commands[tick]))
-            # Progress twice per second, and at the end of the log.
+            # Report progress twice per second, and at the end of the log.
             if tick % (RATE_HZ // 2) == 0 or tick >= config.rows:
                 report(tick, sample)
     session.deactivate()

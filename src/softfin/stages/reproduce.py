@@ -123,7 +123,7 @@ def summaries(evaluated: Evaluated) -> dict[str, EvaluationSummary]:
 
 
 class _Reproduction:
-    """A run and the folders of its parts."""
+    """A run and the folders for its parts."""
 
     def __init__(
         self, plant: str, out: Path, config: ReproduceConfig, seed: int, progress: Progress
@@ -342,7 +342,7 @@ class _Reproduction:
     def figures(
         self, results: RunResults, evaluated: Evaluated, shown: Evaluated
     ) -> dict[str, dict[str, Figure]]:
-        """Draw the figures of the report by section; moving references are those of `shown`."""
+        """Draw the report's figures by section; the moving references are those of `shown`."""
         figures: dict[str, dict[str, Figure]] = {
             "headline": {},
             "surrogate": {} if results["surrogate"] is None else self.surrogate_figures(),
@@ -399,14 +399,14 @@ class _Reproduction:
             return {}
         log = next(data.load(data.test[:1]))
         rows = len(log.reading.time)
-        # Late enough to fill the surrogate's memory.
+        # Start late enough to fill the surrogate's memory.
         first = max(surrogate.memory, min(10 * RATE_HZ, rows // 2))
         ticks = min(SHOWN_TEST_S * RATE_HZ, rows - first)
         stretch = slice(first, first + ticks)
         free, _ = free_run(surrogate, [log], [(0, first)], ticks)
         predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
-            # Row i of this prediction is for row i + window of the log.
+            # Row i of this prediction corresponds to row i + window of the log.
             behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
             predicted = {
                 "given the angle": surrogate.predict_force(log, free_running=False)[behind],

@@ -105,7 +105,7 @@ def _title(robot: RobotConfig, task: str, dead: bool) -> str:
 
 def build_tanks(robot: RobotConfig) -> list[Tank]:
     """Build the tank of each fin; fins with the same plant share a tank. Raises ConfigurationError
-    for other plants."""
+    if a plant is not a tank."""
     built: dict[str, Tank] = {}
     for name, fin in robot.fins.items():
         if fin.range_rad is not None:

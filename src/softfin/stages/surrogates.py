@@ -52,9 +52,9 @@ def fit(
     counts and a caveat.
 
     The class of the configuration selects the model: the paper's networks or streaming networks.
-    `dataset` is a dataset's folder, or recordings of any other kind, read with the options `logs`.
-    Raises LogError if the logs have errors, unless errors are ignored, now or when the dataset was
-    imported.
+    `dataset` is a dataset's folder, or recordings of any other kind, read with the options in
+    `logs`. Raises LogError if the logs have errors, unless errors are ignored, now or when the
+    dataset was imported.
     """
     config = config or StreamingConfig()
     artifacts.check_vacant(out, overwrite or resume)
@@ -115,7 +115,7 @@ def fit(
 
 
 def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
-    """Raise LogError if no fin can have the range of the training commands."""
+    """Raise LogError if no fin can have the training commands' range."""
     limits = command_limits(train)
     if problem := limits.problem(one_velocity=True):
         hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""

@@ -29,8 +29,8 @@ WEIGHTS = "weights.safetensors"
 
 
 def check_vacant(path: Path, overwrite: bool = False, option: str = "--out") -> None:
-    """Raise ArtifactError unless a folder can be written to `path`: it must be vacant, or a softfin
-    folder with `overwrite` set."""
+    """Raise ArtifactError unless a folder can be written to `path`: it must be missing or empty, or
+    a softfin folder if `overwrite` is set."""
     check_writable(path, option)
     if not path.exists() or (path.is_dir() and not any(path.iterdir())):
         return
@@ -57,8 +57,8 @@ def check_file(path: Path, overwrite: bool, option: str = "--out") -> None:
 
 
 def check_writable(path: Path, option: str = "--out") -> None:
-    """Raise ArtifactError unless a file or folder can be created at `path`. This is tried, because
-    permissions are not the only obstacle."""
+    """Raise ArtifactError unless a file or folder can be created at `path`. The function tests this
+    by creating one, because permissions are not the only obstacle."""
     # The nearest existing parent decides whether the missing folders can be created.
     parent = path.absolute().parent
     while not parent.exists():
@@ -122,7 +122,7 @@ def write_folder(path: Path, write: Callable[[Path], None], overwrite: bool = Fa
     except (OSError, ArtifactError) as error:
         if before.exists():
             before.rename(path)
-        # The result may have taken hours: keep it under a name that is free.
+        # The result may have taken hours: keep it under an unused name.
         number = 1
         while (kept := path.with_name(f"{path.name}.finished-{number}")).exists():
             number += 1
@@ -185,8 +185,8 @@ def save(
     `write_folder`."""
 
     def write(folder: Path) -> None:
-        # Path writes the bytes: safetensors' own writer hides a full disk, and creates files that
-        # other users cannot read.
+        # Path writes the bytes: safetensors' own writer does not report a full disk, and creates
+        # files that other users cannot read.
         (folder / WEIGHTS).write_bytes(encode(weights))
         write_description(folder, kind, description)
         if extra_files is not None:
@@ -228,8 +228,8 @@ def encode(weights: Mapping[str, object], metadata: dict[str, str] | None = None
 
 
 def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
-    """Read the description and the weights of a folder written by `save`; raises ArtifactError for
-    anything else."""
+    """Read the description and the weights from a folder written by `save`; raises ArtifactError
+    for anything else."""
     import safetensors.numpy
 
     description = load_description(path, kind)
@@ -250,8 +250,8 @@ def load(path: Path, kind: str) -> tuple[JsonObject, dict[str, Any]]:
 
 
 def load_description(path: Path, kind: str) -> JsonObject:
-    """Read the JSON of a folder of one kind; raises ArtifactError for anything else, and for a
-    format that this version cannot read."""
+    """Read the JSON file of a folder of the given kind; raises ArtifactError for anything else, and
+    for a format that this version cannot read."""
     file = find_description(path, kind)
     description = read_json(file)
     check_format(kind, description.get("format", 1), str(file))
@@ -259,7 +259,7 @@ def load_description(path: Path, kind: str) -> JsonObject:
 
 
 def find_description(path: Path, kind: str) -> Path:
-    """Return the file that describes a folder of one kind; raises ArtifactError if `path` is
+    """Return the file that describes a folder of the given kind; raises ArtifactError if `path` is
     anything else."""
     file = path / f"{kind}.json"
     if not path.is_dir():

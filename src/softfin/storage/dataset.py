@@ -19,7 +19,7 @@ from softfin.storage.paths import DATASET_PARTS, list_logs
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """The logs of a folder. Opening it compares the hash of every file, but reads no rows."""
+    """The logs in a folder. Opening the folder checks the hash of every file but reads no rows."""
 
     path: Path
     train: tuple[Path, ...]
@@ -27,8 +27,8 @@ class Dataset:
     test: tuple[Path, ...]
     """Test logs, recorded separately; may be empty."""
     description: JsonObject
-    """``dataset.json``: rate_hz, files, data_hash and the writer's metadata (configuration, plant,
-    provenance)."""
+    """Contents of ``dataset.json``: rate_hz, files, data_hash and the writer's metadata
+    (configuration, plant, provenance)."""
     data_hash: str
     """SHA-256 over the names and contents of all logs; identifies the data that a surrogate was
     fitted to."""

@@ -1,5 +1,5 @@
-"""Style and files of all figures, readable in greyscale and by colour-blind readers. No global
-state.
+"""Style and file formats of all figures, which are readable in greyscale and by colour-blind
+readers. No global state.
 
 Colours: Okabe and Ito's palette (2008), in an order that also differs in lightness.
 """

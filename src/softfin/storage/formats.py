@@ -1,9 +1,9 @@
 """Every kind of artifact that softfin writes, with its format number. This is the only such list.
 
-The number of a kind increases when older versions of softfin cannot read the new files. `oldest`
-then stays unchanged, the reader of the older format is kept, and ``tests/golden`` gets a file in
-the new format. Added keys do not change the number. A file without a number has format 1.
-Configurations (YAML) have no number: their keys are checked by name.
+A kind's number increases when older versions of softfin cannot read the new files. `oldest` then
+stays unchanged, the reader of the older format is kept, and ``tests/golden`` gets a file in the new
+format. Added keys do not change the number. A file without a number has format 1. Configurations
+(YAML) have no number: their keys are checked by name.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ class Format(NamedTuple):
     oldest: int = 1
     """Oldest format that this version reads."""
     remedy: str = ""
-    """How to get a new artifact if this one is older."""
+    """Fix for an artifact in an older format."""
 
 
 FOLDERS: Mapping[str, Format] = MappingProxyType(

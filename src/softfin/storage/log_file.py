@@ -32,7 +32,7 @@ SCHEMA = pa.schema(
 )
 
 RATE_TOLERANCE = 0.01
-"""Largest relative error of the mean rate."""
+"""Largest allowed relative error of the mean rate."""
 
 Columns = dict[str, NDArray[np.floating]]
 
@@ -99,7 +99,8 @@ def check_columns(columns: Columns, source: str) -> None:
                 "this column); remove these rows, or split the log around them"
             )
     time = columns["time_s"]
-    # Order of the checks: a repeated or wrong time would also look like a wrong rate or a gap.
+    # The order of the checks matters: a repeated or wrong time would also look like a wrong rate or
+    # a gap.
     steps = np.diff(time)
     backward = np.flatnonzero(steps <= 0)
     if backward.size:

@@ -22,7 +22,7 @@ from softfin.storage.artifact import write_file
 
 OPSET = 17
 IR_VERSION = 8
-"""Versions of ONNX and of its file format that onnxruntime runs from 1.12 (2022) on."""
+"""Versions of ONNX and of its file format; onnxruntime 1.12 (2022) and later can run them."""
 
 NEXT = "next_"
 """Prefix of the outputs that contain the state for the next step."""
@@ -44,7 +44,7 @@ class Exported(NamedTuple):
 
 
 def import_extra(*names: str) -> tuple[Any, ...]:
-    """Import modules of the extra ``onnx``; raises ConfigurationError if one is missing."""
+    """Import modules from the ``onnx`` extra; raises ConfigurationError if one is missing."""
     try:
         return tuple(importlib.import_module(name) for name in names)
     except ImportError as error:

@@ -22,7 +22,7 @@ from softfin.core.errors import RunError
 from softfin.storage.onnx_file import NEXT, OPSET
 
 Value: TypeAlias = np.ndarray | np.generic | jax.Array | spox.Var
-"""Array, if the value is known while the graph is built; otherwise a variable of the graph."""
+"""Array if the value is known while the graph is built; otherwise a graph variable."""
 
 Results: TypeAlias = Value | list[Value]
 
@@ -66,7 +66,7 @@ def build_graph(
         if name.startswith(NEXT) and like is not None:
             outputs[name] = _cast(outputs[name], like.dtype)
     model = spox.build(arguments, outputs)
-    # spox sets the oldest opset that has these operators; softfin always states the same one.
+    # spox declares the oldest opset that has these operators; softfin always declares the same one.
     model.opset_import[0].version = OPSET
     return model
 
@@ -93,14 +93,15 @@ def _translate_equation(equation: JaxprEqn, values: list[Value]) -> Results:
     params = equation.params
     if name == "scan":
         return _unroll_scan(equation, values)
-    # Calls of other functions, such as jit and custom derivatives, are translated in place.
+    # Calls to other functions, such as jit and custom derivatives, are translated in place.
     inner = params.get("jaxpr", params.get("call_jaxpr"))
     if inner is not None:
         if hasattr(inner, "consts"):
             return _translate(inner.jaxpr, inner.consts, values)
         return _translate(inner, (), values)
     if all(map(_is_known, values)):
-        # Independent of the inputs, such as a transposed weight: compute it now, as a constant.
+        # The result is independent of the inputs, such as a transposed weight, so compute it now as
+        # a constant.
         bind: Callable[..., jax.Array | Sequence[jax.Array]] = equation.primitive.bind
         computed = bind(*values, **params)
         results = [computed] if isinstance(computed, jax.Array) else computed
@@ -302,7 +303,7 @@ SAME_OPERANDS: Mapping[str, Callable[..., spox.Var]] = {
     "ne": lambda one, other: op.not_(op.equal(one, other)),
     "neg": op.neg,
     "pow": op.pow,
-    # The sign of a remainder is that of the dividend, as in C.
+    # A remainder has the sign of the dividend, as in C.
     "rem": lambda one, other: op.mod(one, other, fmod=1),
     "sign": op.sign,
     "sin": op.sin,
@@ -333,7 +334,7 @@ TRANSLATORS: Mapping[str, Callable[..., Results]] = {
     "tile": lambda equation, value: op.tile(value, _integers(equation.params["reps"])),
     "transpose": lambda equation, value: op.transpose(value, perm=equation.params["permutation"]),
 }
-"""Translators that get the equation and its operands as variables of the graph."""
+"""Translators that get the equation and its operands as graph variables."""
 
 TRANSLATORS_OF_VALUES: Mapping[str, Callable[..., spox.Var]] = {
     "dot_general": _dot_general,

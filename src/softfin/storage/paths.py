@@ -1,5 +1,5 @@
-"""Checks of files and folders that a user names, before any work. Without NumPy and JAX, so that
-mistakes are reported immediately."""
+"""Checks the files and folders that a user names, before any work starts. Uses neither NumPy nor
+JAX, so that mistakes are reported immediately."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +13,7 @@ DATASET_PARTS = {"train": 4, "test": 3}
 """Subfolders of a dataset, with the number of digits in the names of their logs."""
 
 VIEWS = (".gif", ".html", ".png")
-"""Formats of a view."""
+"""File formats for a view."""
 
 RIG_FILE = Path("rig.yaml")
 

@@ -33,12 +33,12 @@ HELP = (
 
 
 def is_live(name: str) -> bool:
-    """Whether `name` is that of a fin that moves in real time."""
+    """Whether `name` refers to a fin that moves in real time."""
     return name.partition(":")[0] in LIVE
 
 
 def is_surrogate(name: str) -> bool:
-    """Whether `name` is that of a surrogate's folder."""
+    """Whether `name` refers to a surrogate's folder."""
     return name != TANK and not is_live(name) and artifacts.is_kind(Path(name), "surrogate")
 
 
@@ -69,8 +69,8 @@ def resolve_plant(name: str) -> "Callable[[], Plant]":
 
 
 def find_plant(name: "str | Plant") -> "Plant":
-    """Build or load the plant `name`; a plant is returned unchanged. Raises a PlantError that lists
-    the possible names."""
+    """Build or load the plant `name`; if `name` is already a plant, it is returned unchanged.
+    Raises a PlantError that lists the possible names."""
     if not isinstance(name, str):
         return name
     from softfin.core.quantities import Limits

@@ -59,7 +59,7 @@ class RunDirectory:
             check_same(out, artifacts.read_json(finished), self.fingerprint)
             return
         artifacts.check_vacant(out, overwrite)
-        # Including the checkpoints of parts.
+        # This includes the checkpoints of the run's parts.
         found = sorted(self.folder.rglob(CHECKPOINT))
         if resume:
             try:
@@ -91,7 +91,7 @@ class RunDirectory:
         )
 
     def load(self, like: Tree) -> tuple[Tree, JsonObject] | None:
-        """Return the last checkpoint, in the structure of `like`; None if there is none yet.
+        """Return the last checkpoint, with the structure of `like`; None if there is none yet.
 
         A checkpoint that does not match raises ArtifactError, or is treated as absent if it may be
         overwritten.
@@ -172,7 +172,8 @@ class RunLog:
         from tensorboardX import SummaryWriter
 
         self.path = folder / LOG
-        # Without a step to rewind to, the run starts from the beginning: keep no old entry.
+        # Without a step to rewind to, the run starts from the beginning, so discard all old
+        # entries.
         last = -1 if rewind_to is None else rewind_to
         kept = [entry for entry in read_training_log(self.path) if entry["step"] <= last]
         artifacts.write_file(self.path, "".join(json.dumps(entry) + "\n" for entry in kept))
@@ -249,7 +250,7 @@ def check_same(
 
 
 def name_path(path: tuple[Hashable, ...]) -> str:
-    """Return the name of a leaf of a pytree, such as ``posnet.3.kernel``."""
+    """Return the name of a pytree leaf, such as ``posnet.3.kernel``."""
     return jax.tree_util.keystr(path, simple=True, separator=".")
 
 

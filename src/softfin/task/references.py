@@ -33,10 +33,11 @@ PAPER_RANGE = Cell(low=(0.5, -1.5), high=(3.5, 1.5))
 """Default range of a single controller: the bounding box of the paper's grid."""
 
 SAME_EDGE_N = 1e-6
-"""Distance below which two edges are the same [N]."""
+"""Distance below which two edges are treated as equal [N]."""
 
 GAP_N2 = 1e-5
-"""Uncovered area above which there is a gap [N^2]; edges are rounded decimals."""
+"""Uncovered area above which the cells count as having a gap [N^2]; smaller areas come from rounded
+edges."""
 
 MOST = 1024
 """Maximum number of cells in a uniform grid. Each is a policy to train, so a larger number is
@@ -88,7 +89,7 @@ def stack_references(cells: Sequence[Cell], reachable: Reachable | None = None) 
 
 
 class CellsFile(Configuration):
-    """Contents of a YAML file of cells."""
+    """Contents of a YAML file with cells."""
 
     cells: Cells
     """Boxes of reference forces [N], in the order of the policies."""

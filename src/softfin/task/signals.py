@@ -32,8 +32,8 @@ ReferenceSamples = Float[np.ndarray, "ticks 2"]
 """Reference forces (x, y) [N]; float32 outside this module."""
 
 CLOCK_S = 1e-6
-"""Distance from a tick within which a time belongs to that tick [s], because sums of decimal
-fractions are rarely exact."""
+"""Distance from a tick within which a time is assigned to that tick [s]. It is needed because sums
+of decimal fractions are rarely exact."""
 
 REFERENCE_COLUMNS = {"time_s": "seconds", "force_x_n": "newtons", "force_y_n": "newtons"}
 """Columns of a reference file, with their units."""

@@ -91,18 +91,18 @@ class TaskConfig(Configuration):
     window_samples: int = Field(default=200, ge=8, multiple_of=8)
     """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
     episode_actions: int = Field(default=90, ge=3, multiple_of=3)
-    """Number of actions until the episode is truncated, a multiple of three; 90 are the paper's 30
-    s."""
+    """Number of actions until the episode is truncated, a multiple of three; 90 correspond to the
+    paper's 30 s."""
     reference_actions: PositiveInt = 90
     """Number of actions until a new reference is drawn."""
     ramps: float = Field(default=0.0, ge=0, le=1)
     """Fraction of references that are ramps, which end when the next reference is due; the others
     are steps."""
     force_scale_n: PositiveFloat = 3.0
-    """Unit of observed references [N], chosen so that observations have about unit size."""
+    """Scale of observed references [N], chosen so that observations have magnitudes of about 1."""
     phase: bool = False
-    """Whether the phase of the six actions in the window is observed, as a sine and a cosine. The
-    paper's state lacks it, so a policy must then find its own rhythm."""
+    """Whether the phase of the six actions in the window is observed, as a sine and a cosine.
+    Without it, as in the paper's state, a policy must find its own rhythm."""
     reward: RewardConfig = RewardConfig()
     sensing: SensingConfig = SensingConfig()
 

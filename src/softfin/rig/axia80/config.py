@@ -13,7 +13,8 @@ readings."""
 
 
 class Axia80Config(Configuration):
-    """An ATI Axia80 with Ethernet interface; address and ports default to its factory settings."""
+    """An ATI Axia80 with an Ethernet interface; the address and the ports default to its factory
+    settings."""
 
     address: str = pydantic.Field(min_length=1)
     """IP address or host name of the sensor; the factory setting is 192.168.1.1."""

@@ -27,8 +27,8 @@ FIRST_RECORD_S = 2.0
 UDP may lose it."""
 
 SILENT_S = 1.5
-"""Time without a new record after which the stream counts as ended [s]; the loop's limit on the age
-of the force is much shorter."""
+"""Time without a new record after which the stream counts as ended [s]; the loop's limit on the
+force's age is much shorter."""
 
 RETRY_S = 0.1
 """Time without a new record after which the stream is requested again [s]. A restarted sensor does
@@ -38,7 +38,7 @@ BUSY_S = 10.0
 """Longest wait for a sensor that is busy when opened, e.g. after its power-up [s]."""
 
 MEASURED_S = 0.5
-"""Duration of the stream for measuring its rate and filling the filter [s]."""
+"""Time for which the sensor streams to measure the rate and fill the filter [s]."""
 
 
 class Axia80:
@@ -151,7 +151,7 @@ class Axia80:
 
     def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
         """Wait for `seconds`, then return the mean and standard deviation of the unfiltered records
-        of that time, in softfin's axes [N, N m]."""
+        received in that time, in softfin's axes [N, N m]."""
         stream = self.stream
         stream.take()
         collected = stream.collected = []
@@ -184,7 +184,8 @@ class Axia80:
         return tuple(f"{self._name}: {line}" for line in lines)
 
     def notes(self) -> tuple[str, ...]:
-        """Return notes on its status that do not stop the fin, e.g. busy or simulated."""
+        """Return notes on the sensor's status that do not stop the fin, e.g. that it is busy or
+        simulated."""
         if self._stream is None or self._stream.client.closed:
             return ()
         return tuple(

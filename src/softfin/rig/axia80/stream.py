@@ -45,13 +45,13 @@ UNREAD_S = 0.03
 new [s]."""
 
 DATE_STEP_S = 0.005
-"""Change of the wall clock relative to the monotonic clock between two drains that means that the
-wall clock was set [s]. NTP slews it by at most 0.5 ms/s."""
+"""Change in the offset between the wall clock and the monotonic clock from one drain to the next,
+above which the wall clock counts as having been set [s]. NTP slews it by at most 0.5 ms/s."""
 
 OFFSET_TRIES = 10
-"""Attempts to read the wall clock and the monotonic clock without a delay in between."""
+"""Number of attempts to read the wall clock and the monotonic clock without a delay in between."""
 
-# Socket option of Linux that Python's socket module does not define; the same number on x86 and
+# Linux socket option that Python's socket module does not define; its number is the same on x86 and
 # ARM.
 SO_TIMESTAMPNS = 35
 STAMP = struct.Struct("@ll")

@@ -26,11 +26,11 @@ between them."""
 
 
 MAX_STEP_S = 60.0
-"""Step of the counter that is too large for delayed records [s]."""
+"""Step of the counter that delayed records cannot explain [s]."""
 
 
 class StreamWatch:
-    """Watch over the records, in order of arrival."""
+    """Fault detector, which processes the records in order of arrival."""
 
     def __init__(self, rate_hz: float) -> None:
         self.has_restarted = False

@@ -1,4 +1,5 @@
-"""Motions for a commissioning: swings, provoked stops, and a host that dies while the fin moves."""
+"""Motions used in commissioning: swings, provoked stops, and a host that dies while the fin
+moves."""
 
 import json
 import math
@@ -163,8 +164,8 @@ class Death:
 
 
 class DriveWatch:
-    """Monitor of a drive over SDO only, during or after the run of the program that drives it;
-    sends no heartbeat and no SYNC."""
+    """Monitor that reads a drive only over SDO, while or after another program drives it; sends no
+    heartbeat and no SYNC."""
 
     def __init__(self, config: RigConfig, clock: Clock) -> None:
         self._units = Units.of(config.drive)
@@ -190,7 +191,7 @@ class DriveWatch:
         return state not in protocol.UNPOWERED
 
     def is_referenced(self) -> bool:
-        """Return whether the drive still knows its zero."""
+        """Return whether the drive still has its zero."""
         return bool(self._connection.read(protocol.STATUSWORD) & protocol.Bit.REFERENCED)
 
     def fault(self) -> str | None:

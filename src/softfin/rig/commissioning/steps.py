@@ -78,7 +78,7 @@ SENSOR_NOISE = 1e-3
 """Peaks below this are noise [N, N m, A]."""
 
 MAX_DRIFT_N = 0.1
-"""Maximum change of the force at rest within the hour [N]."""
+"""Maximum change in the force at rest within the hour [N]."""
 
 
 class Way(NamedTuple):
@@ -107,7 +107,7 @@ WAYS_TO_STOP = {
 """Ways to stop, by name."""
 
 BLOCKED_CAUSES = frozenset({"following", "current_peak", "current_sustained", "device"})
-"""Accepted causes of the stop of a blocked shaft."""
+"""Accepted causes of the stop when the shaft is blocked."""
 
 
 @dataclass(frozen=True)
@@ -384,7 +384,7 @@ def move_in_water(context: StepContext) -> Iterator[Item]:
 
 
 def move_for_an_hour(context: StepContext) -> Iterator[Item]:
-    """Step 7: send random commands for one hour, without lost records, skipped ticks or a change of
+    """Step 7: send random commands for one hour, without lost records, skipped ticks or a change in
     the force at rest."""
     _require_proof(context)
     rig = context.rig()
@@ -521,7 +521,7 @@ def _proof(context: StepContext) -> Item:
 
 
 def _refusal_of_wrong_lines(context: StepContext) -> Item:
-    """Open the drive with another number of encoder lines, which must be refused."""
+    """Open the drive with a different number of encoder lines, which must be refused."""
     lines = context.config.drive.encoder_lines
     rig = context.rig(changed(context.config, drive={"encoder_lines": 2 * lines}))
     try:
@@ -562,7 +562,8 @@ def _try_way(context: StepContext, config: RigConfig, name: str, way: Way) -> It
 def _try_signal(
     context: StepContext, config: RigConfig, number: signal.Signals
 ) -> Generator[Item, None, bool]:
-    """End softfin several times by a signal; return whether the drive stopped by itself in time."""
+    """End softfin with a signal several times; return whether the drive stopped by itself in
+    time."""
     operator = context.operator
     # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
     braking_s = SLOW_RAD_S / config.drive.quick_stop_rad_s2
@@ -668,7 +669,7 @@ def _reset(context: StepContext) -> bool:
 
 
 def _zero_after_reset(context: StepContext) -> Item:
-    """Return whether the drive still knows its zero after all faults were reset without a power
+    """Return whether the drive still has its zero after all faults were reset without a power
     cycle."""
     with DriveWatch(context.config, context.clock) as watch:
         is_known = watch.is_referenced() or not context.config.drive.zero_needed

@@ -1,4 +1,4 @@
-"""An emulated EPOS2 on any python-can bus, with the protocol of a real one, driving an emulated
+"""An emulated EPOS2 on any python-can bus, which uses a real one's protocol and drives an emulated
 fin.
 
 It was written from the same documents as our driver, so it shares any misreading of them. canopen's
@@ -39,7 +39,7 @@ EMULATED_STANDSTILL_RPM = 5
 
 
 class _Network(canopen.Network):
-    """canopen's network over a cable that can be cut, with threads of the given clock."""
+    """canopen's network over a cable that can be cut, with threads from the given clock."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()
@@ -74,7 +74,7 @@ class DriveTraits(NamedTuple):
     missing: frozenset[Object] = frozenset()
     """Missing objects."""
     read_only: frozenset[Object] = frozenset()
-    """Objects that cannot be written, in addition to those read-only by definition."""
+    """Objects that cannot be written, in addition to those that are read-only by definition."""
     ignores_heartbeat: bool = False
     """Whether the motor keeps running when the host's heartbeats end, regardless of the
     settings."""

@@ -15,10 +15,10 @@ from softfin.rig.epos2.config import Epos2Config
 from softfin.rig.epos2.protocol import Object
 
 PDOS = 4
-"""Number of RPDOs and of TPDOs of an EPOS2."""
+"""Number of RPDOs, and of TPDOs, in an EPOS2."""
 FIRST_TAKEN = 0x1400
 FIRST_SENT = 0x1800
-"""First communication object of the RPDOs and of the TPDOs; the mapping object is 0x200 above
+"""First communication objects of the RPDOs and of the TPDOs; the mapping object is 0x200 above
 it."""
 READ_ONLY_OBJECTS = frozenset(
     {

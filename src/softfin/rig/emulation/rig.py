@@ -1,8 +1,8 @@
 """A complete emulated rig on this computer: drive, sensor and the virtual tank, and the rig's file
 for it.
 
-In simulated time, the default, everything is within one process. In real time, softfin reaches the
-drive over python-can's virtual bus within the same process or over socketcand on loopback from
+In simulated time, the default, everything runs within one process. In real time, softfin reaches
+the drive over python-can's virtual bus within the same process or over socketcand on loopback from
 another, and the sensor over UDP and HTTP.
 """
 
@@ -98,7 +98,7 @@ class EmulatedRig(contextlib.ExitStack):
 
 
 rigs: dict[Path, EmulatedRig] = {}
-"""Emulated rigs of this process, by file."""
+"""Emulated rigs running in this process, keyed by file."""
 
 
 def kept_rig(config: RigConfig) -> EmulatedRig:
@@ -164,8 +164,8 @@ class _KeptRig(EmulatedRig):
 
 
 def write_simulated(path: Path, tank: Tank, values: JsonObject, seed: int) -> None:
-    """Write the file of a rig emulated by each command in simulated time; `values` are the contents
-    of the tank's file."""
+    """Write the file of a rig that each command emulates in simulated time; `values` are the
+    contents of the tank's file."""
     rig = _rig_values(
         _drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"}
     )
@@ -181,7 +181,7 @@ def write_rig(path: Path, values: JsonObject, comment: str) -> None:
     artifacts.write_file(path, text + yaml.safe_dump(values, sort_keys=False))
 
 
-# The emulated fin draws peaks of 1.1 A and 0.3 A on average over 0.5 s; the emulated drive allows 4
+# The emulated fin draws 1.1 A at peak and 0.3 A on average over 0.5 s; the emulated drive allows 4
 # A and 2 A.
 EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
 """Current limits that an emulated fin stays within, and that trip before the drive limits the

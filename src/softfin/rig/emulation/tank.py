@@ -48,7 +48,7 @@ class TankFin:
             return {"state": leaves, "before": self._before.tolist(), "after": self._after.tolist()}
 
     def recall(self, remembered: JsonObject) -> None:
-        """Continue from a remembered state; raises ValueError if it is from another tank."""
+        """Continue from a saved state; raises ValueError if it is from another tank."""
         with self._lock:
             plain = self._plain()
             leaves = remembered["state"]

@@ -10,8 +10,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
 
 MAX_BRAKE_S = 0.5
-"""Longest allowed quick stop from the highest velocity [s]; softfin stops waiting for a longer
-one."""
+"""Longest allowed quick stop from the highest velocity [s]; softfin does not wait any longer."""
 
 
 class BusConfig(Configuration):

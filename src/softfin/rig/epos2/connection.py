@@ -100,7 +100,7 @@ class CanConnection:
     def close(self) -> None:
         """Close the bus; may be called repeatedly and never raises."""
         bus = self._bus
-        # First of all, because the receiver's thread runs until it sees another bus.
+        # Done first, because the receiver's thread runs until it sees another bus.
         self._bus = None
         if self._receiver is not None and not self.in_receiver:
             self._receiver.join(10 * RECEIVER_CYCLE_S)

@@ -121,8 +121,8 @@ class Epos2(Exchange):
         low_angle, high_angle, slowest, fastest = limits = self.config.limits
         if trip := check_target(target, limits):
             raise CommandError(trip.reason)
-        # `check_target` tolerates rounding errors, but the drive enforces its limits to the count:
-        # clamp the target to them.
+        # `check_target` tolerates rounding errors, but the drive enforces its limits exactly to the
+        # count: clamp the target to them.
         counts = self.units.counts(min(max(target.angle, low_angle), high_angle))
         rpm = self.units.rpm(min(max(target.velocity, slowest), fastest))
         with self.lock:
@@ -309,7 +309,7 @@ class Epos2(Exchange):
             self.trouble = f"stopping the drive failed ({error}); press the emergency stop"
 
     def _new_reading(self) -> DriveStatus:
-        """Return a new status before powering the motor up; a stop from here on is remembered."""
+        """Return a new status before powering the motor up; a stop from then on is remembered."""
         if not self.owned:
             raise DeviceError("drive is not open; open it first")
         with self.lock:

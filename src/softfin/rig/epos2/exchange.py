@@ -21,7 +21,8 @@ from softfin.rig.lock import DeviceLock
 PATIENCE_TICKS = 6
 """Ticks within which the drive must acknowledge a target; it sends one statusword per tick."""
 BEATS_AFTER_STOP = 3
-"""Heartbeats sent after a stop that the drive does not obey; an answer may be a few ticks late."""
+"""Number of heartbeats sent after a stop that the drive does not obey; an answer may be a few ticks
+late."""
 LOCK_TIMEOUT_S = 0.05
 """Longest wait of a stop for the lock [s]: a thread that hangs in a send must not block a stop."""
 
@@ -261,7 +262,7 @@ class Exchange:
         self.reset()
 
     def reset(self) -> None:
-        """Reset all state to that before the first frame."""
+        """Reset all state to what it was before the first frame."""
         self.status = DriveStatus(self.config.node, self.units)
         self.handshake = Handshake(PATIENCE_TICKS * self.config.sync_s)
         self.serial: int | None = None
@@ -328,7 +329,7 @@ class Exchange:
         return True
 
     def order(self, word: int, counts: int | None = None) -> tuple[int, bytes]:
-        """Return the frame of a controlword with a target [counts]; the default target is the
+        """Return the frame for a controlword with a target [counts]; the default target is the
         current position."""
         data = _WORD_AND_TARGET.pack(word, self.status.position if counts is None else counts)
         return protocol.RPDO[0] + self.config.node, data
@@ -352,7 +353,8 @@ class Exchange:
     def brake(self) -> bool:
         """Quick-stop immediately, from any thread; nothing is enabled or moved afterwards. Return
         False if another thread hangs in a send."""
-        # If the lock is not available in time, go on without it: the stop must be sent in any case.
+        # If the lock is not available in time, continue without it: the stop must be sent in any
+        # case.
         locked = self.lock.acquire(timeout=LOCK_TIMEOUT_S)
         try:
             self.armed = False

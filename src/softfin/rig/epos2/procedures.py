@@ -1,8 +1,8 @@
 """Drive procedures: identify, check, configure, power up, home, bring to rest. Each one ends within
 a bounded time.
 
-Limits and settings are written and read back. Nothing is stored permanently: the drive forgets it
-when powered down.
+Limits and settings are written and read back. Nothing is stored permanently: the drive loses these
+settings when powered down.
 """
 
 import contextlib
@@ -110,7 +110,8 @@ def read_optional(connection: CanConnection, entry: Object) -> int | None:
 
 
 class Setting(NamedTuple):
-    """Object with the values that units and limits rely on, and the fix for other values."""
+    """An object, a test for the values that units and limits rely on, and the fix for other
+    values."""
 
     entry: Object
     fits: Callable[[int], bool]

@@ -2,9 +2,9 @@
 aborts.
 
 Indices, states and codes come from CiA 301 and 402 and from the maxon "EPOS2 Firmware
-Specification" (rel5466), the latter through drivers written from it; the suggested fixes are ours.
-Not yet tested with a real drive: check the sub-indices of 0x2210 and 0x6410 and the home position
-0x2081 first.
+Specification" (rel5466), which we know only through drivers based on it; the suggested fixes are
+ours. Not yet tested with a real drive: check the sub-indices of 0x2210 and 0x6410 and the home
+position 0x2081 first.
 """
 
 import struct
@@ -282,8 +282,8 @@ FAULTS = {
 
 HOST_LOST = 0x8130
 NEEDS_RESET_OF_COMMUNICATION = frozenset({HOST_LOST, 0x8120, 0x81FD})
-"""Communication faults that an EPOS4 clears only after an NMT reset communication; harmless for an
-EPOS2."""
+"""Communication faults that an EPOS4 clears only after an NMT reset communication, which does an
+EPOS2 no harm."""
 
 
 def fault_line(code: int) -> str:

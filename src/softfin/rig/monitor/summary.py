@@ -20,10 +20,10 @@ MAX_ROWS = 30_000
 at 1 kHz."""
 
 MAX_CHARACTERS = 300
-"""Maximum number of characters shown of an event's text."""
+"""Maximum number of characters of an event's text that are shown."""
 
 WINDOW_S = WINDOW * TICK_S
-"""Averaging window of the mean force [s]; same as in an evaluation."""
+"""Averaging window of the mean force [s]; the same as in an evaluation."""
 
 MAX_NUMBER = 1e100
 """Largest plausible number in any unit; larger ones come from damaged data and may have infinite
@@ -37,7 +37,7 @@ ROLES = {
     "current": messages.CURRENT,
     "event": messages.EVENTS,
 }
-"""Topic of each role."""
+"""Topic for each role."""
 
 STATES = {
     "waiting": "no rows yet",
@@ -57,8 +57,8 @@ text."""
 
 
 def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
-    """Return the values of a message; None if its type is not that recorded by softfin, or if it is
-    damaged."""
+    """Return the values of a message; None if its type is not the one that softfin records, or if
+    it is damaged."""
     if type_name != TYPES[ROLES[role]]:
         return None
     try:

@@ -87,7 +87,7 @@ class NodeConfig(Configuration):
     """Age after which a reference expires [s]; None keeps the latest one forever."""
     reference_lost: Literal["keep", "zero", "stop"] = "keep"
     """Reaction to an expired reference. keep: return to --reference; zero: set the target to 0 N,
-    for which the fin may still beat; stop: stop the fin."""
+    at which the fin may still beat; stop: stop the fin."""
     reference_limit_n: PositiveFloat = Field(default=20.0)
     """Maximum reference on either axis [N]; larger ones are rejected. The default is twice what a
     fin like the paper's can produce."""

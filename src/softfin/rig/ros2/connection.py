@@ -1,5 +1,5 @@
-"""Transport to other nodes, an interface that rclpy and DDS both implement, and topics read through
-it as values with times.
+"""Transport to other nodes, as an interface that rclpy and DDS both implement, and topics read
+through it as timestamped values.
 
 Messages are sent and received as CDR. Unusable ones are counted and reported once. Timestamps of
 other computers are mapped to our monotonic clock using the smallest delay so far, as in NTP's clock
@@ -37,7 +37,7 @@ It never waits, and raises DeviceError if nothing can be received.
 
 
 Quality: TypeAlias = Literal["reliable", "best_effort", "latched"]
-"""Quality of service requested by a reader, which determines the matching publishers.
+"""Quality of service requested by a reader, which determines which publishers match.
 
 reliable: reliable publishers; lost messages are sent again. best_effort: all publishers; lost
 messages are not sent again. latched: publishers that keep messages for late readers (transient
@@ -93,8 +93,8 @@ class Transport(Protocol):
 
 
 class StampClock:
-    """Mapping from one sender's timestamps to our clock; never later than the arrival of the
-    message."""
+    """Mapping from one sender's timestamps to our clock; the result is never later than the arrival
+    of the message."""
 
     def __init__(self) -> None:
         self._first = self._newest = 0

@@ -1,5 +1,5 @@
-"""Inputs of softfin's nodes: the latest reference with a timeout, and the emergency stop; also
-reports each note only once."""
+"""Inputs to softfin's nodes: the latest reference with a timeout, and the emergency stop. Each note
+is reported only once."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar

@@ -20,7 +20,7 @@ from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
 
 
 class RosNode:
-    """Node between the loop and other nodes. Unusable messages are counted and ignored."""
+    """Node that connects the loop to other nodes. Unusable messages are counted and ignored."""
 
     def __init__(
         self,

@@ -106,8 +106,8 @@ def define_types(definitions: Mapping[str, str]) -> Typestore:
 
 
 class SentCommands:
-    """Commands as messages, repeated while they are in force, and the setpoint that moves towards
-    the target."""
+    """Commands as messages, repeated while they are active, and the setpoint that moves towards the
+    target."""
 
     def __init__(
         self, publisher: Publisher, encode: Callable[[Target, float], bytes], period_s: float

@@ -83,9 +83,9 @@ def cdr(
     """Return the bytes of a message, in OMG's CDR as used by ROS 2; the stamp is the time since
     1970 [ns].
 
-    rosbags serialises each kind once; the numbers are then written into a copy, which is seven
-    times faster. Speed matters because the recorder blocks Python's lock while the control loop
-    waits.
+    rosbags serialises each kind of message once; the numbers are then written into a copy, which is
+    seven times faster. Speed matters because the recorder blocks Python's lock while the control
+    loop waits.
     """
     if isinstance(values, str):
         return serialized(kind, {"data": values.encode(errors="replace").decode()})
@@ -113,14 +113,14 @@ def _template(kind: str, frame: str, joint: str) -> tuple[bytes, tuple[int, ...]
 
 
 def serialized(kind: str, values: Mapping[str, object], types: Typestore | None = None) -> bytes:
-    """Return the bytes of a message of any type, from the general serialiser; `values` as for
+    """Return the bytes of a message of any type, using the general serialiser; `values` are as for
     `build_message`."""
     types = types or type_store()
     return bytes(types.serialize_cdr(build_message(types, (Nodetype.NAME, kind), values), kind))
 
 
 def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) -> Any:
-    """Build a field, as described by rosbags, from values by their paths within it; all other
+    """Build a field, as described by rosbags, from values keyed by their paths within it; all other
     numbers are 0, and all other fields are empty.
 
     Sequences are as long as the paths require. Raises ValueError for unknown fields and values of
@@ -155,7 +155,7 @@ def build_message(types: Typestore, descriptor: Any, values: Mapping[str, Any]) 
 
 
 def _inner_fields(types: Typestore, descriptor: Any, inner: Collection[str]) -> dict[str, Any]:
-    """Return the descriptors of the fields of a message, or of the elements of a sequence by
+    """Return the descriptors of a message's fields by name, or of a sequence's elements by
     index."""
     node, detail = descriptor
     if node is Nodetype.NAME:
@@ -201,7 +201,7 @@ class BagWriter:
 
 
 def start_writer(stream: Any) -> Any:
-    """Start an MCAP file with the settings of all softfin's bags."""
+    """Start an MCAP file with the settings that all of softfin's bags use."""
     writer: Any = Writer(stream, compression=CompressionType.NONE)
     writer.start(profile="ros2", library=f"softfin {importlib.metadata.version('softfin')}")
     return writer

@@ -1,5 +1,5 @@
-"""Reads bags that are complete, still growing, truncated or damaged. Bytes in; records of the mcap
-library, or a complete bag, out.
+"""Reads bags that are complete, still growing, truncated or damaged. Converts bytes to the mcap
+library's records or to a complete bag.
 
 The library's own readers need a properly closed file. Here, a record is read as soon as it is
 complete in the file, and a chunk only if its length and checksum are correct.
@@ -35,7 +35,8 @@ HEAD = struct.Struct("<BQ")
 """Header of each record: opcode and length."""
 
 MAX_RECORD_BYTES = 64 * 2**20
-"""Largest record or unpacked chunk that is read. ROS 2 closes its chunks below one megabyte."""
+"""Size of the largest record or unpacked chunk that is read [bytes]. ROS 2 closes its chunks below
+one megabyte."""
 
 BagRecord: TypeAlias = Schema | Channel | Message | Footer
 
@@ -203,7 +204,7 @@ class Recovery(NamedTuple):
     whole: bool
     """Whether the bag was complete; nothing is written in that case."""
     messages: dict[str, int]
-    """Number of saved or present messages by topic."""
+    """Number of messages per topic: saved ones, or all of them if the bag was complete."""
     seconds: float
     """Time from the first to the last message [s]."""
     orphans: int

@@ -33,7 +33,7 @@ POLL_S = 0.05
 most a few tenths of a millisecond."""
 
 STALL_S = 5.0
-"""Time without a flush, while rows arrive, after which the recording has failed [s]."""
+"""Time without a flush, while rows arrive, after which the recording counts as failed [s]."""
 
 BACKLOG = 50_000
 """Maximum number of rows that wait for a slow disk: two minutes at 400 per second, about 20 MB."""
@@ -43,10 +43,10 @@ CLOSE_S = 10.0
 
 
 class BagRecorder:
-    """A bag that grows while the fin moves; one thread adds rows, with times of `clock`.
+    """A bag that grows while the fin moves; one thread adds rows, with times from `clock`.
 
-    Stamps are the time of `clock` plus its initial offset from the wall clock, so that jumps of the
-    wall clock have no effect.
+    Timestamps are times from `clock` plus its initial offset from the wall clock, so that jumps of
+    the wall clock have no effect.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class BagRecorder:
         failure."""
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # 50 MB buffer 25 minutes of rows while the disk is full.
+            # A buffer of 50 MB is enough for 25 minutes of rows while the disk is full.
             self._file = io.BufferedWriter(io.FileIO(path, "xb"), 50_000_000)
         except FileExistsError:
             raise LogError(
@@ -87,8 +87,8 @@ class BagRecorder:
         self._flushed = clock()
         self._commanded = -float("inf")
         self._closing = clock.event()
-        # Flush now: the file is a bag before the first row arrives, and a full disk is noticed
-        # before anything moves.
+        # Flush now, so that the file is a bag before the first row arrives and a full disk is
+        # noticed before anything moves.
         self._flush()
         if self.failure is not None:
             with contextlib.suppress(OSError):
@@ -139,7 +139,8 @@ class BagRecorder:
         if self._closing.is_set():
             return
         waiting = self._queue.qsize()
-        # The loop must not wait: rows beyond the backlog are dropped, and the recording has failed.
+        # The loop must not wait: rows beyond the backlog are dropped, and the recording counts as
+        # failed.
         if waiting >= BACKLOG or self._clock() - self._flushed > STALL_S:
             self._fail(f"{waiting:,} rows wait for the disk", "record on a faster disk")
         if waiting < BACKLOG:

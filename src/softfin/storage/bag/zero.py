@@ -1,7 +1,7 @@
 """Force zero in a bag: a session measures the force at rest and records it as an event; the
 recorded wrench stays raw.
 
-Parses the events and returns the zero at any time, which is to be subtracted from the readings.
+This module parses the events and returns the zero at any time, to be subtracted from the readings.
 """
 
 import re
