@@ -117,7 +117,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "gaits",
             lambda f: weigh(f, actions=np.full((3, 4, 6, 2), 1.1, np.float32)),
-            r"gaits: must have at least 2 x 2 nodes and actions within \[-1",
+            r"actions are outside \[-1",
         ),
         (
             "grid",

@@ -96,7 +96,7 @@ def test_what_cannot_be_shown_is_refused_and_nothing_is_written(folder, tmp_path
     slow = tmp_path / "slow.yaml"
     slow.write_text("drive: {fastest_rad_s: 2}\n")
     with pytest.raises(
-        PlantError, match=r"commands a velocity of 1 \.\. 3\.14; .* accepts 1 \.\. 2"
+        PlantError, match=r"commands a velocity of 1 \.\. 3\.14, .* accepts 1 \.\. 2"
     ):
         explore([folder / "gaits"], out, [str(slow)])
     assert not out.exists()

@@ -2,9 +2,9 @@
 
 const contents = JSON.parse(element("contents").textContent), { controllers, plants } = contents;
 const plane = element("plane"), water = element("water"), traces = element("traces"), PUSH_M_S = [0, 0.6];
-const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate };
 /* Size of the fin relative to the paper's, and the steps of its forces [N]: a hundredth and a tenth of a newton for that. */
 const finSize = controllers[0].size, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(finSize)));
+const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate };
 /* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
 const WRITE_MS = 400;
 

@@ -38,7 +38,7 @@ PAPER_REACH_N = 2.4
 """Reach of the paper's fin in the virtual tank [N], as `Reachable.reach_n`. Tolerances, scales and
 weights were tuned on this fin. For other fins they are multiplied by `Reachable.size`."""
 
-SIZES = (1.0, 2.0, 5.0, 10.0)
+DECADE_SIZES = (1.0, 2.0, 5.0, 10.0)
 """Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
 numbers and do not depend on a reach's last digits."""
 
@@ -272,7 +272,7 @@ class Reachable(NamedTuple):
         if ratio <= 0:
             return 1.0
         decade = 10.0 ** math.floor(math.log10(ratio))
-        nearest = min(SIZES, key=lambda size: abs(math.log(ratio / decade / size)))
+        nearest = min(DECADE_SIZES, key=lambda size: abs(math.log(ratio / decade / size)))
         return float(f"{nearest * decade:.1g}")
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
