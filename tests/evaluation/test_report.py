@@ -136,7 +136,7 @@ def test_table_two_stands_beside_the_papers_figures(page, evaluation):
     assert re.search(rf"\(1, .1\) {error:.3f} ±[\d.]+ 1\.07 ", page.words)
     assert "as printed 0.828 0.408 0.685 0.392" in page.words
     assert "as printed 0.435 0.325 0.537 0.201" in page.words
-    assert page.words.count("stands still") == 6 + 1
+    assert page.words.count("does not move") == 6 + 1
 
 
 def test_configuration_and_provenance_are_told(page):
@@ -206,14 +206,14 @@ def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(e
         "0.30 N" in said.sentence
     )
     missing["references"][3]["still"] = True
-    assert "stands still" in headline({"controllers": {"single": missing}}).sentence
+    assert "does not move" in headline({"controllers": {"single": missing}}).sentence
     assert headline({}) is None
 
 
 def test_the_page_begins_with_the_headline(page):
     assert page.tags.index("strong") < page.tags.index("nav") < page.tags.index("table")
     assert (
-        "stands still at some of the target forces" in page.words
+        "does not move at some of the target forces" in page.words
         or "of six forces within" in page.words
     )
     assert "window" in page.words.partition("Definitions")[0]

@@ -237,7 +237,7 @@ class Armed(Configuration):
     arm: bool = False
     """Allow the real fin to move, after you confirm on the terminal."""
     yes: bool = False
-    """With --arm, skip the confirmation. For scripts only: make sure that nobody can reach the
+    """With --arm, skip the confirmation. For scripts only: make sure that no one can reach the
     fin."""
 
     def confirm(self, robot: "RobotSetup", motion: str | None = None, proves: bool = False) -> None:

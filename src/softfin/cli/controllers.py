@@ -32,7 +32,6 @@ PAPER = "paper"
 """Values of --range: all forces that the fin can produce, which is the default, and the paper's
 range."""
 
-
 MAX_ERROR_SHARE = 0.5
 """Largest error of a useful controller, divided by its target forces."""
 
@@ -47,6 +46,7 @@ class MapArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
+        from softfin.gaits.reachable import force_decimals
         from softfin.stages.controllers import map_forces
 
         config = self.configured(MapConfig())
@@ -54,8 +54,8 @@ class MapArguments(Configured):
             summary = map_forces(
                 self.plant, self.out, config, overwrite=self.overwrite, progress=report
             )
-        # Two decimals for the paper's fin. Adding 0 turns -0.0 into 0.
-        decimals = 2 - math.floor(math.log10(summary["reach_n"]))
+        # Adding 0 turns -0.0 into 0.
+        decimals = force_decimals(summary["reach_n"])
         (x0, y0), (x1, y1) = (
             tuple(round(x, decimals) + 0.0 for x in corner) for corner in summary["box_n"]
         )
@@ -196,7 +196,8 @@ class TrainArguments(Configured):
 
     def _tell(self, seeds: tuple[int, ...]) -> None:
         """Print the scores of each controller."""
-        from softfin.cli.tables import aligned, force_decimals, format_reference_errors
+        from softfin.cli.tables import aligned, format_reference_errors
+        from softfin.gaits.reachable import force_decimals
         from softfin.learning.policy import describe_memory
 
         gaits = self.controller == "gaits"
@@ -212,7 +213,8 @@ class TrainArguments(Configured):
             rows = [
                 ["reference [N]", "error of the mean force [N]" if gaits else "error x, y [N]", ""]
             ]
-            decimals = force_decimals([row["reference_n"] for row in scores])
+            forces = [abs(force) for row in scores for force in row["reference_n"]]
+            decimals = force_decimals(max(forces))
             for row in scores:
                 x, y = row["reference_n"]
                 errors = [row["missed_n"]] if gaits else row["error_n"]

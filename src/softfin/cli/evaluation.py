@@ -131,20 +131,22 @@ class EvaluateArguments(Armed, Configured):
 def evaluation_tables(summary: "EvaluationSummary") -> str:
     """Return Table II, followed by the parts of the evaluation that were requested."""
     from softfin.cli.tables import table_two
+    from softfin.evaluation.headline import error_decimals
 
+    decimals = error_decimals(summary)
     lines = [table_two({summary["conditions"]["kind"]: summary})]
     if "moving" in summary:
-        lines.append(moving_table(summary["moving"]))
+        lines.append(moving_table(summary["moving"], decimals))
     if "error_map" in summary:
-        lines.append(map_line(summary["error_map"]))
+        lines.append(map_line(summary["error_map"], decimals))
     if "random" in summary:
-        lines.append(random_line(summary["random"]))
+        lines.append(random_line(summary["random"], decimals))
     if summary["warning"] is not None:
         lines.append(f"warning: {summary['warning']}")
     return "\n".join(lines)
 
 
-def moving_table(rows: "Sequence[MovingRow]") -> str:
+def moving_table(rows: "Sequence[MovingRow]", decimals: int) -> str:
     """Return one line per moving reference: its errors, and the longest settling time of its steps
     over all seeds."""
     from softfin.cli.tables import aligned
@@ -158,15 +160,15 @@ def moving_table(rows: "Sequence[MovingRow]") -> str:
         cells.append(
             [
                 f"  {row['described']}",
-                f"{row['x']['error_n']:.3f}",
-                f"{row['y']['error_n']:.3f}",
+                f"{row['x']['error_n']:.{decimals}f}",
+                f"{row['y']['error_n']:.{decimals}f}",
                 settling,
             ]
         )
     return "\n".join(aligned(cells))
 
 
-def map_line(errors: "ErrorMapRows") -> str:
+def map_line(errors: "ErrorMapRows", decimals: int) -> str:
     """Return the error map as one line."""
     (x0, y0) = errors["low_n"]
     (x1, y1) = errors["high_n"]
@@ -175,22 +177,29 @@ def map_line(errors: "ErrorMapRows") -> str:
         gaps += f", {errors['not_covered']} not covered"
     if errors["not_reachable"]:
         gaps += f", {errors['not_reachable']} unreachable"
+    mean = _pair(errors["mean_x_n"], errors["mean_y_n"], decimals)
+    worst = _pair(errors["worst_x_n"], errors["worst_y_n"], decimals)
     return (
         f"error map, {errors['points']} x {errors['points']} references over x {x0:g} .. {x1:g}, y "
-        f"{y0:g} .. {y1:g} N{gaps}: mean {errors['mean_x_n']:.3f}, {errors['mean_y_n']:.3f}, worst "
-        f"{errors['worst_x_n']:.3f}, {errors['worst_y_n']:.3f} N"
+        f"{y0:g} .. {y1:g} N{gaps}: mean {mean}, worst {worst} N"
     )
 
 
-def random_line(errors: "RandomErrors") -> str:
+def random_line(errors: "RandomErrors", decimals: int) -> str:
     """Return the errors over random references as one line."""
     x = errors["x"]
     y = errors["y"]
+    mean = _pair(x["mean_n"], y["mean_n"], decimals)
+    p95 = _pair(x["p95_n"], y["p95_n"], decimals)
+    worst = _pair(x["worst_n"], y["worst_n"], decimals)
     return (
-        f"{errors['count']} random references: error x, y mean {x['mean_n']:.3f}, "
-        f"{y['mean_n']:.3f}, 95% within {x['p95_n']:.3f}, {y['p95_n']:.3f}, worst "
-        f"{x['worst_n']:.3f}, {y['worst_n']:.3f} N"
+        f"{errors['count']} random references: error x, y mean {mean}, 95% within {p95}, "
+        f"worst {worst} N"
     )
+
+
+def _pair(x: float, y: float, decimals: int) -> str:
+    return f"{x:.{decimals}f}, {y:.{decimals}f}"
 
 
 class BaselinesArguments(Configured):

@@ -98,9 +98,10 @@ def _evaluation_tables(summaries: "Mapping[str, EvaluationSummary]") -> str:
     """Return Table II, then the moving references of each controller."""
     from softfin.cli.evaluation import moving_table
     from softfin.cli.tables import table_two
+    from softfin.evaluation.headline import error_decimals
 
     lines = [table_two(summaries)]
     for name, summary in summaries.items():
         if rows := summary.get("moving"):
-            lines.append(f"{name}, {moving_table(rows)}")
+            lines.append(f"{name}, {moving_table(rows, error_decimals(summary))}")
     return "\n".join(lines)

@@ -1,6 +1,5 @@
 """Tables as text for a terminal: aligned columns, and the paper's two tables."""
 
-import math
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
@@ -70,7 +69,7 @@ def table_two(controllers: Mapping[str, EvaluationSummary]) -> str:
                 ]
             )
             notes.append(
-                ("  stands still" if row["still"] else "")
+                ("  does not move" if row["still"] else "")
                 + format_reference_errors(row, decimals - 1)
             )
         # The paper's mean only compares to a mean over the same references.
@@ -124,9 +123,3 @@ def format_reference_errors(row: Mapping[str, Any], decimals: int = 2) -> str:
         return ""
     x, y = (f"{force:.{decimals}f}" for force in held)
     return f"  unreachable: tracks ({x}, {y}) N instead"
-
-
-def force_decimals(forces: Sequence[Sequence[float]]) -> int:
-    """Return the number of decimals of forces in a table: two for forces of a few newtons."""
-    largest = max(abs(force) for pair in forces for force in pair)
-    return max(2 - math.floor(math.log10(largest)), 0) if largest else 2

@@ -1,6 +1,5 @@
 """References that a controller can hold: those within its cells that the fin can reach."""
 
-import math
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -16,6 +15,7 @@ from softfin.gaits.reachable import (
     ForceVector,
     Reachable,
     directions,
+    force_decimals,
     format_force,
 )
 
@@ -56,7 +56,7 @@ def default_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
 
 def _rounded(forces: Float[np.ndarray, "forces 2"], scale: float) -> tuple[ForceVector, ...]:
     """Round forces to a few percent of the scale, without -0."""
-    decimals = 1 - math.floor(math.log10(scale))
+    decimals = max(force_decimals(scale) - 1, 0)
     return tuple((round(x, decimals) + 0.0, round(y, decimals) + 0.0) for x, y in forces.tolist())
 
 

@@ -146,7 +146,6 @@ class Evaluation:
                 "confidence": CONFIDENCE,
                 "still_below_rad_s": STILL_RAD_S,
                 "reach_n": None if self.reachable is None else self.reachable.reach_n,
-                "fin_size": 1.0 if self.reachable is None else self.reachable.size,
                 "settled_n": settled_band(self.reachable),
             },
             "references": [

@@ -12,6 +12,7 @@ from softfin.evaluation.results import (
     RunResults,
 )
 from softfin.evaluation.scores import SETTLED_N
+from softfin.gaits.reachable import force_decimals
 from softfin.storage.figures import with_minus_signs
 
 NUMBER_WORDS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
@@ -35,7 +36,7 @@ def headline(results: RunResults) -> Headline | None:
     """Choose the best controller in a run's ``results.json``, with force feedback if evaluated;
     None without controllers.
 
-    A controller with which the fin stands still ranks last, no matter how small its error is.
+    A controller that leaves the fin at rest ranks last, no matter how small its error is.
     """
     evaluated = results.get("trimmed") or results.get("controllers")
     if not evaluated:
@@ -53,7 +54,7 @@ def headline(results: RunResults) -> Headline | None:
     too_far = _missed_references(rows, settled_n)
     if still:
         sentence = (
-            "The fin stands still at some of the target forces, so this controller does not work"
+            "The fin does not move at some of the target forces, so this controller does not work"
         )
     elif too_far:
         worst = max(too_far, key=lambda reference: too_far[reference])
@@ -104,10 +105,10 @@ def greatest_error(row: MeanScores) -> float:
 
 
 def error_decimals(summary: EvaluationSummary) -> int:
-    """Return the number of decimals of errors [N]: three for the paper's fin, more for smaller
-    ones."""
-    size = summary["conditions"].get("fin_size", 1.0)
-    return max(3 - math.floor(math.log10(size)), 0)
+    """Return the number of decimals with which to show errors [N]: one more than for the
+    references."""
+    forces = [abs(force) for row in summary["references"] for force in row["reference_n"]]
+    return force_decimals(max(forces)) + 1
 
 
 def within(error_n: float, decimals: int = 2) -> str:

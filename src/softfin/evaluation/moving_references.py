@@ -22,7 +22,7 @@ from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, inde
 from softfin.evaluation.range_errors import controller_range
 from softfin.evaluation.results import MovingRow, StepResponse, TrackingErrors, score_keys
 from softfin.evaluation.scores import SETTLED_N, score, settled_band, step_responses
-from softfin.gaits.reachable import Cell, Reachable
+from softfin.gaits.reachable import Cell, Reachable, force_decimals
 from softfin.task.signals import (
     Ramp,
     Recorded,
@@ -70,6 +70,8 @@ def moving_signals(
     nearest reachable ones."""
     (x0, y0) = cell.low
     (x1, y1) = cell.high
+    # Short enough to print, and exact enough to stay reachable.
+    decimals = force_decimals(max(map(abs, (x0, y0, x1, y1)))) + 2
 
     def at(x: int, y: int) -> ReferenceForce:
         force = (x0 + x / 6 * (x1 - x0), y0 + y / 6 * (y1 - y0))
@@ -80,7 +82,7 @@ def moving_signals(
                 f"moving references within {cell}: this fin can produce none of these forces; "
                 "train the controller for reachable forces (run softfin map to plot them)"
             )
-        return round(force[0], 6), round(force[1], 6)
+        return round(force[0], decimals), round(force[1], decimals)
 
     make, places, _ = SIGNALS[kind]
     return tuple(make(start_n=at(*start), to_n=at(*to)) for start, to in places)

@@ -39,7 +39,7 @@ from softfin.evaluation.results import StepResponse, UncertaintyRow
 from softfin.gaits.reachable import Reachable
 
 STILL_RAD_S = 0.1
-"""Shaft travel in the second half of an experiment below which the fin stands still [rad/s]; a
+"""Shaft travel in the second half of an experiment below which the fin does not move [rad/s]; a
 working controller exceeds 1."""
 
 SETTLED_N = 0.2
@@ -75,7 +75,7 @@ class Scores(NamedTuple):
     """Path length of the shaft per second [rad/s]."""
     late_travel: Float[np.ndarray, "references seeds"]
     """Path length of the shaft per second in the second half [rad/s]; below `STILL_RAD_S`, the fin
-    stands still."""
+    does not move."""
     reading_error: Float[np.ndarray, "references seeds 2"] | None
     """Error computed from the reading [N]; None if `error` already is that error."""
 

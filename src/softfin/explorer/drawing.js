@@ -1,7 +1,10 @@
 /* Drawing: the plane of forces, the fin in the water, and the traces. */
 
 const GHOSTS = [24, 18, 12, 6], TRAIL = 300, FORCE_N = 15, MEAN_N = 4, LONGEST = 0.65, MEAN_LONGEST = 0.5;
-/* FORCE_N and MEAN_N are the longest arrows of the paper's fin. The page defines finSize and decimals. */
+/* FORCE_N and MEAN_N are the longest arrows of the paper's fin. The page defines finSize. */
+
+/* A round number, without the digits that floating-point arithmetic adds. */
+const short = (value) => Number(value.toPrecision(2));
 
 /* The part of the plane that is shown [N], with room about all that can be asked for. */
 function planeRange(controllers) {
@@ -54,10 +57,10 @@ function drawPlane(canvas, range, loop, predicted) {
     pen.setLineDash([]);
   });
   const first = scale.force(scale.left, scale.bottom), last = scale.force(scale.right, scale.top);
-  const steps = stepOf(last[1] - first[1], 2 * (last[1] - first[1]), 5), marks = [0, 1].map((axis) => marksOf(first[axis], last[axis], steps).marks);
+  const steps = stepOf(last[1] - first[1], 2 * (last[1] - first[1]), 5), axes = [0, 1].map((axis) => marksOf(first[axis], last[axis], steps));
   pen.strokeStyle = colours.rule;
   for (const axis of [0, 1]) {
-    for (const mark of marks[axis]) {
+    for (const mark of axes[axis].marks) {
       const [x, y] = place([mark, mark]);
       pen.lineWidth = mark === 0 ? 2 : 1;
       outline(pen, axis ? [[scale.left, y], [scale.right, y]] : [[x, scale.top], [x, scale.bottom]]);
@@ -77,7 +80,7 @@ function drawPlane(canvas, range, loop, predicted) {
   if (predicted !== null) drawInterval(pen, place, scale.pixels, predicted);
   if (loop.time > 0) drawMean(pen, place(loop.averages[loop.plant].mean()));
   pen.restore();
-  drawPlaneAxes(pen, scale, marks);
+  drawPlaneAxes(pen, scale, axes);
 }
 
 /* Where the mean force was in the last seconds. */
@@ -140,15 +143,15 @@ function drawTracked(pen, [x, y]) {
   }
 }
 
-function drawPlaneAxes(pen, scale, marks) {
+function drawPlaneAxes(pen, scale, axes) {
   pen.fillStyle = colours.soft;
   pen.textAlign = "center";
   pen.textBaseline = "top";
-  for (const mark of marks[0]) pen.fillText(numeral(mark, 0), scale.place([mark, 0])[0], scale.bottom + 5);
+  for (const mark of axes[0].marks) pen.fillText(numeral(mark, axes[0].digits), scale.place([mark, 0])[0], scale.bottom + 5);
   pen.fillText("mean force x, thrust [N]", (scale.left + scale.right) / 2, scale.bottom + 22);
   pen.textAlign = "right";
   pen.textBaseline = "middle";
-  for (const mark of marks[1]) pen.fillText(numeral(mark, 0), scale.left - 6, scale.place([0, mark])[1]);
+  for (const mark of axes[1].marks) pen.fillText(numeral(mark, axes[1].digits), scale.left - 6, scale.place([0, mark])[1]);
   pen.save();
   pen.translate(9, (scale.top + scale.bottom) / 2);
   pen.rotate(-Math.PI / 2);
@@ -190,7 +193,7 @@ function drawWater(canvas, loop, fin, note) {
   pen.textBaseline = "alphabetic";
   pen.fillText(note, 10, height - 10);
   pen.textAlign = "right";
-  for (const [colour, text, at, y] of [["measured", `force, ${numeral((FORCE_N * finSize) / 3, Math.max(0, decimals - 2))} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `2 s mean, ${numeral((MEAN_N * finSize) / 4, Math.max(0, decimals - 2))} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${numeral((MEAN_N * finSize) / 4, Math.max(0, decimals - 2))} N`, (MEAN_LONGEST * length * pixels) / 4, 54]]) {
+  for (const [colour, text, at, y] of [["measured", `force, ${short((FORCE_N * finSize) / 3)} N`, (LONGEST * length * pixels) / 3, 18], ["mean", `2 s mean, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 36], ["asked", `target, ${short((MEAN_N * finSize) / 4)} N`, (MEAN_LONGEST * length * pixels) / 4, 54]]) {
     pen.fillStyle = colours[colour];
     pen.fillRect(width - 10 - at, y - 6, at, colour === "mean" ? 2 : 4);
     pen.fillStyle = colours.text;
@@ -216,7 +219,8 @@ function drawTraces(canvas, loop) {
   const { pen, width, height } = prepare(canvas), left = 50, right = width - 8, top = 20, gap = 24, each = (height - top - 26 - 2 * gap) / 3;
   const layout = { left, right, each, top: (k) => top + k * (each + gap) }, { history } = loop, end = loop.time * TICK_S, start = Math.max(end - KEPT * TICK_S, 0);
   const span = Math.max(KEPT * TICK_S, 1), x = (time) => left + ((right - left) * (time - start)) / span, offset = loop.time - history.length;
-  const reach = (axis) => 3 * Math.ceil(history.reduce((most, entry) => Math.max(most, Math.abs(entry.force[axis])), 3) / 3 - 0.1);
+  const least = 3 * finSize;
+  const reach = (axis) => least * Math.ceil(history.reduce((most, entry) => Math.max(most, Math.abs(entry.force[axis])), least) / least - 0.1);
   const panels = [
     { name: "angle", unit: "rad", range: [-1.7, 1.7], lines: [["asked", 1.5, (e) => e.command, true], ["measured", 1.3, (e) => e.angle]] },
     ...[0, 1].map((axis) => ({ name: `force ${"xy"[axis]}`, unit: "N", range: [-reach(axis), reach(axis)], lines: [["measured", 1, (e) => e.force[axis]], ["asked", 2, (e) => e.reference[axis], true], ["mean", 2, (e) => e.mean[axis]]] })),

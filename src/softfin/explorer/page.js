@@ -2,8 +2,8 @@
 
 const contents = JSON.parse(element("contents").textContent), { controllers, plants } = contents;
 const plane = element("plane"), water = element("water"), traces = element("traces"), PUSH_M_S = [0, 0.6];
-/* Size of the fin relative to the paper's, and the steps of its forces [N]: a hundredth and a tenth of a newton for that. */
-const finSize = controllers[0].size, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(finSize)));
+/* The fin's size relative to the paper's, whose reach is 2.4 N; the steps of its forces [N], 0.01 and 0.1 N for that; decimals of forces. */
+const finSize = controllers[0].size, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(2.4 * finSize)));
 const range = planeRange(controllers), makers = { tank: Tank, surrogate: StreamingSurrogate };
 /* Shortest time between two writes of the address: Safari takes a hundred in thirty seconds. */
 const WRITE_MS = 400;
@@ -159,7 +159,7 @@ function tell(predicted) {
   const held = watched.within !== null && loop.time - watched.within >= 50, wish = [chosen.x, chosen.y], force = forceText(loop.reference);
   const near = distanceTo(wish, loop.reference) > HUNDREDTH_N ? `${forceText(wish)} is out of reach; the ring is at the nearest force in reach. ` : "";
   const yet = chosen.paused && loop.time === 0 ? "press Play" : "not held yet";
-  const status = near + (held ? `${force} held within ${SETTLED_N.toFixed(Math.max(0, decimals - 1))} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
+  const status = near + (held ? `${force} held within ${short(SETTLED_N)} N, ${seconds(watched.within - watched.since)} s after ${watched.what}.` : `Target ${force}: ${yet}.`);
   // Screen readers speak what is written anew.
   if (element("status").textContent !== status) element("status").textContent = status;
 }
@@ -240,7 +240,9 @@ document.addEventListener("keydown", (event) => {
 for (const name of ["controller", "plant"]) element(name).addEventListener("change", () => choose({ [name]: Number(element(name).value) }));
 for (const name of ["speed", "fin"]) element(name).addEventListener("change", () => choose({ [name]: element(name).value }));
 for (const [name, key] of [["pause", " "], ["trim", "t"], ["cold", "w"], ["push", "p"], ["restart", "r"]]) element(name).addEventListener("click", ACTIONS[key]);
+for (const [name, steps] of [["step", 10], ["leap", 50]]) element(name).textContent = `${short(steps * HUNDREDTH_N)} N`;
 for (const name of ["x", "y"]) {
+  element(name).step = short(10 * HUNDREDTH_N);
   element(name).addEventListener("change", () => { if (element(name).value !== "") choose({ [name]: Number(element(name).value) }); });
   element(name).addEventListener("blur", ask);
 }

@@ -100,6 +100,12 @@ def format_force(force: ForceVector | Float[np.ndarray, "2"]) -> str:
     return f"({force[0]:g}, {force[1]:g})"
 
 
+def force_decimals(largest_n: float) -> int:
+    """Return the number of decimals with which to show forces up to a size [N]: two from 1 to 10 N,
+    more for smaller forces."""
+    return max(2 - math.floor(math.log10(largest_n)), 0) if largest_n > 0 else 2
+
+
 def cell_corners(cells: Sequence[Cell]) -> tuple[Forces, Forces]:
     """Return the lower and upper corners of cells, ``(cells, 2)`` float32 [N]."""
     low = np.array([cell.low for cell in cells], np.float32)

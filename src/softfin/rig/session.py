@@ -46,7 +46,7 @@ STILL_RAD = 0.03
 
 SUSPENDED_S = 0.05
 """Longest suspension of the computer that does not stop an active session [s]. The monotonic clock
-stands still during a suspend, so afterwards no tick is late and no reading looks old, although the
+stops during a suspend, so afterwards no tick is late and no reading looks old, although the
 fin moved unsupervised."""
 
 HOMING_S = 10.0

@@ -154,7 +154,7 @@ class RdtClient:
         is_date_set = abs(offset - self._date_offset) > DATE_STEP_S
         self._date_offset = offset
         # Without a timestamp, a record counts as new only if the socket was empty a moment ago;
-        # otherwise assume the greatest possible age.
+        # otherwise assume the maximum possible age.
         unknown = now if now - empty_at <= UNREAD_S else empty_at
         arrivals = []
         for record, stamp in received:

@@ -390,7 +390,7 @@ def move_for_an_hour(context: StepContext) -> Iterator[Item]:
     rig = context.rig()
     request = StopRequest()
     context.operator.wait(
-        "Next, the fin will move at random for one hour; make sure that nobody can reach it"
+        "Next, the fin will move at random for one hour; make sure that no one can reach it"
     )
     before = _force_at_rest(context)
     targets = _random_targets(context)
