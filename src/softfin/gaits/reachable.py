@@ -100,7 +100,7 @@ def format_force(force: ForceVector | Float[np.ndarray, "2"]) -> str:
     return f"({force[0]:g}, {force[1]:g})"
 
 
-def force_decimals(largest_n: float) -> int:
+def force_decimals(largest_n: float | int) -> int:
     """Return the number of decimals with which to show forces up to a size [N]: two from 1 to 10 N,
     more for smaller forces."""
     return max(2 - math.floor(math.log10(largest_n)), 0) if largest_n > 0 else 2
