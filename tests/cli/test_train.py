@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from softfin.cli.controllers import (
@@ -12,38 +13,47 @@ from softfin.cli.controllers import (
     missed_targets,
 )
 from softfin.core.errors import ConfigurationError
-from softfin.gaits.reachable import Cell, bounding_box
+from softfin.gaits.reachable import Cell, Reachable, bounding_box
 from softfin.task.references import PAPER_CELLS, PAPER_RANGE
 
 REACH = Cell(low=(0, -2), high=(4, 2))
-DEFAULT = (REACH,)
-"""Cells of a preset for all that a fin can make."""
 
 
 def test_a_lattice_fills_the_range_or_else_the_reach() -> None:
     within = Cell(low=(-1, -2), high=(2, 2))
     for asked, filled in ((within, within), (None, REACH)):
-        cells = asked_cells("grid", "3x2", asked, DEFAULT) or ()
+        cells = asked_cells("grid", "3x2", asked, REACH) or ()
         assert len(cells) == 6
         assert bounding_box(cells) == filled
 
 
+def test_a_lattice_has_no_cell_that_the_fin_cannot_reach() -> None:
+    corners = np.zeros(8, np.float32)
+    # A thin region along the diagonals of the first and third quadrants.
+    corners[[1, 5]] = 2
+    region = Reachable(np.array([2, 0], np.float32), corners + 0.01)
+    cells = asked_cells("grid", "2x2", None, REACH, region) or ()
+    assert [cell.low for cell in cells] == [(0, -2), (2, 0)]
+    none = Reachable(np.array([90, 0], np.float32), np.full(8, 1, np.float32))
+    assert len(asked_cells("grid", "2x2", None, REACH, none) or ()) == 4
+
+
 def test_a_grid_over_a_range_has_six_cells() -> None:
     within = Cell(low=(0, 0), high=(1, 2))
-    cells = asked_cells("grid", None, within, DEFAULT) or ()
+    cells = asked_cells("grid", None, within, REACH) or ()
     assert len(cells) == 6
     assert bounding_box(cells) == within
 
 
 def test_a_single_controller_takes_the_range_as_its_one_cell() -> None:
     within = Cell(low=(0, 0), high=(1, 2))
-    assert asked_cells("single", None, within, DEFAULT) == (within,)
+    assert asked_cells("single", None, within, REACH) == (within,)
 
 
 def test_without_options_the_cells_are_those_of_preset_or_file() -> None:
     for controller in ("single", "grid"):
-        assert asked_cells(controller, None, None, DEFAULT) is None
-    assert asked_cells("grid", "paper", None, DEFAULT) == PAPER_CELLS
+        assert asked_cells(controller, None, None, REACH) is None
+    assert asked_cells("grid", "paper", None, REACH) == PAPER_CELLS
 
 
 def test_a_range_is_the_papers_or_numbers_or_all_that_the_fin_can_make() -> None:
@@ -67,7 +77,7 @@ def test_what_does_not_go_together_is_refused(
     cells: str, within: Cell | None, message: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        asked_cells("grid", cells, within, DEFAULT)
+        asked_cells("grid", cells, within, REACH)
 
 
 def test_cells_without_a_grid_are_refused_before_anything_is_computed() -> None:

@@ -10,7 +10,11 @@ import pytest
 from jaxtyping import Array, Float
 
 from softfin.control.controller import Controller, Measured
-from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
+from softfin.control.disturbance_observer import (
+    DisturbanceObserver,
+    DisturbanceObserverConfig,
+    ObserverForces,
+)
 from softfin.core.action_clock import ACTION_TICKS, WINDOW
 from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.core.quantities import Command
@@ -99,18 +103,19 @@ def test_without_drift_the_whole_of_a_constant_bias_is_taken_off() -> None:
 def test_the_estimate_is_that_of_a_kalman_filter() -> None:
     """Against the textbook's matrices, with a measurement of variance 6 noise^2 a action."""
     config = DisturbanceObserverConfig(lag_actions=0)
+    newtons = ObserverForces()
     _, states = forces(DisturbanceObserver(Carrier(), config), still(60), ripple=0.0)
     kept = np.exp(-1 / (3 * 2 * config.drift_s))
     transition = np.diag([1.0, kept])
-    process = np.diag([0.0, (1 - kept**2) * 2 * config.drift_n**2])
-    covariance = np.diag([config.bias_n**2, 0.0])
+    process = np.diag([0.0, (1 - kept**2) * 2 * newtons.drift_n**2])
+    covariance = np.diag([newtons.bias_n**2, 0.0])
     estimate = np.zeros((2, 2))
     sensed = np.ones((1, 2))
     for action in range(60):
         estimate = transition @ estimate
         covariance = transition @ covariance @ transition.T + process
         if action >= config.settle_actions:
-            total = sensed @ covariance @ sensed.T + 6 * config.noise_n**2
+            total = sensed @ covariance @ sensed.T + 6 * newtons.noise_n**2
             gain = covariance @ sensed.T / total
             estimate = estimate + gain @ (np.array([BIAS]) - sensed @ estimate)
             covariance = covariance - gain @ sensed @ covariance
@@ -124,7 +129,7 @@ def test_the_variance_of_the_drift_is_that_of_a_zeroed_sensor() -> None:
     config = DisturbanceObserverConfig(settle_actions=1000)
     _, states = forces(DisturbanceObserver(Carrier(), config), still(900))
     time_s = np.arange(1, 901) / 3
-    expected = 2 * config.drift_n**2 * (1 - np.exp(-time_s / config.drift_s))
+    expected = 2 * ObserverForces().drift_n ** 2 * (1 - np.exp(-time_s / config.drift_s))
     np.testing.assert_allclose(states.covariance[:, 2], expected, rtol=1e-3)
 
 
@@ -134,10 +139,11 @@ def test_the_variance_of_the_bias_grows_with_the_distance_that_the_reference_mov
     observer = DisturbanceObserver(Carrier(), config)
     small = np.linspace(1, 2, 11)[:, None] * np.ones(2)
     large = np.where(np.arange(11) > 0, 2.0, 1.0)[:, None] * np.ones(2)
+    newtons = ObserverForces()
     for references in (small, large):
         _, states = forces(observer, references)
         np.testing.assert_allclose(
-            states.covariance[-1, 0], config.bias_n**2 + config.bias_per_n**2, rtol=1e-4
+            states.covariance[-1, 0], newtons.bias_n**2 + newtons.bias_per_n**2, rtol=1e-4
         )
 
 

@@ -23,14 +23,13 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
-    from softfin.gaits.reachable import Cell, Cells
+    from softfin.gaits.reachable import Cell, Cells, Reachable
     from softfin.learning.configuration import TrainConfig
 
 
 MAP = "map"
 PAPER = "paper"
-"""Values of --range: all forces that the fin can produce, which is the default, and the paper's
-range."""
+"""Values of --range: all forces that the fin can produce (the default), and the paper's range."""
 
 MAX_ERROR_SHARE = 0.5
 """Largest error of a useful controller, divided by its target forces."""
@@ -87,8 +86,8 @@ class TrainArguments(Configured):
     """Cells of the grid: a uniform grid over --range such as 3x3, a .yaml file of boxes, or paper
     (default: 2x3)."""
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
-    """Range of target forces [N], or paper for 0.5,-1.5,3.5,1.5 (default: all forces that the fin
-    can produce)."""
+    """Range of target forces [N]: map for all forces that the fin can produce (default), or paper
+    for 0.5,-1.5,3.5,1.5."""
     map: Annotated[Path, folder_option("map")] | None = None
     """Folder of this surrogate's map, written by softfin map (default: compute one)."""
     steps: int | None = None
@@ -128,11 +127,16 @@ class TrainArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
-        from softfin.gaits.gait import GaitTable
-        from softfin.gaits.reachable import PAPER_SIZED, Reachable
-        from softfin.learning.configuration import TrainConfig, choose_preset, fit_to_reach
-        from softfin.stages.controllers import find_gaits, train
+        from softfin.gaits.gait import KnownForces
+        from softfin.learning.configuration import (
+            TrainConfig,
+            choose_preset,
+            fit_to_reach,
+            reach_box,
+        )
+        from softfin.stages.controllers import MakeConfig, find_gaits, train
         from softfin.storage.registry import find_plant
+        from softfin.task.references import PAPER_RANGE
 
         within = asked_range(self.range)
         seeds = asked_seeds(self.seed, self.seeds)
@@ -153,26 +157,22 @@ class TrainArguments(Configured):
         # Each algorithm has its own defaults, so it is chosen before other options apply.
         preset, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
 
-        def configure(reachable: Reachable, table: GaitTable | None = None) -> TrainConfig:
-            return self._with_cells(fit_to_reach(preset, reachable, table), within)
-
-        # Wrong options are reported before the search for the reach, which takes a minute.
-        config: TrainConfig = configure(PAPER_SIZED)
-        # Without --cells, --range paper means the cells of the preset: the paper's.
-        fixed = self._with_cells(preset, within if self.cells else None)
-        # Cells of a file are in newtons, so they do not depend on the reach.
-        is_from_file = within is None and fixed.cells == config.cells
-        is_fixed = self._is_paper or is_from_file
-        if config.algorithm != preset.algorithm:
-            raise ConfigurationError(
-                f"algorithm = {config.algorithm}: other defaults depend on the algorithm; use "
-                f"--algorithm {config.algorithm}"
+        def configure(known: KnownForces) -> TrainConfig:
+            cells = asked_cells(
+                self.controller, self.cells, within, reach_box(known), known.reachable
             )
+            return self._configured(fit_to_reach(preset, known), cells)
+
+        config: TrainConfig | MakeConfig = configure
+        if self.range == PAPER or (self.cells == PAPER and self.range is None):
+            # The paper's references, whatever the fin can produce.
+            cells = asked_cells(self.controller, self.cells, within, PAPER_RANGE)
+            config = self._configured(preset, preset.cells if self.cells is None else cells)
         with progress() as report:
             train(
                 self.surrogate,
                 self.out,
-                fixed if is_fixed else configure,
+                config,
                 force_map=self.map,
                 seeds=seeds,
                 engine=self.engine,
@@ -184,15 +184,15 @@ class TrainArguments(Configured):
             )
         return self._tell(seeds)
 
-    @property
-    def _is_paper(self) -> bool:
-        """Whether the references are the paper's, whatever the fin can produce."""
-        return self.range == PAPER or (self.cells == PAPER and self.range is None)
-
-    def _with_cells(self, preset: "TrainConfig", within: "Cell | None") -> "TrainConfig":
+    def _configured(self, preset: "TrainConfig", cells: "Cells | None") -> "TrainConfig":
         """Return a preset with the given cells and settings."""
-        cells = asked_cells(self.controller, self.cells, within, preset.cells)
-        return self.configured(preset, cells=cells)
+        config = self.configured(preset, cells=cells)
+        if config.algorithm != preset.algorithm:
+            raise ConfigurationError(
+                f"algorithm = {config.algorithm}: other defaults depend on the algorithm; use "
+                f"--algorithm {config.algorithm}"
+            )
+        return config
 
     def _tell(self, seeds: tuple[int, ...]) -> None:
         """Print the scores of each controller."""
@@ -236,7 +236,7 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
     """Return a warning if the errors are larger than half the target forces."""
     error = sum(math.hypot(*row["error_n"]) for row in scores)
     target = sum(math.hypot(*row["tracked_reference_n"]) for row in scores)
-    if error <= MAX_ERROR_SHARE * target:
+    if error <= MAX_ERROR_SHARE * target or target == 0:
         return []
     return [
         f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
@@ -277,41 +277,39 @@ def asked_range(span: str | None) -> "Cell | None":
 
 
 def asked_cells(
-    controller: str, cells: str | None, within: "Cell | None", default: "Cells"
+    controller: str,
+    cells: str | None,
+    within: "Cell | None",
+    reach: "Cell",
+    reachable: "Reachable | None" = None,
 ) -> "Cells | None":
     """Return the cells of ``--cells`` and ``--range``, one cell unless the controller is a grid.
 
-    None if neither is given. A uniform grid fills the range, or else the bounding box of the
-    default cells.
+    None if neither is given. A uniform grid fills the range, or else the reach, without cells that
+    the fin cannot reach.
     """
     from softfin.gaits.reachable import bounding_box
-    from softfin.learning.configuration import GRID_SHAPE
+    from softfin.learning.configuration import GRID_SHAPE, without_unreachable
     from softfin.task.references import lattice, parse_cells
 
+    if cells is None and within is None:
+        return None
     if controller != "grid":
         return None if within is None else (within,)
-    if cells is None:
-        return None if within is None else lattice(*GRID_SHAPE, within)
-    found = parse_cells(cells, within or bounding_box(default))
+    found = (
+        lattice(*GRID_SHAPE, within or reach)
+        if cells is None
+        else parse_cells(cells, within or reach)
+    )
     if within is not None and bounding_box(found) != within:
         raise ConfigurationError(
             f"--range {within}: the cells ({cells}) have fixed positions ({bounding_box(found)}); "
             "omit --range, or use a grid that fills it, such as --cells 3x3"
         )
+    is_uniform = cells is None or isinstance(read_cells(cells), tuple)
+    if is_uniform and reachable is not None:
+        return without_unreachable(found, reachable)
     return found
-
-
-def _range_cell(span: str | None, force_map: Path | None) -> "Cell":
-    from softfin.gaits.force_map import load_map
-    from softfin.gaits.reachable import Cell
-    from softfin.task.references import PAPER_RANGE, parse_range
-
-    if span is None:
-        return PAPER_RANGE
-    if span == MAP and force_map is not None:
-        low, high = load_map(force_map).force_map.reachable.bounds()
-        return Cell(low=low, high=high)
-    return parse_range(span)
 
 
 class ExportArguments(Common):

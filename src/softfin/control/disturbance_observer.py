@@ -60,34 +60,36 @@ UNSTEADY_ACTIONS = 3
 
 
 class DisturbanceObserverConfig(Configuration):
-    """Configuration of the force feedback, for a fin of the size of the paper's; forces of other
-    fins are proportional to their size."""
+    """Configuration of the force feedback.
 
-    size: PositiveFloat | None = None
-    """Size of the fin relative to the paper's [-], by which all forces below are multiplied; None:
-    the size from the reach in the controller's file, or 1 if it contains none."""
-    bias_n: PositiveFloat = 0.2
-    """Prior standard deviation of the controller's force error [N]."""
-    bias_per_n: NonNegativeFloat = 0.03
+    A force that is null gets the value that was tuned on the paper's fin (`ObserverForces`), scaled
+    by the size of the fin.
+    """
+
+    bias_n: PositiveFloat | None = None
+    """Prior standard deviation of the controller's force error [N]; null: 0.2 N, scaled."""
+    bias_per_n: NonNegativeFloat | None = None
     """Standard deviation of the change in that error when the reference moves by 1 N [N]; the
-    variance is proportional to the distance, so a slow movement adds as much as a step."""
-    drift_n: NonNegativeFloat = 0.05
+    variance is proportional to the distance, so a slow movement adds as much as a step. Null: 0.03
+    N, scaled."""
+    drift_n: NonNegativeFloat | None = None
     """Standard deviation of the drift of a force sensor without zeroing [N]; 0 attributes every
-    error to the controller."""
+    error to the controller. Null: 0.05 N, scaled."""
     drift_s: PositiveFloat = 300.0
     """Time constant of the drift [s]."""
-    noise_n: PositiveFloat = 0.04
-    """Standard deviation of the mean force over a window at a constant reference [N]."""
+    noise_n: PositiveFloat | None = None
+    """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.04 N,
+    scaled."""
     lag_actions: int = Field(default=1, ge=0, le=6)
     """Number of actions until the force follows the reference; the window of references is shifted
     by it."""
     settle_actions: int = Field(default=8, ge=6)
     """Number of actions after rest without any estimation, because the fin is still starting."""
-    still_n: PositiveFloat = 0.05
+    still_n: PositiveFloat | None = None
     """Movement within the window up to which the reference is treated as constant [N]; above it,
-    the variance of the noise grows with the fourth power of the movement."""
-    limit_n: PositiveFloat = 1.0
-    """Limit of the correction of each axis [N]."""
+    the variance of the noise grows with the fourth power of the movement. Null: 0.05 N, scaled."""
+    limit_n: PositiveFloat | None = None
+    """Limit of the correction of each axis [N]; null: 1 N, scaled."""
 
     @model_validator(mode="after")
     def _window_is_full(self) -> "DisturbanceObserverConfig":
@@ -100,15 +102,29 @@ class DisturbanceObserverConfig(Configuration):
             )
         return self
 
-    def scaled(self, reachable: Reachable | None) -> "DisturbanceObserverConfig":
-        """Return the configuration with forces in newtons for a fin with this reach; its size is
-        1."""
-        size = self.size
-        if size is None:
-            size = 1.0 if reachable is None else reachable.size
-        forces = ("bias_n", "drift_n", "noise_n", "still_n", "limit_n")
-        changes: dict[str, float] = {name: getattr(self, name) * size for name in forces}
-        return self.model_copy(update={**changes, "size": 1.0})
+
+class ObserverForces(NamedTuple):
+    """The forces of a configuration, for one fin; the defaults were tuned on the paper's."""
+
+    bias_n: float = 0.2
+    bias_per_n: float = 0.03
+    drift_n: float = 0.05
+    noise_n: float = 0.04
+    still_n: float = 0.05
+    limit_n: float = 1.0
+
+    @classmethod
+    def for_fin(
+        cls, config: DisturbanceObserverConfig, reachable: Reachable | None
+    ) -> "ObserverForces":
+        """Return the configured forces; those left out are scaled to the fin, whose size is 1 if
+        its reach is unknown."""
+        size = 1.0 if reachable is None else reachable.size
+        forces = cls(*(size * force for force in cls()))
+        # The variance bias_per_n^2 distance is a squared force, and the distance is scaled already.
+        forces = forces._replace(bias_per_n=size**0.5 * cls().bias_per_n)
+        configured = config.model_dump(include=set(cls._fields), exclude_none=True)
+        return forces._replace(**configured)
 
 
 class DisturbanceObserverState(NamedTuple):
@@ -141,13 +157,15 @@ class DisturbanceObserver:
     controller: Any
     """The inner controller, a `Controller`."""
     config: DisturbanceObserverConfig = field(default=DisturbanceObserverConfig(), metadata=STATIC)
-    """Configuration, whose forces are scaled to the fin when the observer is created."""
+    newtons: ObserverForces | None = field(default=None, metadata=STATIC)
+    """Forces of the configuration; None: those for the reach of the inner controller."""
 
     def __post_init__(self) -> None:
         # JAX creates the observer again inside a compiled program, where the reach has no value; by
-        # then the size is set.
-        if self.config.size is None:
-            object.__setattr__(self, "config", self.config.scaled(self.reachable))
+        # then the forces are set.
+        if self.newtons is None:
+            newtons = ObserverForces.for_fin(self.config, self.reachable)
+            object.__setattr__(self, "newtons", newtons)
         register_pytrees(type(self))
 
     @property
@@ -175,11 +193,12 @@ class DisturbanceObserver:
     def init(self) -> DisturbanceObserverState:
         """Return the state for a fin at rest with a freshly zeroed sensor."""
         controller: Controller = self.controller
+        assert self.newtons is not None
         series = np.zeros((CYCLE_ACTIONS + self.config.lag_actions, 2))
         return DisturbanceObserverState(
             bias=np.zeros(2),
             drift=np.zeros(2),
-            covariance=np.array([self.config.bias_n**2, 0.0, 0.0]),
+            covariance=np.array([self.newtons.bias_n**2, 0.0, 0.0]),
             inner=controller.init(),
             forces=series[:CYCLE_ACTIONS],
             tracked=series,
@@ -222,31 +241,33 @@ class DisturbanceObserver:
     ) -> tuple[Array, Array, Array]:
         """Return bias, drift and their covariance after one step of the Kalman filter."""
         config = self.config
+        newtons = self.newtons
+        assert newtons is not None
         xp = ops.xp
         # Predict. The bias may change when the reference changes. The first reference is not a
         # change.
         distance = abs(reference - state.references[0]).max()
         bias_change = ops.choose(
-            state.age > 0, lambda: config.bias_per_n**2 * distance, lambda: 0.0 * distance
+            state.age > 0, lambda: newtons.bias_per_n**2 * distance, lambda: 0.0 * distance
         )
         kept = math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s))
         drift = kept * state.drift
         bias_variance = state.covariance[0] + bias_change
         cross = kept * state.covariance[1]
-        drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * config.drift_n**2
+        drift_variance = kept**2 * state.covariance[2] + (1 - kept**2) * 2 * newtons.drift_n**2
         # While the reference moves, the fin's lag looks like an error for the entire movement, so
         # averaging neighbouring windows does not remove it, and the noise is raised instead. Only
         # the uncorrected references count as movement; otherwise, the correction's own motion would
         # block its updates.
         highest = xp.maximum(state.references.max(axis=0), reference)
         lowest = xp.minimum(state.references.min(axis=0), reference)
-        movement = xp.maximum((highest - lowest).max(), config.still_n)
+        movement = xp.maximum((highest - lowest).max(), newtons.still_n)
         # While the fin starts, or reacts to a correction, the window's error also changes. It is
         # then not the steady-state error, and following it could make a slow fin oscillate.
         change = abs(error - state.errors).max()
-        unsteady = xp.maximum(change / (UNSTEADY * config.noise_n), 1.0)
-        moving = (movement / config.still_n) ** 2 * unsteady**2
-        noise_variance = (config.noise_n * moving) ** 2
+        unsteady = xp.maximum(change / (UNSTEADY * newtons.noise_n), 1.0)
+        moving = (movement / newtons.still_n) ** 2 * unsteady**2
+        noise_variance = (newtons.noise_n * moving) ** 2
         innovation = error - state.bias - drift
         # If the error exceeds three standard deviations, the fin or the water must have changed, so
         # raise the variance of the bias until the error is within them.
@@ -261,7 +282,7 @@ class DisturbanceObserver:
         bias_gain = learns * (bias_variance + cross) / total
         drift_gain = learns * (cross + drift_variance) / total
         bias = state.bias + bias_gain * innovation
-        bias = xp.maximum(xp.minimum(bias, config.limit_n), -config.limit_n)
+        bias = xp.maximum(xp.minimum(bias, newtons.limit_n), -newtons.limit_n)
         drift = drift + drift_gain * innovation
         covariance = xp.stack(
             [

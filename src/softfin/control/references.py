@@ -35,11 +35,12 @@ pattern does not fit at any size."""
 def default_references(reachable: Reachable | None) -> tuple[ForceVector, ...]:
     """Return the six reference forces of an evaluation [N].
 
-    These are the paper's references if the fin can produce them, or if its reach is unknown.
-    Otherwise their pattern is scaled to the fin's size, and mirrored if it fits only that way.
+    These are the paper's references if the reach is unknown, or if a fin of the paper's size can
+    produce them. Otherwise their pattern is scaled to the fin's reach, and mirrored if it fits only
+    that way.
     """
     paper = np.array(PAPER_REFERENCES, float)
-    if reachable is None or reachable.contains(paper).all():
+    if reachable is None or (reachable.size == 1 and reachable.contains(paper).all()):
         return PAPER_REFERENCES
     natural = reachable.reach_n / PAPER_REACH_N
     for scale in natural * PATTERN_SCALES:

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from softfin.control.controller import LoadedController
-from softfin.control.disturbance_observer import DisturbanceObserverConfig
+from softfin.control.disturbance_observer import DisturbanceObserverConfig, ObserverForces
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
@@ -99,13 +99,14 @@ def controller_data(controller: LoadedController) -> JsonObject:
     feedback."""
     step = controller.step
     reachable = controller.reachable
+    trim = DisturbanceObserverConfig()
     data: JsonObject = {
         "kind": controller.kind,
         "limits": controller.limits.to_dict(),
         "cells": [cell.model_dump(mode="json") for cell in controller.cells],
         "reachable": None if reachable is None else reachable.to_dict(),
         "size": 1.0 if reachable is None else reachable.size,
-        "trim": DisturbanceObserverConfig().scaled(reachable).model_dump(mode="json"),
+        "trim": trim.model_dump(mode="json") | ObserverForces.for_fin(trim, reachable)._asdict(),
     }
     if isinstance(step, GaitStep):
         return data | {"table": _table(step.table)}

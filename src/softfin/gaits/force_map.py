@@ -20,7 +20,7 @@ from softfin.core.quantities import Limits
 from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import ReportSearch, SurveyConfig, missing_gradient, survey
+from softfin.gaits.simulate import ReportSearch, Survey, SurveyConfig, missing_gradient, survey
 from softfin.storage import artifact as artifacts
 
 MAP_KIND = "map"
@@ -78,8 +78,14 @@ def empty_map(table: GaitTable, directions: int) -> ForceMap:
     return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
 
 
-def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None = None) -> ForceMap:
-    """Survey a plant, find a gait for each node, and determine the region that the gaits reach.
+def find_force_map(
+    plant: Plant,
+    config: MapConfig,
+    report: ReportSearch | None = None,
+    surveyed: Survey | None = None,
+) -> ForceMap:
+    """Survey a plant, unless that is done, find a gait for each node, and determine the region that
+    the gaits reach.
 
     Raises:
         PlantError: the plant has no gradient.
@@ -91,11 +97,18 @@ def find_force_map(plant: Plant, config: MapConfig, report: ReportSearch | None 
             "surrogate (softfin fit), and map the surrogate"
         )
     notify = report or (lambda *_: None)
-    # The survey takes about 30% of the progress bar.
-    surveyed = survey(plant, config.survey, lambda done, note: notify(0.3 * done, note))
+    start = 0.0
+    if surveyed is None:
+        # The survey takes about 30% of the progress bar.
+        start = 0.3
+        surveyed = survey(plant, config.survey, lambda done, note: notify(start * done, note))
     empty = config.empty_table(surveyed.reachable)
     gaits = find_gaits(
-        plant, surveyed, empty, config.gaits, lambda done, note: notify(0.3 + 0.7 * done, note)
+        plant,
+        surveyed,
+        empty,
+        config.gaits,
+        lambda done, note: notify(start + (1 - start) * done, note),
     )
     return ForceMap(
         gaits, held_region(surveyed.reachable, gaits, config.tolerance(surveyed.reachable))

@@ -110,6 +110,14 @@ class GaitSearchResult(NamedTuple):
         return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
+class KnownForces(NamedTuple):
+    """What is known about the mean forces that a fin can produce."""
+
+    reachable: Reachable
+    gaits: GaitTable | None = None
+    """Gaits for these forces; None if they were only surveyed."""
+
+
 def _is_box(low: np.ndarray, high: np.ndarray) -> bool:
     # Also false for NaN, because all comparisons with NaN are false.
     return bool(((-np.inf < low) & (low <= high) & (high < np.inf)).all())
@@ -120,6 +128,11 @@ class ForceMap(NamedTuple):
 
     gaits: GaitSearchResult
     reachable: Reachable
+
+    @property
+    def known(self) -> KnownForces:
+        """The region and the gaits, without their forces."""
+        return KnownForces(self.reachable, self.gaits.table)
 
     def to_dict(self) -> JsonObject:
         """Return the lattice and the region for JSON."""

@@ -75,6 +75,12 @@ class Cell(Configuration):
         x1, y1 = self.high
         return Cell(low=(x0 - margin_n, y0 - margin_n), high=(x1 + margin_n, y1 + margin_n))
 
+    def clipped(self, low: Float[AnyArray, "2"], high: Float[AnyArray, "2"]) -> "Cell":
+        """Build the part of the cell between two corners; they must not be apart from it."""
+        low = np.maximum(self.low, low).tolist()
+        high = np.minimum(self.high, high).tolist()
+        return Cell(low=tuple(low), high=tuple(high))
+
     def lattice(self, count: int) -> tuple[ForceVector, ...]:
         """Return the centres of `count` x `count` equal parts of the cell."""
         x0, y0 = self.low

@@ -239,6 +239,9 @@ def _pushed(
     """
     centre = _middle(force)
     outward = directions(config.directions)
+    if config.pushes == 0:
+        # No gradient is computed, because a plant may have none.
+        return _star(force, centre, outward)
     offset = force - centre
     aside = np.abs(_cross(offset[:, None], outward))
     pre_tanh = action_to_pre_tanh(gaits[np.argmax(offset @ outward.T - ASIDE * aside, axis=0)])
@@ -254,8 +257,17 @@ def _pushed(
         length = np.linalg.norm(change, axis=1, keepdims=True)
         # A gait without a gradient does not move.
         pre_tanh = pre_tanh + np.float32(0.5 * part) * change / np.where(length > 0, length, 1)
-    # The maximum distance along each direction over the forces in the sector around it.
-    offset = np.concatenate(forces) - centre
+    return _star(np.concatenate(forces), centre, outward)
+
+
+def _star(
+    force: Float[np.ndarray, "n 2"],
+    centre: Float[np.ndarray, "2"],
+    outward: Float[np.ndarray, "directions 2"],
+) -> Reachable:
+    """Return the region that contains all forces: each radius is the maximum distance along its
+    direction over the forces in the sector around it."""
+    offset = force - centre
     along = offset @ outward.T
     length = np.linalg.norm(offset, axis=1)
     radius = np.where(along >= np.cos(np.pi / len(outward)) * length[:, None], along, 0).max(axis=0)

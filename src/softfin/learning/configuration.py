@@ -15,7 +15,7 @@ from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, Po
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
-from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.gaits.gait import GaitTable, KnownForces
 from softfin.gaits.reachable import Cell, Cells, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.gradient import GradientConfig
@@ -193,23 +193,17 @@ def choose_preset(
     return TRAIN_PRESETS["ppo-hindsight", controller], reason
 
 
-def fit_to_reach(
-    config: TrainConfig, reachable: Reachable, table: GaitTable | None = None
-) -> TrainConfig:
-    """Return a preset for all forces that a fin can produce, as far as a table has gaits for them.
+def fit_to_reach(config: TrainConfig, known: KnownForces) -> TrainConfig:
+    """Return a preset for all forces that a fin can produce, as far as there are gaits for them.
 
     Cells cover the reach. The preset's values in newtons were tuned for the paper's fin, so they
     are multiplied by the size of this one; the reward is divided by it.
     """
-    size = reachable.size
-    box = reachable.bounding_box()
-    if table is not None:
-        low = np.maximum(box.low, table.low).tolist()
-        high = np.minimum(box.high, table.high).tolist()
-        box = Cell(low=tuple(low), high=tuple(high))
+    size = known.reachable.size
+    box = reach_box(known)
     cells: Cells = (box,)
     if config.controller == "grid":
-        cells = tuple(cell for cell in lattice(*GRID_SHAPE, box) if _can_make(reachable, cell))
+        cells = without_unreachable(lattice(*GRID_SHAPE, box), known.reachable)
     x, y = config.task.reward.weight
     values = {
         "cells": [cell.model_dump() for cell in cells],
@@ -230,6 +224,19 @@ def fit_to_reach(
     return config.merged(values, "reach")
 
 
+def reach_box(known: KnownForces) -> Cell:
+    """Return the bounding box of the forces that a fin can produce, as far as there are gaits for
+    them."""
+    box = known.reachable.bounding_box()
+    return box if known.gaits is None else box.clipped(known.gaits.low, known.gaits.high)
+
+
+def without_unreachable(cells: Cells, reachable: Reachable) -> Cells:
+    """Return the cells of which a fin can produce at least one force; all cells if it can produce
+    none at all, which `check` reports."""
+    return tuple(cell for cell in cells if _can_make(reachable, cell)) or cells
+
+
 def _can_make(reachable: Reachable, cell: Cell) -> bool:
     """Return whether a fin can produce at least one force of a cell."""
     return bool(reachable.contains(cell.lattice(CHECKED_POINTS)).any())
@@ -239,10 +246,9 @@ def check(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    force_map: ForceMap | None = None,
-    reachable: Reachable | None = None,
+    known: KnownForces | None = None,
 ) -> None:
-    """Check a configuration against a plant, seeds, and the plant's map or reach.
+    """Check a configuration against a plant, seeds, and the forces that the plant can produce.
 
     Raises:
         ConfigurationError: they are incompatible, the fin can produce none of the forces of a cell,
@@ -270,21 +276,19 @@ def check(
             "ensemble = each: the plant must be an ensemble of at least two members; remove the "
             "option, or fit a streaming surrogate with --set members=5"
         )
-    if force_map is not None:
-        reachable = force_map.reachable
-    if reachable is not None:
-        _check_reach(config.cells, reachable)
-    if config.begins_as_gaits and force_map is not None:
-        _check_map(config, force_map)
+    if known is None:
+        return
+    _check_reach(config.cells, known.reachable)
+    if config.begins_as_gaits and known.gaits is not None:
+        _check_gaits(config, known.gaits, known.reachable)
 
 
-def _check_map(config: TrainConfig, force_map: ForceMap) -> None:
+def _check_gaits(config: TrainConfig, table: GaitTable, reachable: Reachable) -> None:
     """Raise ConfigurationError if the gaits of a map do not cover the references for training."""
     box = config.training_range
-    table = force_map.gaits.table
     # References outside the reachable region are moved into it, so gaits need not cover them.
-    reachable_low, reachable_high = force_map.reachable.bounds()
-    rounding_n = EDGE_ROUNDING_N * force_map.reachable.size
+    reachable_low, reachable_high = reachable.bounds()
+    rounding_n = EDGE_ROUNDING_N * reachable.size
     low = np.maximum(box.low, reachable_low) + rounding_n
     high = np.minimum(box.high, reachable_high) - rounding_n
     if np.any(table.low > low) or np.any(table.high < high):

@@ -23,12 +23,11 @@ from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import ForceMap
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.gait import KnownForces
 from softfin.installation import how_to_add
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.run import BestPolicies, TrainingResult
-from softfin.learning.train import find_map, train
+from softfin.learning.train import find_gaits, train
 from softfin.storage.run_directory import RunDirectory
 
 STORE_BYTES = 256 * 2**20
@@ -57,8 +56,8 @@ fork.
 """
 
 
-KnownFin: TypeAlias = tuple[Plant, ForceMap | None, Reachable | None]
-"""A plant, its map if there is one, and the forces that it can produce, if known."""
+KnownFin: TypeAlias = tuple[Plant, KnownForces | None]
+"""A plant, and the forces that it can produce, if known."""
 
 
 class Task(NamedTuple):
@@ -87,9 +86,8 @@ def train_on_ray(
     seeds: Sequence[int],
     run_directory: RunDirectory,
     progress: Progress | None = None,
-    force_map: ForceMap | None = None,
+    known: KnownForces | None = None,
     cluster: str | None = None,
-    reachable: Reachable | None = None,
 ) -> TrainingResult:
     """Train like `softfin.learning.train.train`, on the cluster at HOST:PORT or on one started for
     this run.
@@ -100,21 +98,20 @@ def train_on_ray(
         ConfigurationError: `check` failed, or Ray or the cluster cannot be used.
         RunError: a task failed; the last valid checkpoints are kept.
     """
-    check(plant, config, seeds, force_map, reachable)
-    if force_map is None:
-        force_map = find_map(plant, config, run_directory, progress)
-    if force_map is not None:
-        reachable = force_map.reachable
+    check(plant, config, seeds, known)
+    if known is None and config.begins_as_gaits:
+        known = find_gaits(plant, config, run_directory, progress)
+        check(plant, config, seeds, known)
     tasks = split_into_tasks(config, seeds)
     with _connected(cluster) as ray:
-        fin = (plant, force_map, reachable)
-        results = _run_tasks(ray, fin, tasks, run_directory, progress or silent)
+        results = _run_tasks(ray, (plant, known), tasks, run_directory, progress or silent)
     # Tasks are in the order of seeds, then cells, so the leaves become (seeds, cells, ...).
     policies, evaluation = jax.tree.map(
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,
     )
     limits = Limits(*map(float, plant.limits))
+    reachable = None if known is None else known.reachable
     return TrainingResult(config, limits, tuple(seeds), policies, evaluation, reachable)
 
 
@@ -191,9 +188,9 @@ def _run_task(
 ) -> BestPolicies | SoftfinError:
     """Run a task on a worker. softfin's errors are returned, because Ray would wrap raised errors
     in a traceback."""
-    plant, force_map, reachable = fin
+    plant, known = fin
     try:
-        trained = train(plant, task.config, task.seeds, run_directory, None, force_map, reachable)
+        trained = train(plant, task.config, task.seeds, run_directory, None, known)
     except SoftfinError as error:
         return error
     return trained.policies, trained.evaluation

@@ -20,7 +20,7 @@ from softfin.core.plant import EnsemblePlant, Plant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import named_key
-from softfin.gaits.gait import ForceMap, GaitTable
+from softfin.gaits.gait import GaitTable, KnownForces
 from softfin.gaits.reachable import Reachable
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient
@@ -138,14 +138,13 @@ class TrainingRun:
         plant: Plant,
         config: TrainConfig,
         seeds: tuple[int, ...],
-        force_map: ForceMap | None,
-        reachable: Reachable | None = None,
+        known: KnownForces | None,
     ) -> None:
         self.config = config
         self.seeds = seeds
-        self.force_map = force_map
+        self.gaits = None if known is None else known.gaits
+        self.reachable = None if known is None else known.reachable
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
-        self.reachable = reachable if force_map is None else force_map.reachable
         self.plant = jit_argument(plant)
         # The configuration is a static argument. Without cells, runs that differ only in their
         # cells and seeds share compiled programs.
@@ -162,9 +161,7 @@ class TrainingRun:
         boxes = stack_references(
             [cell.expanded(self.config.margin_n) for _, cell in self.agents], self.reachable
         )
-        table = None
-        if self.force_map is not None and self.config.begins_as_gaits:
-            table = self.force_map.gaits.table
+        table = self.gaits if self.config.begins_as_gaits else None
         agents = _init(self.compiled, self.plant, table, *self.over_devices((keys, boxes)))
         # The first evaluation is always better.
         worst = np.full(self.references.shape, np.inf, np.float32)

@@ -14,8 +14,9 @@ from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import empty_map, find_force_map
-from softfin.gaits.gait import ForceMap
+from softfin.gaits.gait import ForceMap, KnownForces
 from softfin.gaits.reachable import Reachable
+from softfin.gaits.simulate import Survey
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.run import (
     TrainingResult,
@@ -34,22 +35,21 @@ def train(
     seeds: Sequence[int],
     run_directory: RunDirectory,
     progress: Progress | None = None,
-    force_map: ForceMap | None = None,
-    reachable: Reachable | None = None,
+    known: KnownForces | None = None,
 ) -> TrainingResult:
     """Train a policy for each seed and cell; resume from the checkpoint in `run_directory`, if any.
 
-    If policies start from gaits and there is no `force_map`, the fin is mapped first. The
-    `reachable` forces may also be known without a map.
+    If policies start from gaits and these are not `known`, the fin is mapped first.
 
     Raises:
         ConfigurationError: `check` failed.
         RunError: a loss is not finite; the last valid checkpoint is kept in `run_directory`.
     """
-    check(plant, config, seeds, force_map, reachable)
-    if force_map is None:
-        force_map = find_map(plant, config, run_directory, progress)
-    run = TrainingRun(plant, config, tuple(seeds), force_map, reachable)
+    check(plant, config, seeds, known)
+    if known is None and config.begins_as_gaits:
+        known = find_gaits(plant, config, run_directory, progress)
+        check(plant, config, seeds, known)
+    run = TrainingRun(plant, config, tuple(seeds), known)
     state = run.start()
     done = 0
     steps_per_update = run.config.learning.steps_per_update
@@ -85,21 +85,31 @@ def train(
     return TrainingResult(config, limits, tuple(seeds), policies, evaluation, run.reachable)
 
 
-def find_map(
-    plant: Plant, config: TrainConfig, run_directory: RunDirectory, progress: Progress | None
-) -> ForceMap | None:
-    """Map the fin if policies start from gaits, or load the map of an interrupted run; otherwise
-    return None."""
-    if not config.begins_as_gaits:
-        return None
-    settings = config.gradient.map.merged({"box": config.training_range.model_dump()}, "cells")
+def find_gaits(
+    plant: Plant,
+    config: TrainConfig,
+    run_directory: RunDirectory,
+    progress: Progress | None,
+    surveyed: Survey | None = None,
+) -> KnownForces:
+    """Find gaits for all references of a configuration, or load those of an interrupted run.
+
+    After a survey, references that it found to be unreachable get no gaits.
+    """
+    box = config.training_range
+    # Without a survey, only the shapes matter here, and the box determines them.
+    region = Reachable(np.zeros(2), np.ones(config.gradient.map.survey.directions))
+    if surveyed is not None:
+        region = surveyed.reachable
+        box = box.clipped(*map(np.array, region.bounds()))
+    settings = config.gradient.map.merged({"box": box.model_dump()}, "cells")
     part = run_directory.part("map")
-    # Only the shapes matter here: the box of the map is given, so no survey is needed.
-    coarse = settings.empty_table(Reachable(np.zeros(2), np.ones(settings.survey.directions)))
+    coarse = settings.empty_table(region)
     like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)
     if (resumed := part.load(like)) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
-        return stored
-    found = find_force_map(plant, settings, None if progress is None else partial(progress, "map"))
+        return stored.known
+    report = None if progress is None else partial(progress, "map")
+    found = find_force_map(plant, settings, report, surveyed)
     part.save(found, {})
-    return found
+    return found.known

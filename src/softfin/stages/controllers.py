@@ -4,7 +4,6 @@ Sec. III-C)."""
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from softfin.control.store import save_gaits
 from softfin.core.choices import EngineName
@@ -15,20 +14,22 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import MapConfig, check_star, find_force_map, load_force_map, save_map
-from softfin.gaits.gait import ForceMap, GaitTable
-from softfin.gaits.reachable import PAPER_REFERENCES, PAPER_SIZED, Reachable
+from softfin.gaits.gait import KnownForces
+from softfin.gaits.reachable import PAPER_REFERENCES, PAPER_SIZED
 from softfin.gaits.simulate import missing_gradient, survey
 from softfin.learning.configuration import TrainConfig, check, choose_preset, fit_to_reach
 from softfin.learning.controllers import save_controller, write_learning
 from softfin.learning.ray_training import check_cluster, train_on_ray
+from softfin.learning.run import TrainingResult
+from softfin.learning.train import find_gaits as search_gaits
 from softfin.learning.train import train as train_in_process
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.channels import learnt_from
 
-MakeConfig = Callable[[Reachable, GaitTable | None], TrainConfig]
-"""Function that returns the configuration for the forces that a fin can make, and its gaits."""
+MakeConfig = Callable[[KnownForces], TrainConfig]
+"""Function that returns the configuration for the forces that a fin can make."""
 
 
 def map_forces(
@@ -136,41 +137,64 @@ def train(
     gradients.
 
     By default, one policy is trained for all forces that the fin can produce, by gradients if the
-    plant is differentiable. A configuration may also be a function of the reachable forces and the
-    gaits. `force_map`, the folder of a map of the plant, provides both. Without it, the fin is
-    mapped, unless a fixed configuration starts without gaits; unreachable references are then used
-    unchanged. One seed writes the controller's folder `out`; several write
+    plant is differentiable. A configuration may also be a function of the forces that the fin can
+    produce. `force_map`, the folder of a map of the plant, contains them. Without it, they are
+    searched for, unless a fixed configuration starts without gaits; unreachable references are then
+    used unchanged. One seed writes the controller's folder `out`; several write
     ``out/seed-N``. The `engine` trains everything in this process, as one program, or in parts on a
     Ray `cluster`. The `reason` for the algorithm is stored with the controller.
     """
     _check_engine(engine, cluster)
     moving = find_plant(plant)
-    given_map = None
-    if force_map is not None:
-        given_map = load_force_map(force_map, moving, plant_name(plant)).force_map
-    config, reason, can, reachable = _plan(moving, config, reason, given_map, seeds, progress)
-    origin = _origin(plant, moving, force_map)
     learnt = learnt_from(plant)
-    origin["algorithm"] = reason or f"{config.algorithm}, as configured"
+    loaded = known = None
+    if force_map is not None:
+        loaded = load_force_map(force_map, moving, plant_name(plant)).force_map
+        known = loaded.known
+    if config is None:
+        preset, reason = choose_preset(moving, "single")
+        config = partial(fit_to_reach, preset)
+    proposal = config
+    if not isinstance(proposal, TrainConfig):
+        # As long as the reach is unknown, the configuration for the paper's fin identifies the run.
+        proposal = proposal(known or KnownForces(PAPER_SIZED))
     metadata = {
-        "configuration": config.model_dump(mode="json"),
+        "configuration": proposal.model_dump(mode="json"),
+        "fitted_to_reach": proposal is not config,
         "seeds": list(seeds),
         "plant": identity(moving, computed=True),
-        "map": None if can is None else can.to_dict(),
+        "map": None if loaded is None else loaded.to_dict(),
     }
     # Before the run directory is claimed: a configuration that cannot be trained leaves no trace.
-    check(moving, config, seeds, can, reachable)
+    check(moving, proposal, seeds, known)
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:
         return run_directory.finish()
+    if not isinstance(config, TrainConfig):
+        if known is None:
+            known = _find_forces(moving, config, proposal, seeds, run_directory, progress)
+        config = config(known)
+    origin = _origin(plant, moving, force_map)
+    origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     if reason is not None:
         progress("algorithm", 1.0, reason)
     if engine == "ray":
-        trained = train_on_ray(
-            moving, config, seeds, run_directory, progress, can, cluster, reachable
-        )
+        trained = train_on_ray(moving, config, seeds, run_directory, progress, known, cluster)
     else:
-        trained = train_in_process(moving, config, seeds, run_directory, progress, can, reachable)
+        trained = train_in_process(moving, config, seeds, run_directory, progress, known)
+    _write_controllers(out, trained, origin, learnt, run_directory)
+    run_directory.finish()
+
+
+def _write_controllers(
+    out: Path,
+    trained: TrainingResult,
+    origin: JsonObject,
+    learnt: JsonObject,
+    run_directory: RunDirectory,
+) -> None:
+    """Write the controller of one seed to `out`, or those of several to ``out/seed-N``."""
+    overwrite = run_directory.overwrite
 
     def save(folder: Path, seed: int, extra_files: Callable[[Path], None] | None = None) -> None:
         save_controller(
@@ -182,71 +206,43 @@ def train(
         write_learning(folder / TRAINING_LOG)
 
     def save_all(folder: Path) -> None:
-        for seed in seeds:
+        for seed in trained.seeds:
             save(folder / f"seed-{seed}", seed)
-        artifacts.write_description(folder, "controllers", {"seeds": list(seeds)})
+        artifacts.write_description(folder, "controllers", {"seeds": list(trained.seeds)})
         keep_log(folder)
 
-    if len(seeds) == 1:
-        save(out, seeds[0], keep_log)
+    if len(trained.seeds) == 1:
+        save(out, trained.seeds[0], keep_log)
     else:
         artifacts.write_folder(out, save_all, overwrite)
-    run_directory.finish()
 
 
-class TrainingPlan(NamedTuple):
-    """Configuration of a training run, and the reach of its fin."""
-
-    config: TrainConfig
-    reason: str | None
-    """Reason for the algorithm, if it was chosen here or by the caller."""
-    force_map: ForceMap | None
-    reachable: Reachable | None
-    """Forces that the fin can make, if they are known."""
-
-
-def _plan(
+def _find_forces(
     plant: Plant,
-    config: TrainConfig | MakeConfig | None,
-    reason: str | None,
-    force_map: ForceMap | None,
+    make_config: MakeConfig,
+    proposal: TrainConfig,
     seeds: Sequence[int],
+    run_directory: RunDirectory,
     progress: Progress,
-) -> TrainingPlan:
-    """Find what the fin can make, unless the configuration does not depend on it."""
-    if isinstance(config, TrainConfig):
-        reachable = None if force_map is None else force_map.reachable
-        return TrainingPlan(config, reason, force_map, reachable)
-    if config is None:
-        preset, reason = choose_preset(plant, "single")
-        config = partial(fit_to_reach, preset)
-    if force_map is None:
-        # The settings of the search are the same whatever it finds, and what is wrong with the
-        # budget is reported before it.
-        proposal = config(PAPER_SIZED, None)
-        check(plant, proposal, seeds)
-        force_map, reachable = _find_reach(plant, proposal.gradient.map, progress)
-    else:
-        reachable = force_map.reachable
-    table = None if force_map is None else force_map.gaits.table
-    return TrainingPlan(config(reachable, table), reason, force_map, reachable)
-
-
-def _find_reach(
-    plant: Plant, config: MapConfig, progress: Progress
-) -> tuple[ForceMap | None, Reachable]:
-    """Return the map of a fin, and the forces that it can make; a plant without gradients is only
-    surveyed, which gives no gaits."""
-    if missing_gradient(plant) is None:
-        force_map = find_force_map(plant, config, partial(progress, "map"))
-        return force_map, force_map.reachable
-    without_gradients = config.survey.model_copy(update={"pushes": 0})
-    reachable = survey(plant, without_gradients, partial(progress, "survey")).reachable
-    if reachable.reach_n == 0:
+) -> KnownForces:
+    """Survey the forces that a fin can produce, and find gaits for them if policies start from
+    gaits."""
+    settings = proposal.gradient.map.survey
+    if missing_gradient(plant) is not None:
+        settings = settings.model_copy(update={"pushes": 0})
+    surveyed = survey(plant, settings, partial(progress, "survey"))
+    known = KnownForces(surveyed.reachable)
+    if not known.reachable.radius.any():
         raise PlantError(
             "this plant produces no mean force, whatever its commands; check its model"
         )
-    return None, reachable
+    # References that the fin cannot reach are reported before the search for gaits, which takes
+    # most of the time.
+    config = make_config(known)
+    check(plant, config, seeds, known)
+    if config.begins_as_gaits:
+        known = search_gaits(plant, config, run_directory, progress, surveyed)
+    return known
 
 
 def _check_engine(engine: EngineName, cluster: str | None) -> None:
