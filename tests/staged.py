@@ -26,7 +26,6 @@ from softfin.storage.registry import find_plant
 from softfin.surrogate import Surrogate, save_surrogate
 from softfin.surrogate.channels import COMMAND_COLUMNS, ChannelScaling, Scaling
 from softfin.surrogate.streaming import profile
-from softfin.task.references import PAPER_RANGE
 from tests.control.test_controllers import untrained
 from tests.data import bags
 from tests.data.faulty import to_columns
@@ -69,19 +68,24 @@ FIT = {
 }
 STREAMING = streaming.CONFIG.model_dump(mode="json") | {"drive_updates": 2, "force_updates": 2}
 
-CELL = {"low": [0.5, -1.5], "high": [1.5, -0.5]}
 SIZE = {
     "num_evaluations": 1,
     "lattice": 1,
-    "cells": [CELL],
     "policy": {"units": 8, "width": 8},
     "task": {"episode_actions": 9},
 }
-LEARNING = {"warm_start": False, "num_envs": 2, "num_steps": 3, "learning_rate": 1e-3}
+SURVEY = {"batch": 704, "directions": 8, "pushes": 0}
+LEARNING = {
+    "warm_start": False,
+    "num_envs": 2,
+    "num_steps": 3,
+    "learning_rate": 1e-3,
+    "map": {"survey": SURVEY},
+}
 GRADIENT = {**SIZE, "steps": 6, "gradient": LEARNING}
 """One learning rate for both kinds of controller, so that one program learns both."""
 MAP = {
-    "survey": {"batch": 704, "directions": 8, "pushes": 0},
+    "survey": SURVEY,
     "gaits": {"steps": 6},
     "box": {"low": [1, -1], "high": [2, 0]},
     "spacing_n": 1,
@@ -102,7 +106,6 @@ CONFIGURATIONS = MappingProxyType(
         "paper.yaml": FIT,
         "map.yaml": MAP,
         "train.yaml": GRADIENT,
-        "train-all.yaml": {**GRADIENT, "cells": [PAPER_RANGE.model_dump(mode="json")]},
         # The parameters of the document, so that one program calibrates in both.
         "calibrate.yaml": yaml.safe_load((ROOT / "docs/calibration.yaml").read_text()) | CALIBRATE,
         "tank.yaml": COARSE,

@@ -58,7 +58,7 @@ ones count."""
 
 IN_THE_README = {
     # All references are covered that later commands ask for.
-    "train": "--config train-all.yaml",
+    "train": "--config train.yaml --range paper",
     "evaluate": "--plant tank.yaml",
     "rig --arm": "--yes",
     "run --arm": "--yes --seconds 1",

@@ -32,7 +32,6 @@ RECORD = (
     str(ROWS),
     "--out",
 )
-CELLS = [{"low": [0.5, -0.5], "high": [1.5, 0.5]}, {"low": [1.5, -0.5], "high": [2.5, 0.5]}]
 
 
 def run(capsys, *words):
@@ -70,15 +69,18 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
     )
     assert json.loads((tmp_path / "surrogate" / "surrogate.json").read_text()) == description
 
-    for kind, cells in (("single", CELLS[:1]), ("grid", CELLS)):
+    for kind, cells in (("single", ()), ("grid", ("--cells", "1x2"))):
         controller = str(tmp_path / kind)
         judged = str(tmp_path / f"{kind}-judged")
-        config = write(tmp_path / f"{kind}.yaml", {**TRAIN, "cells": cells})
+        config = write(tmp_path / f"{kind}.yaml", TRAIN)
         words = (
             "train",
             surrogate,
             "--controller",
             kind,
+            "--range",
+            "paper",
+            *cells,
             "--algorithm",
             "ppo",
             "--config",
@@ -88,7 +90,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
         )
         trained = run(capsys, *words)
         assert run(capsys, *words, "--resume") == trained
-        assert {row["cell"] for row in trained["scores"]} == set(range(len(cells)))
+        assert {row["cell"] for row in trained["scores"]} == set(range(1 + len(cells) // 2))
         scored = run(
             capsys,
             "evaluate",
@@ -121,7 +123,7 @@ def test_each_command_reads_what_the_one_before_wrote(capsys, tmp_path, monkeypa
             ]
         )
     assert stop.value.code == 2
-    assert "reference (9, 0) N: 6.5 N outside the nearest of 2 cells" in capsys.readouterr().err
+    assert "reference (9, 0) N: 5.5 N outside the nearest of 2 cells" in capsys.readouterr().err
     left_behind = [path.name for path in tmp_path.iterdir() if path.name.startswith(".")]
     assert left_behind == []
 

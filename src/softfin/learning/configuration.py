@@ -180,7 +180,7 @@ TRAIN_PRESETS: Mapping[tuple[AlgorithmPreset, PolicyLayout], TrainConfig] = Mapp
 
 
 def choose_preset(
-    plant: Plant, controller: PolicyLayout = "grid", algorithm: AlgorithmOption = "auto"
+    plant: Plant, controller: PolicyLayout = "single", algorithm: AlgorithmOption = "auto"
 ) -> tuple[TrainConfig, str]:
     """Return the preset for a plant and the reason for its algorithm; `auto` uses gradients if the
     plant has them."""
