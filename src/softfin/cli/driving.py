@@ -275,7 +275,7 @@ class Ros2Arguments(NodeOptions, Driving):
     def __call__(self) -> None:
         from softfin.rig.machine import machine_clock
         from softfin.rig.ros2.config import NodeConfig
-        from softfin.rig.ros2.node import RosNode
+        from softfin.rig.ros2.node import RosNode, default_reference_limit
         from softfin.rig.ros2.plant import Ros2Machine, open_transport
         from softfin.rig.simulated_clock import SimulatedClock
 
@@ -298,6 +298,7 @@ class Ros2Arguments(NodeOptions, Driving):
                 topics,
                 say,
                 lambda asked: resolve_reference(controller, asked, self.strict),
+                default_limit_n=default_reference_limit(controller),
             )
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)
