@@ -319,7 +319,7 @@ def test_the_allowed_drift_follows_the_peak_force_of_the_fin(tmp_path, strength,
 
 
 def test_a_log_of_an_earlier_version_has_the_drift_limit_of_the_papers_fin(tmp_path):
-    with emulated() as (behind, robot):
+    with emulated() as (_, robot):
         stopped_in_the_second_log(robot, tmp_path / "data")
         (state,) = find_bags(tmp_path / "data").glob("*.sensor.json")
         before = json.loads(state.read_text())
