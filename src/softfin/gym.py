@@ -41,6 +41,9 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     package.module:plant. The plant is loaded when the environment is created; create a new
     environment if the plant changes. In render mode ``rgb_array``, `render` draws the fin, its
     force, the reference and the traces of the episode so far.
+
+    The default `references` and `config` suit the paper's fin; pass others for a fin of another
+    size.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012

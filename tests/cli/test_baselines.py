@@ -45,6 +45,10 @@ def test_baselines_are_a_table_and_a_json(capsys, tmp_path):
     clipped = next(line for line in means if line.startswith("inverse_1.1_hz"))
     assert clipped.endswith("1 of 1 clipped by the limits")
     assert means[-1].endswith("left out: no sb3")
+    small = result["baselines"]["still"]
+    small["references"][0]["reference_n"] = [0.2, -0.1]
+    last = baselines_table({"still": small}, {}).splitlines()[-1]
+    assert last.split()[1] == f"{small['mean']['x']['error_n']:.4f}"
 
 
 @pytest.mark.parametrize(

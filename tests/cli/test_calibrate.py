@@ -84,6 +84,12 @@ def test_options_reach_the_stage_and_the_result_is_a_table(capsys, tmp_path, mon
     assert json.loads(capsys.readouterr().out)["parameters"] == RESULT["parameters"]
 
 
+def test_errors_of_a_small_fin_have_two_digits():
+    scores = {channel: {"r2": 0.9, "rmse": 0.0034} for channel in ("angle", "force_x", "force_y")}
+    text = calibration_tables(RESULT | {"scores": {"train": scores, "test": scores}})
+    assert "0.900 (0.0034 N)" in text
+
+
 def test_the_table_says_what_is_determined_what_is_at_an_end_and_what_trades():
     text = calibration_tables(RESULT)
     assert "unseen segments  0.900 (0.12 rad)  0.900 (0.12 N)  0.900 (0.12 N)" in text

@@ -9,6 +9,7 @@ from softfin.cli import driving
 from softfin.control.controller import Artifact, LoadedController
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import Command, Limits
+from softfin.gaits.reachable import Cell, Reachable
 from softfin.rig.machine import Machine, Sample
 from softfin.rig.robot_setup import RobotSetup
 from softfin.rig.ros2.config import Ros2PlantConfig
@@ -148,6 +149,29 @@ def test_references_of_the_topic_are_held_and_every_sample_goes_out(there, tmp_p
     assert (tmp_path / "run.mcap").is_file()
     assert there.fin.stops
     assert there.transport.closed
+
+
+def test_the_limit_of_references_covers_what_the_controller_was_trained_for(
+    there, tmp_path, monkeypatch
+):
+    messages = there.transport.messages
+    monkeypatch.setattr(Controller, "cells", (Cell(low=(0, -30), high=(30, 30)),))
+    monkeypatch.setattr(Controller, "check", lambda self, reference: None)
+    there.fin.on_enable = lambda: there.transport.put(
+        "/fin/reference", messages.wrench(0, "", (29.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    )
+    bag = str(tmp_path / "run.mcap")
+    run("--reference=0,0", "--arm", "--yes", "--seconds", "1", "--bag", bag)
+    assert there.controller.asked[0] == (29.0, 0.0)
+
+
+def test_the_lines_have_more_decimals_for_a_small_fin(there, tmp_path, monkeypatch, capsys):
+    region = Reachable(np.zeros(2, np.float32), np.full(8, 0.15, np.float32))
+    monkeypatch.setattr(Controller, "reachable", region)
+    bag = str(tmp_path / "run.mcap")
+    run("--reference=0.1234,0", "--arm", "--yes", "--seconds", "1", "--bag", bag)
+    err = capsys.readouterr().err
+    assert "reference (+0.123, +0.000) N  mean over 2 s (+0.5000, +0.0000) N" in err
 
 
 def test_a_stop_of_the_topic_ends_it_with_its_own_exit_code(there, tmp_path, capsys):

@@ -1,4 +1,5 @@
 import json
+import re
 
 import jax
 import numpy as np
@@ -181,6 +182,16 @@ def test_strictly_it_is_refused_with_time_and_force():
         )
 
 
+def test_the_missed_force_of_a_small_fin_has_more_decimals():
+    class Small(Covering):
+        cells: tuple[Cell, ...] = (Cell(low=(0.0, -0.1), high=(0.2, 0.1)),)
+        reachable: Reachable = Reachable(np.float32([0.05, 0]), np.full(64, 0.05, np.float32))
+
+    recorded = Recorded(time_s=(0, 3), force_n=((0.05, 0), (0.1234, 0)))
+    with pytest.raises(CoverageError, match=r"misses it by up to 0\.0234 N"):
+        plan_moving(Small(), [], recorded, strict=True)
+
+
 def test_a_controller_without_cells_has_the_papers_range():
     assert isinstance(Flapper(), Controller)
     assert controller_range(Flapper()) == controller_range(Covering()) == PAPER_RANGE
@@ -240,3 +251,10 @@ def test_the_figure_shows_the_reference_beside_the_moving_average(moving):
     assert axes[0].get_title(loc="left").startswith("step (1, 0) to (2, 0) N at 3 s\nerror ")
     assert axes[0].get_title(loc="left").endswith("never settles")
     assert axes[3].get_ylabel() == "angle [°]"
+
+
+def test_the_errors_in_the_figure_have_more_decimals_for_a_small_fin(moving):
+    recording = moving.recording
+    small = moving._replace(recording=recording._replace(reference=0.06 * recording.reference))
+    title = moving_figure([small]).get_axes()[0].get_title(loc="left")
+    assert re.search(r"error \d\.\d{3}, \d\.\d{3} N", title)

@@ -99,6 +99,18 @@ def test_the_papers_references_are_marked_and_reachable_forces_outlined(errors):
     assert len(error_map_figure(errors).get_axes()[0].get_lines()) == 1
 
 
+def test_a_small_fin_has_more_decimals_and_no_references_of_the_paper(errors):
+    small = errors._replace(
+        cell=Cell(low=(0.025, -0.075), high=(0.175, 0.075)),
+        references=0.05 * errors.references,
+        error=0.05 * errors.error,
+    )
+    axes = error_map_figure(small).get_axes()[0]
+    assert axes.get_lines()[:] == []
+    assert axes.get_xlim() == (0.025, 0.175)
+    assert axes.texts[0].get_text() == f"{small.error[0, 0]:.3f}"
+
+
 def test_the_map_takes_the_reachable_forces_from_the_controller():
     class Knowing(Covering):
         reachable: Reachable = Reachable(np.float32([2, 0]), np.full(8, 1.2, np.float32))

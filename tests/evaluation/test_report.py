@@ -210,6 +210,15 @@ def test_the_headline_says_which_forces_are_missed_and_that_a_fin_stands_still(e
     assert headline({}) is None
 
 
+def test_the_errors_of_a_small_fin_have_more_decimals(tmp_path):
+    config = EvaluateConfig(references=((0.2, 0), (0.1, 0.1)), seconds=4, seeds=3)
+    evaluation = score_controller(Flapper(), AnalyticFin(noise_n=0.3), config)
+    write_report(tmp_path / "report.html", {"controllers": {"single": evaluation.summary()}})
+    page = Page((tmp_path / "report.html").read_text())
+    error = evaluation.scores.error[0, :, 0].mean()
+    assert re.search(rf"\(0\.2, 0\) {error:.4f} ±\d\.\d{{3}} ", page.words)
+
+
 def test_the_page_begins_with_the_headline(page):
     assert page.tags.index("strong") < page.tags.index("nav") < page.tags.index("table")
     assert (

@@ -4,11 +4,13 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.figure import map_figure
 from softfin.gaits.force_map import MapConfig, save_map
-from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.gaits.gait import ForceMap
+from softfin.gaits.reachable import PAPER_REFERENCES, Reachable
 from softfin.storage.figures import save_figure
 from tests.gaits.test_map_store import KNOWN
 
@@ -59,6 +61,17 @@ def test_everything_is_within_the_frame():
     for low_high, values in zip((axes.get_xlim(), axes.get_ylim()), points.T, strict=True):
         assert low_high[0] < values.min()
         assert values.max() < low_high[1]
+
+
+def test_the_frame_and_the_marks_suit_a_small_fin():
+    reachable = Reachable(*(np.float32(0.05) * part for part in KNOWN.reachable))
+    table = KNOWN.gaits.table
+    small = table._replace(low=0.05 * table.low, high=0.05 * table.high)
+    lines, axes, _ = drawn(ForceMap(KNOWN.gaits._replace(table=small), reachable))
+    assert "the paper's references" not in lines
+    low, high = reachable.bounds()
+    margin = 0.2 * reachable.size
+    assert axes.get_xlim() == pytest.approx((low[0] - margin, high[0] + margin))
 
 
 def test_a_fin_whose_gaits_cost_all_the_same_is_drawn_too(tmp_path):

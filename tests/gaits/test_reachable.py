@@ -134,6 +134,18 @@ def test_it_comes_back_from_its_description(region):
     np.testing.assert_allclose(again.corners(), region.corners(), atol=5e-5)
 
 
+@pytest.mark.parametrize("scale", [1e-3, 0.06, 10.0, 1000.0])
+def test_a_description_has_as_many_digits_for_a_fin_of_any_size(scale):
+    region = Reachable(np.zeros(2, np.float32), scale * np.float32([1.234567, 2.345678, 1.111111]))
+    again = Reachable.from_dict(region.to_dict())
+    np.testing.assert_allclose(again.radius, region.radius, rtol=1e-5)
+
+
+def test_the_description_of_the_papers_fin_has_five_decimals():
+    region = Reachable(np.float32([1.234567, -1.234567]), np.full(4, 2.345678, np.float32))
+    assert region.to_dict() == {"centre_n": [1.23457, -1.23457], "radius_n": [2.34568] * 4}
+
+
 @pytest.mark.parametrize(
     "changes",
     [

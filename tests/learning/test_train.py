@@ -17,7 +17,7 @@ from softfin.learning.configuration import GRID, SINGLE, TrainConfig
 from softfin.learning.policy import Policy, PolicyConfig
 from softfin.learning.ppo import PPOConfig
 from softfin.learning.rollout import PolicyEvaluation
-from softfin.learning.run import TrainingResult, TrainingRun
+from softfin.learning.run import RunState, TrainingResult, TrainingRun
 from softfin.learning.train import train
 from softfin.storage.run_directory import CHECKPOINT, RunDirectory, read_training_log
 from softfin.task.task import TaskConfig
@@ -228,3 +228,19 @@ def test_an_episode_without_a_whole_window_is_refused_before_the_work(tmp_path: 
         ConfigurationError, match=r"episode_actions = 3: an episode of 100 samples .* window of 200"
     ):
         trained(tmp_path, config=SMALL.changed(["task.episode_actions=3"]))
+
+
+@pytest.mark.parametrize(
+    ("scale", "expected"),
+    [
+        (1.0, "error 0.12/0.35 N, best deterministic 0.12/0.35 N"),
+        (0.05, "error 0.006/0.017 N, best deterministic 0.006/0.017 N"),
+    ],
+)
+def test_the_progress_shows_errors_with_decimals_for_the_size_of_the_fin(scale, expected):
+    run = TrainingRun(AnalyticFin(), TrainConfig(cells=(Cell.around((2, 0)),)), (0,), None)
+    run.references = scale * run.references
+    error = np.full((1, 4, 2), scale * np.array([0.12, 0.35]))
+    metrics = {"error_x_n": np.array([scale * 0.12]), "error_y_n": np.array([scale * 0.35])}
+    state = RunState(None, None, PolicyEvaluation(error, error, None))
+    assert run.note(metrics, state) == expected

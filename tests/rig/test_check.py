@@ -28,6 +28,15 @@ def test_a_force_that_is_not_zero_is_a_note_and_says_what_to_do(tmp_path):
     assert "softfin rig zero --force" in found["force at rest"].text
 
 
+def test_a_large_fin_has_more_room_for_a_force_that_counts_as_zero(tmp_path):
+    with emulated(force_peak_n=300.0) as (behind, robot):
+        behind.fin.now = lambda now=behind.fin.now: now()._replace(
+            wrench=(0.0, 1.5, 0.0, 0.0, 0.0, 0.0)
+        )
+        found = findings(robot.machine, tmp_path)
+    assert found["force at rest"].state == "well"
+
+
 def test_a_folder_that_cannot_be_written_is_wrong(tmp_path):
     (tmp_path / "file").write_text("")
     with emulated() as (_, robot):

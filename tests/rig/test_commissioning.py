@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 
+import numpy as np
 import pytest
 import yaml
 
@@ -250,6 +251,28 @@ def test_a_drive_that_stands_and_keeps_its_power_is_not_at_rest_without_power():
     death = watch.watch(watch.died, 0.0)
     assert death.seconds == pytest.approx(0.5, abs=0.01)
     assert death.way_rad == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("strength", "change_n", "required", "passed"),
+    [(1.0, 0.02, "at most 0.01 N", False), (100.0, 0.9, "at most 1 N", True)],
+)
+def test_the_force_at_rest_may_change_by_a_share_of_the_peak_force(
+    site, monkeypatch, strength, change_n, required, passed
+):
+    now = site.behind.fin.now
+
+    def stronger():
+        state = now()
+        return state._replace(wrench=tuple(strength * load for load in state.wrench))
+
+    site.behind.fin.now = stronger
+    site.values["safety"] |= {"force_peak_n": 500.0, "force_sustained_n": 400.0}
+    site.pass_until(7)
+    at_rest = iter([np.zeros(3), np.array([0.0, change_n, 0.0])])
+    monkeypatch.setattr(steps, "_force_at_rest", lambda context: next(at_rest))
+    (item,) = (item for item in site.run(7).items if item.what == "change of the force at rest")
+    assert (item.required, item.passed) == (required, passed)
 
 
 @pytest.mark.parametrize("number", [4, 5, 6, 7])

@@ -85,6 +85,27 @@ def test_a_force_that_varies_along_one_axis_alone_is_not_made_the_zero(bench, ax
     assert not record_file(config.file).exists()
 
 
+@pytest.mark.parametrize(("peak_n", "allowed_n"), [(5.0, 0.3), (40.0, 0.3), (300.0, 3.0)])
+def test_a_large_fin_may_rest_in_rougher_water(bench, peak_n, allowed_n):
+    behind, config = bench
+    safety = config.safety.model_copy(update={"force_peak_n": peak_n})
+    rough = config.model_copy(update={"safety": safety})
+    still = behind.fin.now
+
+    def waves(deviation_n):
+        def now():
+            force = math.sqrt(2) * deviation_n * math.sin(2 * math.pi * behind.clock())
+            return still()._replace(wrench=(force, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+        return now
+
+    behind.fin.now = waves(0.9 * allowed_n)
+    zero_force(rough, 2.0, behind.clock)
+    behind.fin.now = waves(1.1 * allowed_n)
+    with pytest.raises(DeviceError, match=f"but at most {allowed_n:g} N is allowed"):
+        zero_force(rough, 2.0, behind.clock)
+
+
 def test_the_zero_is_recorded_beside_the_rigs_file(bench):
     behind, config = bench
     zero_force(config, 0.2, behind.clock)

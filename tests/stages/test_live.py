@@ -296,3 +296,40 @@ def test_a_force_at_rest_that_hardly_changes_gets_no_warning(tmp_path):
         two_logs(robot, tmp_path / "data", warn=warnings.append)
     assert warnings == []
     assert json.loads((tmp_path / "data" / "dataset.json").read_text())["sensor_warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("strength", "drift_n", "limits"), [(1.0, 0.05, ["limit 0.01 N"]), (60.0, 0.3, [])]
+)
+def test_the_allowed_drift_follows_the_peak_force_of_the_fin(tmp_path, strength, drift_n, limits):
+    warnings = []
+    with emulated(force_peak_n=500.0, force_sustained_n=400.0) as (behind, robot):
+        robot = dataclasses.replace(robot, settle_s=1.0)
+        read = behind.fin.now
+
+        def stronger():
+            state = read()
+            return state._replace(wrench=tuple(strength * load for load in state.wrench))
+
+        behind.fin.now = stronger
+        stopped_in_the_second_log(robot, tmp_path / "data")
+        pull(behind.fin, 0.0, drift_n)
+        two_logs(robot, tmp_path / "data", resume=True, warn=warnings.append)
+    assert [re.search(r"limit [\d.]+ N", warning)[0] for warning in warnings] == limits
+
+
+def test_a_log_of_an_earlier_version_has_the_drift_limit_of_the_papers_fin(tmp_path):
+    with emulated() as (_, robot):
+        stopped_in_the_second_log(robot, tmp_path / "data")
+        (state,) = find_bags(tmp_path / "data").glob("*.sensor.json")
+        before = json.loads(state.read_text())
+        del before["force_peak_n"]
+        state.write_text(json.dumps(before))
+        assert len(two_logs(robot, tmp_path / "data", resume=True).train) == 2
+
+
+def test_the_progress_has_more_decimals_for_a_small_fin(tmp_path):
+    notes = []
+    with emulated(force_peak_n=2.0, force_sustained_n=1.9) as (_, robot):
+        two_logs(robot, tmp_path / "data", progress=lambda *words: notes.append(words[2]))
+    assert all(re.search(r"\([+-]\d\.\d{3}, [+-]\d\.\d{3}\) N", note) for note in notes)

@@ -29,6 +29,7 @@ from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
+from softfin.gaits.reachable import force_decimals
 from softfin.rig.loop import (
     ActionResult,
     LiveReference,
@@ -187,6 +188,8 @@ def _follow(
     seconds: int | None,
 ) -> JsonObject:
     """Run the controller and print one line per second; returns the errors over the last window."""
+    reachable = controller.reachable
+    decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
     window: list[ActionResult] = []
     ticks = printed = 0
     actions = None if seconds is None else seconds * len(ACTION_TICKS)
@@ -198,10 +201,11 @@ def _follow(
         ticks += len(result.samples)
         if ticks - printed >= RATE_HZ:
             printed = ticks
+            reference = ", ".join(f"{force:+.{decimals}f}" for force in result.reference)
+            mean = ", ".join(f"{force:+.{decimals + 1}f}" for force in (x, y))
             line = (
-                f"{ticks / RATE_HZ:7.1f} s  reference ({result.reference[0]:+.2f}, "
-                f"{result.reference[1]:+.2f}) N  "
-                f"mean over 2 s ({x:+.3f}, {y:+.3f}) N  angle {result.samples[-1].angle:+.2f} rad"
+                f"{ticks / RATE_HZ:7.1f} s  reference ({reference}) N  "
+                f"mean over 2 s ({mean}) N  angle {result.samples[-1].angle:+.2f} rad"
             )
             try:
                 say(line)
@@ -275,7 +279,7 @@ class Ros2Arguments(NodeOptions, Driving):
     def __call__(self) -> None:
         from softfin.rig.machine import machine_clock
         from softfin.rig.ros2.config import NodeConfig
-        from softfin.rig.ros2.node import RosNode
+        from softfin.rig.ros2.node import RosNode, default_reference_limit
         from softfin.rig.ros2.plant import Ros2Machine, open_transport
         from softfin.rig.simulated_clock import SimulatedClock
 
@@ -298,6 +302,7 @@ class Ros2Arguments(NodeOptions, Driving):
                 topics,
                 say,
                 lambda asked: resolve_reference(controller, asked, self.strict),
+                default_limit_n=default_reference_limit(controller),
             )
             for note in (*transport.notes, *([] if warning is None else [warning])):
                 say(note)

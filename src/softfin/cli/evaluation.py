@@ -243,6 +243,7 @@ def baselines_table(
     """Return Table II for every baseline, then a table with each baseline's means and how often the
     limits of the plant or model clipped it."""
     from softfin.cli.tables import aligned, table_two
+    from softfin.evaluation.headline import error_decimals
 
     limited = ("angle_clipped", "velocity_clipped", "amplitude_limited", "direction_limited")
     rows = [["mean over the references [N]", "x error", "y error", "x std", "y std", ""]]
@@ -254,7 +255,8 @@ def baselines_table(
             any(row["commanded"].get(limit) for limit in limited) for row in summary["references"]
         )
         note = f"{clipped} of {len(summary['references'])} clipped by the limits" if clipped else ""
-        rows.append([name, *map("{:.3f}".format, means), note])
+        decimals = error_decimals(summary)
+        rows.append([name, *(f"{mean:.{decimals}f}" for mean in means), note])
     left = [f"{name}  left out: {why}" for name, why in left_out.items()]
     return "\n".join([table_two(summaries), "", *aligned(rows, (0, 5)), *left])
 
@@ -285,6 +287,7 @@ class ViewArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.evaluation.view.view import ViewConfig
+        from softfin.gaits.reachable import force_decimals
         from softfin.stages.evaluation import view
 
         centre = None if self.centre is None else {"centre_rad": self.centre}
@@ -305,13 +308,14 @@ class ViewArguments(Configured):
                 progress=report,
             )
         x, y = summary["mean_force_n"]
+        decimals = force_decimals(max(abs(x), abs(y)))
         frames = "" if summary["frames"] is None else f", {summary['frames']} frames"
         force = "true force" if summary["force"] == "true force" else "force"
         warning = "" if summary["warning"] is None else f"\nwarning: {summary['warning']}"
         self.tell(
             summary,
             f"{self.out}: {summary['title']}; {summary['seconds']:g} s{frames}, "
-            f"mean {force} ({x:.2f}, {y:.2f}) N{warning}",
+            f"mean {force} ({x:.{decimals}f}, {y:.{decimals}f}) N{warning}",
         )
 
 

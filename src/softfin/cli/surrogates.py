@@ -321,7 +321,7 @@ def calibration_tables(result: JsonObject) -> str:
     for part, title in (("train", "fitted segments"), ("test", "unseen segments")):
         rows = zip(result["scores"][part].values(), ("rad", "N", "N"), strict=True)
         scores.append(
-            [title, *(f"{row['r2']:.3f} ({row['rmse']:.2f} {unit})" for row, unit in rows)]
+            [title, *(f"{row['r2']:.3f} ({row['rmse']:.2g} {unit})" for row, unit in rows)]
         )
     parameters = [["parameter", "value", "error", "unit", "determined"]]
     for name, row in result["parameters"].items():

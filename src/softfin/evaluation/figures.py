@@ -19,7 +19,7 @@ from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving_references import MovingScores
 from softfin.evaluation.range_errors import ErrorMap
-from softfin.gaits.reachable import PAPER_REFERENCES
+from softfin.gaits.reachable import PAPER_REFERENCES, force_decimals
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
 TRAJECTORY_SECONDS = 5
@@ -180,7 +180,8 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     angles.set(ylabel="angle [°]", xlabel="time [s]", xlim=(0, time[-1]))
     panel.align_ylabels([*averages, forces, angles])
     row = moving.rows[index]
-    errors = f"error {row['x']['error_n']:.2f}, {row['y']['error_n']:.2f} N"
+    decimals = force_decimals(float(np.abs(reference).max()))
+    errors = f"error {row['x']['error_n']:.{decimals}f}, {row['y']['error_n']:.{decimals}f} N"
     if row["settles"] is not None:
         errors += (
             f"; settles in {row['longest_settling_s']:.2f} s"
@@ -202,6 +203,7 @@ def error_map_figure(errors: ErrorMap) -> Figure:
     column, row = np.floor(places).astype(int).T
     lattice[row, column] = errors.error
     greatest = float(errors.error.max())
+    decimals = force_decimals(max(map(abs, (left, bottom, right, top))))
     with styled():
         figure = new_figure(9.6, 4.6)
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
@@ -232,24 +234,26 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                     axes.text(
                         x,
                         y,
-                        f"{value:.2f}",
+                        f"{value:.{decimals}f}",
                         ha="center",
                         va="center",
                         fontsize=7,
                         bbox=patch,
                         color="white" if value > 0.6 * greatest else BLACK,
                     )
-            x, y = np.array(PAPER_REFERENCES, float).T
-            axes.plot(
-                x,
-                y,
-                "o",
-                fillstyle="none",
-                color=BLACK,
-                markersize=16,
-                markeredgewidth=1.4,
-                label="the paper's references",
-            )
+            # Fins of other sizes may produce none of them.
+            if any(errors.cell.distance(reference) == 0 for reference in PAPER_REFERENCES):
+                x, y = np.array(PAPER_REFERENCES, float).T
+                axes.plot(
+                    x,
+                    y,
+                    "o",
+                    fillstyle="none",
+                    color=BLACK,
+                    markersize=16,
+                    markeredgewidth=1.4,
+                    label="the paper's references",
+                )
             if errors.reachable is not None:
                 outline = np.concatenate([errors.reachable, errors.reachable[:1]])
                 axes.plot(

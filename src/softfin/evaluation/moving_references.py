@@ -234,10 +234,12 @@ def _resolve_signal(
     distance = np.hypot(*(near - references).T)
     if not distance.any():
         return references, None
+    decimals = force_decimals(float(np.abs(references).max())) + 1
     problem = (
         f"{signal}: this fin cannot produce the target force during "
         f"{np.count_nonzero(distance) / RATE_HZ:g} of {len(references) / RATE_HZ:g} s, starting at "
-        f"{np.argmax(distance > 0) / RATE_HZ:g} s, and misses it by up to {distance.max():.3f} N"
+        f"{np.argmax(distance > 0) / RATE_HZ:g} s, and misses it by up to "
+        f"{distance.max():.{decimals}f} N"
     )
     if strict:
         raise CoverageError(

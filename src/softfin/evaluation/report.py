@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ, Axis
 from softfin.evaluation.figures import add_legend
-from softfin.evaluation.headline import headline, over_seeds
+from softfin.evaluation.headline import error_decimals, headline, over_seeds
 from softfin.evaluation.paper import (
     PAPER_PRINTED_MEANS,
     PAPER_TABLE_II,
@@ -118,6 +118,7 @@ class Cell(NamedTuple):
 
     mean: float
     over_seeds: str
+    decimals: int
     reading: float | None = None
     """Mean of the same score, computed from the sensor readings [N]."""
     paper: float | None = None
@@ -168,41 +169,47 @@ def _tables_two(summaries: Mapping[str, EvaluationSummary]) -> dict[str, "Table"
 
 def _table_two(name: str, summary: EvaluationSummary) -> Table:
     published = PAPER_TABLE_II.get(name, {})
+    decimals = error_decimals(summary)
     rows = []
     for row in summary["references"]:
         x, y = row["reference_n"]
         still = row.get("still", False)
-        rows.append(_table_row(_force((x, y)), row, published.get((x, y)), still))
+        rows.append(_table_row(_force((x, y)), row, published.get((x, y)), decimals, still))
     papers = any(row.cells[0].paper is not None for row in rows)
     complete = {tuple(row["reference_n"]) for row in summary["references"]} == set(published)
     means = recomputed_means(name) if complete else None
-    rows.append(_table_row("mean", summary["mean"], means))
+    rows.append(_table_row("mean", summary["mean"], means, decimals))
     return Table(rows, papers, PAPER_PRINTED_MEANS[name] if complete else None)
 
 
 def _table_row(
-    label: str, row: MeanScores, paper: Sequence[float] | None, still: bool = False
+    label: str,
+    row: MeanScores,
+    paper: Sequence[float] | None,
+    decimals: int,
+    still: bool = False,
 ) -> TableRow:
     # In the order of the paper's columns: x error, x std, y error, y std.
     cells = []
     for axis in AXES:
-        cells += [_error_cell(row[axis]), _std_cell(row[axis])]
+        cells += [_error_cell(row[axis], decimals), _std_cell(row[axis], decimals)]
     if paper is not None:
         cells = [cell._replace(paper=value) for cell, value in zip(cells, paper, strict=True)]
     raw = [
-        Cell(scores["raw_std_n"], over_seeds(scores["raw_std_interval_n"], []))
+        Cell(scores["raw_std_n"], over_seeds(scores["raw_std_interval_n"], []), decimals)
         for scores in (row["x"], row["y"])
     ]
     return TableRow(label, cells, raw, row["shaft_travel_rad_s"], still)
 
 
-def _error_cell(scores: AxisScores) -> Cell:
-    text = over_seeds(scores["error_interval_n"], scores["error_seeds_n"])
-    return Cell(scores["error_n"], text, scores.get("reading_error_n"))
+def _error_cell(scores: AxisScores, decimals: int) -> Cell:
+    text = over_seeds(scores["error_interval_n"], scores["error_seeds_n"], decimals)
+    return Cell(scores["error_n"], text, decimals, scores.get("reading_error_n"))
 
 
-def _std_cell(scores: AxisScores) -> Cell:
-    return Cell(scores["std_n"], over_seeds(scores["std_interval_n"], scores["std_seeds_n"]))
+def _std_cell(scores: AxisScores, decimals: int) -> Cell:
+    text = over_seeds(scores["std_interval_n"], scores["std_seeds_n"], decimals)
+    return Cell(scores["std_n"], text, decimals)
 
 
 def _overview(results: RunResults) -> list[OverviewRow]:
@@ -215,8 +222,11 @@ def _overview(results: RunResults) -> list[OverviewRow]:
         settling = []
         for part in parts:
             summary = (part or {}).get(name)
-            mean = summary and summary["mean"]
-            errors.append(mean and [_error_cell(mean["x"]), _error_cell(mean["y"])])
+            cells = None
+            if summary:
+                decimals = error_decimals(summary)
+                cells = [_error_cell(summary["mean"][axis], decimals) for axis in AXES]
+            errors.append(cells)
             settling.append(summary and _settling(summary.get("moving", [])))
         rows.append(OverviewRow(name, errors, settling[:2]))
     return rows

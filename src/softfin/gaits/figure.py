@@ -11,6 +11,9 @@ from softfin.gaits.gait import ForceMap
 from softfin.gaits.reachable import PAPER_REFERENCES
 from softfin.storage.figures import BLACK, GREY, new_figure, styled
 
+MARGIN_N = 0.2
+"""Margin around the nodes [N], for the paper's fin."""
+
 
 def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
     """Plot the Sobolev term (form `mean`, both axes) of the gait at each reachable node.
@@ -51,20 +54,23 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
                 markersize=4,
                 label="no gait found for this force",
             )
-        x, y = np.array(PAPER_REFERENCES, float).T
-        axes.plot(
-            x,
-            y,
-            "o",
-            fillstyle="none",
-            color=BLACK,
-            markersize=11,
-            markeredgewidth=1.4,
-            path_effects=halo,
-            label="the paper's references",
-        )
-        left, bottom = np.minimum(nodes[0, 0], outline.min(axis=0)) - 0.2
-        right, top = np.maximum(nodes[-1, -1], outline.max(axis=0)) + 0.2
+        # Fins of other sizes may produce none of them.
+        if reachable.contains(PAPER_REFERENCES).any():
+            x, y = np.array(PAPER_REFERENCES, float).T
+            axes.plot(
+                x,
+                y,
+                "o",
+                fillstyle="none",
+                color=BLACK,
+                markersize=11,
+                markeredgewidth=1.4,
+                path_effects=halo,
+                label="the paper's references",
+            )
+        margin_n = MARGIN_N * reachable.size
+        left, bottom = np.minimum(nodes[0, 0], outline.min(axis=0)) - margin_n
+        right, top = np.maximum(nodes[-1, -1], outline.max(axis=0)) + margin_n
         axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
         axes.set(xlabel="mean force x [N]", ylabel="mean force y [N]")
         figure.colorbar(

@@ -38,6 +38,10 @@ PAPER_REACH_N = 2.4
 """Reach of the paper's fin in the virtual tank [N], as `Reachable.reach_n`. Tolerances, scales and
 weights were tuned on this fin. For other fins they are multiplied by `Reachable.size`."""
 
+PAPER_PEAK_N = 13.0
+"""Peak of the force of the paper's fin on one axis under random commands, in the virtual tank [N].
+At a rig, where the reach is unknown before the first logs, the peak determines the fin's size."""
+
 DECADE_SIZES = (1.0, 2.0, 5.0, 10.0)
 """Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
 numbers and do not depend on a reach's last digits."""
@@ -112,6 +116,16 @@ def force_decimals(largest_n: float | int) -> int:
     return max(2 - math.floor(math.log10(largest_n)), 0) if largest_n > 0 else 2
 
 
+def round_size(ratio: float) -> float:
+    """Round a force relative to that of the paper's fin to 1, 2 or 5 times a power of ten [-]; 1 if
+    it is 0."""
+    if ratio <= 0:
+        return 1.0
+    decade = 10.0 ** math.floor(math.log10(ratio))
+    nearest = min(DECADE_SIZES, key=lambda size: abs(math.log(ratio / decade / size)))
+    return float(f"{nearest * decade:.1g}")
+
+
 def cell_corners(cells: Sequence[Cell]) -> tuple[Forces, Forces]:
     """Return the lower and upper corners of cells, ``(cells, 2)`` float32 [N]."""
     low = np.array([cell.low for cell in cells], np.float32)
@@ -160,10 +174,11 @@ class Reachable(NamedTuple):
         return cls(centre, radius)
 
     def to_dict(self) -> JsonObject:
-        """Return the centre and the radii [N] for JSON."""
+        """Return the centre and the radii [N] for JSON, with six digits of the largest radius."""
+        decimals = force_decimals(float(np.max(self.radius))) + 3
         return {
-            "centre_n": [round(float(x), 5) for x in self.centre],
-            "radius_n": [round(float(x), 5) for x in self.radius],
+            "centre_n": [round(float(x), decimals) for x in self.centre],
+            "radius_n": [round(float(x), decimals) for x in self.radius],
         }
 
     def corners(self) -> Float[np.ndarray, "directions 2"]:
@@ -280,12 +295,7 @@ class Reachable(NamedTuple):
     def size(self) -> float:
         """Reach of the fin divided by that of the paper's fin, rounded to 1, 2 or 5 times a power
         of ten [-]; 1 for a fin that produces no force."""
-        ratio = self.reach_n / PAPER_REACH_N
-        if ratio <= 0:
-            return 1.0
-        decade = 10.0 ** math.floor(math.log10(ratio))
-        nearest = min(DECADE_SIZES, key=lambda size: abs(math.log(ratio / decade / size)))
-        return float(f"{nearest * decade:.1g}")
+        return round_size(self.reach_n / PAPER_REACH_N)
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the lower and upper corner (x, y) of the bounding box [N]."""

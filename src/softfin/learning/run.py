@@ -21,7 +21,7 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import named_key
 from softfin.gaits.gait import GaitTable, KnownForces
-from softfin.gaits.reachable import Reachable
+from softfin.gaits.reachable import Reachable, force_decimals
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient
 from softfin.learning.policy import Policy
@@ -227,9 +227,15 @@ class TrainingRun:
 
     def note(self, metrics: Metrics, state: RunState) -> str:
         """Return the latest errors as text for a progress bar."""
-        note = f"error {np.mean(metrics['error_x_n']):.2f}/{np.mean(metrics['error_y_n']):.2f} N"
-        x, y = np.mean(state.best_evaluation.error, axis=(0, 1))
-        return f"{note}, best deterministic {x:.2f}/{y:.2f} N" if np.isfinite(x + y) else note
+        decimals = force_decimals(float(np.abs(self.references).max()))
+
+        def shown(x: float, y: float) -> str:
+            return f"{x:.{decimals}f}/{y:.{decimals}f} N"
+
+        latest = (float(np.mean(metrics[f"error_{axis}_n"])) for axis in AXES)
+        note = f"error {shown(*latest)}"
+        best = np.mean(state.best_evaluation.error, axis=(0, 1)).tolist()
+        return f"{note}, best deterministic {shown(*best)}" if np.isfinite(best).all() else note
 
     def result(self, state: RunState) -> BestPolicies:
         """Return the best policies and their evaluation, by seed and cell, as NumPy arrays."""

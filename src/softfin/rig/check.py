@@ -11,7 +11,7 @@ from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
 from softfin.rig.epos2 import procedures, protocol
-from softfin.rig.force_zero import check_force_zero
+from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
 from softfin.rig.prove import check_proof
 from softfin.rig.rig import Rig
@@ -72,7 +72,7 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     mean, deviation = sensor.measured(1.0)
     force = ", ".join(f"{value:+.3f}" for value in mean[:3])
     noise = ", ".join(f"{value:.3f}" for value in deviation[:3])
-    is_zero = max(map(abs, mean[:3])) < 0.2
+    is_zero = max(map(abs, mean[:3])) < 2 * ZERO_N * tolerance_scale(rig.config)
     advice = "" if is_zero else "; with the fin at rest in the water, run: softfin rig zero --force"
     text = f"({force}) N, noise ({noise}) N per record{advice}"
     yield CheckResult("force at rest", "well" if is_zero else "note", text)

@@ -8,15 +8,18 @@ import datetime
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.core.json_object import JsonObject
+from softfin.gaits.reachable import round_size
 from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
 from softfin.rig.record import ForceZero, load_record, save_record
+from softfin.rig.safety import FORCE_PEAK_N
 
 MOVING_N = 0.3
-"""Standard deviation of the force above which the fin counts as moving [N]."""
+"""Standard deviation of the force above which the fin counts as moving [N], times
+`tolerance_scale`."""
 
 ZERO_N = 0.1
-"""Largest mean force after zeroing, in addition to its noise [N]."""
+"""Largest mean force after zeroing, in addition to its noise [N], times `tolerance_scale`."""
 
 ATTEMPTS = 3
 """Number of requests to set the zero; each is a single unacknowledged datagram that may be lost."""
@@ -39,18 +42,21 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
 
     Mean and noise are measured over `seconds`, before and after.
     """
+    scale = tolerance_scale(config)
+    moving_n = MOVING_N * scale
+    zero_n = ZERO_N * scale
     before, deviation = sensor.measured(seconds)
     worst = max(deviation[:3])
-    if worst > MOVING_N:
+    if worst > moving_n:
         raise DeviceError(
-            f"force varies by {worst:.2f} N, but at most {MOVING_N:g} N is allowed; wait until "
+            f"force varies by {worst:.2f} N, but at most {moving_n:g} N is allowed; wait until "
             "the water is calm"
         )
     for _ in range(ATTEMPTS):
         sensor.bias()
         after, noise = sensor.measured(seconds)
         is_zero = all(
-            abs(force) < ZERO_N + deviation
+            abs(force) < zero_n + deviation
             for force, deviation in zip(after[:3], noise[:3], strict=True)
         )
         if is_zero:
@@ -59,7 +65,7 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
         force = ", ".join(f"{value:+.2f}" for value in after[:3])
         raise DeviceError(
             f"force is still ({force}) N after zeroing {ATTEMPTS} times: each axis must be within "
-            f"{ZERO_N:g} N plus its noise; wait until the water is calm, check the sensor's "
+            f"{zero_n:g} N plus its noise; wait until the water is calm, check the sensor's "
             "network, and make sure that no other program uses the sensor"
         )
     zero = ForceZero(
@@ -74,6 +80,16 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
     save_record(config.file, record.model_copy(update={"force_zero": zero}))
     results = {"force_before_n": before, "force_after_n": after, "noise_n": noise}
     return {name: [round(value, 4) for value in values[:3]] for name, values in results.items()}
+
+
+def tolerance_scale(config: RigConfig) -> float:
+    """Return the factor by which tolerances of the force at rest exceed those for the paper's fin.
+
+    The zero matters for the safety limits, because each log and each run also subtracts its own
+    force at rest. So a large fin, whose `safety.force_peak_n` is large, may rest in rougher water.
+    For a small fin the tolerances stay the same, because the sensor's noise does.
+    """
+    return max(round_size(config.safety.force_peak_n / FORCE_PEAK_N), 1.0)
 
 
 def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:

@@ -20,6 +20,9 @@ from softfin.rig.machine import Sample, Target
 OVERSHOOT_RAD = 0.15
 """Angle beyond the command range that a fin may reach if stopped during a fast stroke [rad]."""
 
+FORCE_PEAK_N = 30.0
+"""Default of `SafetyConfig.force_peak_n` [N]."""
+
 
 class SafetyConfig(Configuration):
     """Safety limits; the defaults leave a margin for a fin like the paper's (less than 13 N and 7.3
@@ -32,8 +35,9 @@ class SafetyConfig(Configuration):
     acceleration_rad_s2: PositiveFloat = 200.0
     """Maximum angular acceleration of the shaft, averaged over 30 ms [rad/s2]; the drive's profile
     acceleration must not exceed it."""
-    force_peak_n: PositiveFloat = 30.0
-    """Maximum force on any axis at any time [N]."""
+    force_peak_n: PositiveFloat = FORCE_PEAK_N
+    """Maximum force on any axis at any time [N]. Above the default, the tolerances of the force at
+    rest grow in proportion."""
     force_sustained_n: PositiveFloat = 15.0
     """Maximum mean magnitude of the force over `sustained_s` [N]."""
     torque_peak_nm: PositiveFloat = 5.0

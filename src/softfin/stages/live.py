@@ -28,6 +28,7 @@ from softfin.data.importing.clocks import held_command, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
+from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
 from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
@@ -62,9 +63,9 @@ smoothly over this time."""
 STATE = "collect.json"
 
 DRIFT_N = 0.2
-"""Change in the rest force, since the first log of a collection, above which softfin warns [N]. The
-rest force is subtracted from each log, but a sensor that drifts between logs also drifts within
-them."""
+"""Change in the rest force, since the first log of a collection, above which softfin warns [N], for
+a fin with the peak force of the paper's fin. The rest force is subtracted from each log, but a
+sensor that drifts between logs also drifts within them."""
 
 Warn = Callable[[str], None]
 """Function that shows a one-line warning to the operator."""
@@ -106,6 +107,8 @@ def collect_live(
         return Dataset.open(out)
     artifacts.check_vacant(out, overwrite)
     if missing:
+        # Two decimals with the default limit.
+        decimals = force_decimals(robot.safety.force_peak_n) + 1
         with Session(
             robot.machine, Guard(robot.safety, robot.machine.limits), stop=stop
         ) as session:
@@ -120,14 +123,15 @@ def collect_live(
                     left_s = timedelta(
                         seconds=round(left + (len(missing) - index - 1) * robot.settle_s)
                     )
-                    x, y = sample.wrench[:2]
-                    note = f"{left_s} left, {name}: ({x:+.2f}, {y:+.2f}) N, {sample.angle:+.2f} rad"
+                    force = ", ".join(f"{value:+.{decimals}f}" for value in sample.wrench[:2])
+                    note = f"{left_s} left, {name}: ({force}) N, {sample.angle:+.2f} rad"
                     progress("collect", min((index + row / config.rows) / len(missing), 1.0), note)
 
                 with session.recording(bags / f"{name}.mcap"):
                     log, rest_force = _record(session, robot, config, name, report)
                 sensor_state = _sensor_state(robot.machine) | {
-                    "force_at_rest_n": [round(x, 4) for x in rest_force]
+                    "force_at_rest_n": [round(x, 4) for x in rest_force],
+                    "force_peak_n": round(float(np.abs(log.reading.force).max()), 4),
                 }
                 # Written before the log: an existing log is considered finished, so its sensor
                 # state must already exist.
@@ -356,15 +360,19 @@ def _sensor_states(bags: Path, names: Sequence[str]) -> JsonObject:
 
 
 def _drift_warning(sensor_states: JsonObject, name: str) -> str | None:
-    """Return a warning if the rest force before a log differs from that before the first log."""
+    """Return a warning if the rest force before a log differs from that before the first log, in
+    relation to the log's peak force."""
     first_name = next(iter(sensor_states))
     first_n, now_n = (np.array(sensor_states[log]["force_at_rest_n"]) for log in (first_name, name))
     drift = float(np.linalg.norm(now_n - first_n))
-    if drift <= DRIFT_N:
+    # Earlier versions did not store the peak.
+    peak_n = sensor_states[name].get("force_peak_n", PAPER_PEAK_N)
+    limit = DRIFT_N * round_size(peak_n / PAPER_PEAK_N)
+    if drift <= limit:
         return None
     return (
-        f"{name}: the rest force differs by {drift:.2f} N from that of {first_name} (limit "
-        f"{DRIFT_N:g} N); let the sensor and the water reach the same temperature, and check that "
+        f"{name}: the rest force differs by {drift:.2g} N from that of {first_name} (limit "
+        f"{limit:g} N); let the sensor and the water reach the same temperature, and check that "
         "nothing touches the fin"
     )
 

@@ -49,6 +49,19 @@ def test_the_page_holds_what_was_read(html, footage):
     assert data["reference_y"] == [-1.0] * 230
 
 
+def test_forces_have_two_decimals_or_more_for_a_small_fin(footage):
+    assert to_dict(footage)["decimals"] == 2
+    force = 0.01 * footage.reading.force
+    small = footage._replace(
+        reading=footage.reading._replace(force=force),
+        average=0.01 * footage.average,
+        reference=0.01 * footage.reference,
+    )
+    data = to_dict(small)
+    assert data["decimals"] > 2
+    np.testing.assert_allclose(data["force_x"], force[:, 0], atol=10 ** -data["decimals"] / 10)
+
+
 def test_the_page_draws_the_true_force_where_it_is_known_and_says_which_force_it_is(html, tmp_path):
     assert "the measured force of the fin" in html
     assert data_of(html)["force_known"] is False

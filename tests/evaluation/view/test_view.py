@@ -116,6 +116,15 @@ def test_the_command_writes_a_page_and_tells_what_it_shows(capsys, tmp_path):
     assert told["title"] in out.read_text()
 
 
+def test_the_mean_force_of_a_small_fin_has_more_decimals(capsys, tmp_path, monkeypatch):
+    told = {"mean_force_n": [0.0123, -0.1487], "frames": None, "force": "reading", "warning": None}
+    monkeypatch.setattr(
+        "softfin.stages.evaluation.view", lambda *_, **__: told | {"title": "a", "seconds": 1.0}
+    )
+    main(["view", "--out", str(tmp_path / "fin.html")])
+    assert "mean force (0.012, -0.149) N" in capsys.readouterr().out
+
+
 def test_the_stage_writes_a_gif_with_the_frames_that_it_tells(tmp_path):
     config = ViewConfig(seconds=0.4, frames_per_second=50, dots_per_inch=50)
     told = softfin.view(BendingFin(), tmp_path / "fin.gif", config)

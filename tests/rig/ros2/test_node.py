@@ -1,14 +1,17 @@
 import functools
 import math
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from softfin.core.errors import ConfigurationError, CoverageError
+from softfin.gaits.reachable import Cell, Reachable
 from softfin.rig.machine import Sample, Target
 from softfin.rig.ros2.config import NodeConfig
 from softfin.rig.ros2.connection import VECTOR
 from softfin.rig.ros2.inputs import OnceReporter
-from softfin.rig.ros2.node import RosNode
+from softfin.rig.ros2.node import RosNode, default_reference_limit
 from softfin.rig.stop import StopRequest
 from tests.rig.ros2_memory import MemoryTransport
 
@@ -163,6 +166,39 @@ def test_a_reference_that_cannot_be_is_refused_counted_and_told_once(x):
         assert node.node.reference() == (1.0, 1.0)
     assert node.node.counters()["references_refused"] == 3
     assert len(node.told) == 1
+
+
+def circle(reach_n):
+    return Reachable(np.zeros(2, np.float32), np.full(32, reach_n, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("reachable", "cells", "limit_n"),
+    [
+        (None, (), 20.0),
+        (circle(2.4), (Cell.around((2, 0), 3.0),), 20.0),
+        (circle(0.15), (Cell.around((0.1, 0), 0.1),), 1.0),
+        (circle(31.0), (Cell.around((0, 0), 60.0),), 200.0),
+        (None, (Cell.around((0, 0), 2.0), Cell(low=(0, -45), high=(30, 0))), 45.0),
+    ],
+)
+def test_the_default_limit_follows_the_size_of_the_fin_and_covers_the_cells(
+    reachable, cells, limit_n
+):
+    controller = SimpleNamespace(reachable=reachable, cells=cells)
+    assert default_reference_limit(controller) == limit_n
+
+
+def test_a_limit_of_the_user_comes_before_the_default():
+    transport = MemoryTransport(lambda: 10.0)
+    told = []
+    config = NodeConfig(reference_limit_n=2.0)
+    node = RosNode(transport, config, told.append, default_limit_n=200.0)
+    transport.put(
+        "/fin/reference", transport.messages.wrench(7, "", (3.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    )
+    assert node.reference() is None
+    assert "exceeds reference_limit_n = 2 N" in told[0]
 
 
 def test_a_reference_in_another_frame_or_of_other_bytes_is_refused():

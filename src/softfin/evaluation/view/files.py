@@ -15,8 +15,9 @@ from softfin.core.action_clock import WINDOW
 from softfin.core.canvas import with_canvas
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ
-from softfin.evaluation.view.footage import Footage, choose_scale
+from softfin.evaluation.view.footage import Footage, choose_scale, max_sizes
 from softfin.evaluation.view.picture import TRAIL_TICKS, Picture
+from softfin.gaits.reachable import force_decimals
 from softfin.storage import artifact as artifacts
 
 ReportPart = Callable[[float], None]
@@ -89,12 +90,13 @@ def write_page(path: Path, footage: Footage, title: str) -> None:
 def to_dict(footage: Footage) -> JsonObject:
     """Return the data of a page as plain numbers."""
     # Values with their number of decimals, which are limited to keep the page small.
+    decimals = max(force_decimals(float(max_sizes(footage)[0])), 2)
     series = {"command": (footage.command.angle, 4), "angle": (footage.reading.angle, 4)}
     vectors = {"force": footage.force, "mean": footage.average, "reference": footage.reference}
     for i, axis in enumerate(AXES):
         for name, vector in vectors.items():
             if vector is not None:
-                series[f"{name}_{axis}"] = (vector[:, i], 3)
+                series[f"{name}_{axis}"] = (vector[:, i], decimals + 1)
     series["thickness"] = (footage.thickness, 5)
     rounded = {}
     for name, (values, digits) in series.items():
@@ -108,6 +110,7 @@ def to_dict(footage: Footage) -> JsonObject:
         "window": WINDOW,
         "trail": TRAIL_TICKS,
         "scale": choose_scale(footage)._asdict(),
+        "decimals": decimals,
         **rounded,
         "shape_unit_m": SHAPE_UNIT_M,
         "shape": np.rint(footage.shape / SHAPE_UNIT_M).astype(int).ravel().tolist(),

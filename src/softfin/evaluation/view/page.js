@@ -7,9 +7,9 @@ const { scale, ticks, points, window: span } = footage;
 const tank = element("tank"), traces = element("traces"), slider = element("time"), play = element("play");
 const force = footage.force_known ? "true force" : "force";
 const panels = [
-  { name: "angle", unit: "rad", measured: footage.angle, asked: footage.command, mean: null, range: scale.angle },
-  { name: `${force} x`, unit: "N", measured: footage.force_x, asked: footage.reference_x || null, mean: footage.mean_x, range: scale.force },
-  { name: `${force} y`, unit: "N", measured: footage.force_y, asked: footage.reference_y || null, mean: footage.mean_y, range: scale.force },
+  { name: "angle", unit: "rad", measured: footage.angle, asked: footage.command, mean: null, range: scale.angle, decimals: 2 },
+  { name: `${force} x`, unit: "N", measured: footage.force_x, asked: footage.reference_x || null, mean: footage.mean_x, range: scale.force, decimals: footage.decimals },
+  { name: `${force} y`, unit: "N", measured: footage.force_y, asked: footage.reference_y || null, mean: footage.mean_y, range: scale.force, decimals: footage.decimals },
 ];
 
 let now = 0, playing = false, hovered = null, last = null, coming = null;
@@ -130,7 +130,7 @@ function drawTraces(tick, pointed) {
     rule(pen, layout.x(tick), top, layout.each, colours.text, []);
     if (pointed !== null) {
       const value = panel.measured[pointed];
-      drawPointed(pen, layout, top, layout.x(pointed), y(value), `${numeral(value, 2)} ${panel.unit}`);
+      drawPointed(pen, layout, top, layout.x(pointed), y(value), `${numeral(value, panel.decimals)} ${panel.unit}`);
     }
   });
   drawTime(pen, layout, 2, 0, ticks / footage.rate_hz, (time) => layout.x(time * footage.rate_hz - 1), "time [s]");
@@ -142,7 +142,7 @@ function tell(tick) {
   element("now").textContent = secondsAt(tick);
   panels.forEach((panel, k) => {
     const values = [panel.measured[tick], panel.asked === null ? null : panel.asked[tick], meanAt(panel, tick)];
-    values.forEach((value, i) => { rows[k][i].textContent = value === null ? "\u2013" : numeral(value, 2); });
+    values.forEach((value, i) => { rows[k][i].textContent = value === null ? "\u2013" : numeral(value, panel.decimals); });
   });
 }
 

@@ -88,9 +88,9 @@ class NodeConfig(Configuration):
     reference_lost: Literal["keep", "zero", "stop"] = "keep"
     """Reaction to an expired reference. keep: return to --reference; zero: set the target to 0 N,
     at which the fin may still beat; stop: stop the fin."""
-    reference_limit_n: PositiveFloat = Field(default=20.0)
-    """Maximum reference on either axis [N]; larger ones are rejected. The default is twice what a
-    fin like the paper's can produce."""
+    reference_limit_n: PositiveFloat | None = None
+    """Maximum reference on either axis [N]; larger ones are rejected. None: 20 N for a fin like the
+    paper's, in proportion to the size of other fins, and never less than the controller's range."""
 
     connection: TransportConfig = Field(default_factory=TransportConfig)
     """How to reach other nodes."""

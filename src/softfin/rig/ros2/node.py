@@ -8,6 +8,7 @@ import functools
 import time
 from collections.abc import Callable
 
+from softfin.control.references import controller_cells, reachable_set
 from softfin.core.errors import DeviceError, SoftfinError
 from softfin.rig.loop import ResolveReference
 from softfin.rig.machine import Sample, Target
@@ -17,6 +18,17 @@ from softfin.rig.ros2.inputs import EmergencyStop, NewestReference, OnceReporter
 from softfin.rig.session import MeasuredForce
 from softfin.rig.stop import StopRequest
 from softfin.storage.bag.messages import JOINT_STATE, WRENCH_STAMPED, cdr
+
+REFERENCE_LIMIT_N = 20.0
+"""Default of `NodeConfig.reference_limit_n` for the paper's fin [N]."""
+
+
+def default_reference_limit(controller: object) -> float:
+    """Return the default of `NodeConfig.reference_limit_n` for a controller [N]."""
+    reachable = reachable_set(controller)
+    size = 1.0 if reachable is None else reachable.size
+    corners = [(*cell.low, *cell.high) for cell in controller_cells(controller)]
+    return max([REFERENCE_LIMIT_N * size, *(abs(force) for corner in corners for force in corner)])
 
 
 class RosNode:
@@ -29,10 +41,12 @@ class RosNode:
         report: Callable[[str], None],
         resolve: ResolveReference = lambda force: (force, None),
         clock: Callable[[], float] = time.monotonic,
+        default_limit_n: float = REFERENCE_LIMIT_N,
     ) -> None:
         """`report` receives notes for the user, each only once; `resolve` maps a reference to the
-        tracked one."""
+        tracked one; `default_limit_n` applies if `topics` has no limit."""
         self.config = topics
+        self._limit_n = topics.reference_limit_n or default_limit_n
         self._report_once = OnceReporter(report)
         # References are published repeatedly, so cache the latest result.
         self._resolve = functools.lru_cache(maxsize=1)(resolve)
@@ -112,7 +126,7 @@ class RosNode:
     def _tracked(self, message: object) -> MeasuredForce:
         """Return the tracked reference for a message; raises ValueError if it is rejected."""
         force = read_reference_message(message, self.config.frame)
-        limit = self.config.reference_limit_n
+        limit = self._limit_n
         if max(map(abs, force)) > limit:
             raise ValueError(
                 f"({force[0]:g}, {force[1]:g}) N exceeds reference_limit_n = {limit:g} N"
