@@ -43,7 +43,7 @@ class FitArguments(LogOptions, Configured):
     """Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags."""
     out: Out
     """Surrogate folder to write."""
-    model: Annotated[str, Option(choices=tuple(list_architectures()))] = DEFAULT
+    model: Annotated[str, Option(choices=list_architectures)] = DEFAULT
     """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet."""
     ignore_errors: bool = False
     """Also fit to logs with errors."""

@@ -1,7 +1,7 @@
-"""What the rest of softfin uses of a surrogate, and what an architecture must provide.
+"""Contracts of a surrogate, as the rest of softfin uses it, and of an architecture of surrogates.
 
-`softfin.testing.check_surrogate` checks a surrogate against this protocol. CONTRIBUTING.md
-describes how to add an architecture.
+`softfin.testing.check_surrogate` checks a surrogate. CONTRIBUTING.md describes how to add an
+architecture.
 """
 
 from collections.abc import Callable, Mapping, Sequence

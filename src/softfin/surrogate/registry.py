@@ -65,15 +65,15 @@ def find_fitted_architecture(config: "Configuration") -> "Architecture":
     Raises:
         ConfigurationError: no architecture has a configuration of this class.
     """
-    known = []
+    config_names = []
     for name in list_architectures():
         architecture = find_architecture(name)
         if isinstance(config, architecture.config):
             return architecture
-        known.append(architecture.config.__name__)
+        config_names.append(architecture.config.__name__)
     raise ConfigurationError(
         f"config: {type(config).__name__} does not configure the fit of a surrogate; use "
-        f"{', '.join(known)}"
+        f"{', '.join(config_names)}"
     )
 
 

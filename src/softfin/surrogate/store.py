@@ -61,11 +61,12 @@ def load_surrogate(path: Path) -> SurrogatePlant:
             f"{RATE_HZ} Hz"
         )
     model = description.get("model", PAPER)
-    known = list_architectures()
-    if model not in known:
+    architectures = list_architectures()
+    if model not in architectures:
         raise ArtifactError(
             f"{source}: unknown model {model!r}; this version of softfin supports "
-            f"{', '.join(sorted(known))}; update softfin, or install the package of this model"
+            f"{', '.join(sorted(architectures))}; update softfin, or install the package of this "
+            "model"
         )
     architecture = find_architecture(model)
     try:
