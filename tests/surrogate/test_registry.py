@@ -30,7 +30,7 @@ from softfin.surrogate import (
 )
 from softfin.surrogate.onnx import export_surrogate
 from softfin.surrogate.registry import (
-    BUILT_IN,
+    ARCHITECTURES,
     DEFAULT,
     find_architecture,
     find_fitted_architecture,
@@ -79,7 +79,7 @@ def write(path, values):
     return path
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", ARCHITECTURES)
 def test_each_architecture_of_softfin_is_what_its_name_says(name):
     architecture = find_architecture(name)
     assert find_fitted_architecture(architecture.config()) is architecture
@@ -216,7 +216,7 @@ def test_a_package_that_cannot_be_imported_is_named_and_does_not_get_in_the_way(
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     assert list(list_architectures()) == ["streaming", "paper", "broken"]
     assert find_fitted_architecture(FitConfig()).config is FitConfig
-    assert DEFAULT in BUILT_IN
+    assert DEFAULT in ARCHITECTURES
     with pytest.raises(SystemExit):
         main(["fit", str(dataset), "--model", "broken", "--out", str(tmp_path / "s")])
     assert (

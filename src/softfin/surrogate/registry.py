@@ -24,9 +24,9 @@ PAPER = "paper"
 """The paper's networks, with whose cost others are compared. Folders of the first versions of
 softfin name no architecture and contain these."""
 
-BUILT_IN = {
-    DEFAULT: "softfin.surrogate.streaming.architecture:ARCHITECTURE",
-    PAPER: "softfin.surrogate.paper.architecture:ARCHITECTURE",
+ARCHITECTURES = {
+    DEFAULT: "softfin.surrogate.streaming.architecture:STREAMING_ARCHITECTURE",
+    PAPER: "softfin.surrogate.paper.architecture:PAPER_ARCHITECTURE",
 }
 """softfin's own architectures. An entry point of the same name is ignored."""
 
@@ -34,7 +34,7 @@ BUILT_IN = {
 def list_architectures() -> dict[str, EntryPoint]:
     """Return all architectures by name, softfin's own first."""
     found = {}
-    for name, value in BUILT_IN.items():
+    for name, value in ARCHITECTURES.items():
         found[name] = EntryPoint(name, value, ENTRY_POINT_GROUP)
     for entry_point in entry_points(group=ENTRY_POINT_GROUP):
         found.setdefault(entry_point.name, entry_point)

@@ -4,7 +4,7 @@ from softfin.surrogate.protocol import Architecture, TableOneRow
 from softfin.surrogate.streaming.fit import StreamingConfig, fit_streaming
 from softfin.surrogate.streaming.streaming import StreamingSurrogate
 
-ARCHITECTURE = Architecture(
+STREAMING_ARCHITECTURE = Architecture(
     config=StreamingConfig,
     fit=fit_streaming,
     load=StreamingSurrogate.from_files,
