@@ -1,8 +1,10 @@
-"""Conformance kit: `check_plant` checks a plant against the Plant contract, here and in users'
-tests."""
+"""Conformance kit: `check_plant` checks a plant against the Plant contract, and `check_surrogate` a
+surrogate against the SurrogatePlant contract, here and in users' tests."""
 
 import itertools
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -11,10 +13,15 @@ import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
 from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS
-from softfin.core.errors import PlantError
-from softfin.core.plant import Plant, State, TrueForcePlant, roll
+from softfin.core.errors import LogError, PlantError, SoftfinError
+from softfin.core.plant import EnsemblePlant, Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
-from softfin.core.quantities import TICK_S, Command, Limits, Reading, action_to_command
+from softfin.core.quantities import TICK_S, Command, Limits, Log, Reading, action_to_command
+from softfin.data.excitation import ExcitationConfig
+from softfin.surrogate.channels import ANGLE, FORCES, SKIPPED
+from softfin.surrogate.protocol import SurrogatePlant
+from softfin.surrogate.registry import ENTRY_POINT_GROUP, find_architecture, list_architectures
+from softfin.surrogate.store import load_surrogate, save_surrogate
 
 STROKE_TICKS = ACTION_TICKS[0]
 
@@ -34,6 +41,25 @@ def check_plant(plant: Any) -> None:
     state.
     """
     checks = (_members, _purity, _batches, _true_force, _strokes, _gradient, _held_action)
+    _raise_first_problem(plant, checks)
+
+
+def check_surrogate(surrogate: Any) -> None:
+    """Raise a PlantError with the problem and the requirement, unless `surrogate` meets the
+    contract `softfin.surrogate.protocol.SurrogatePlant`.
+
+    Checks everything that `check_plant` checks. Also checks that the architecture is registered,
+    that the surrogate is the same after saving and loading, that `warm` continues a history, and
+    that each network of Table I predicts a log. If the surrogate is an `EnsemblePlant`, its
+    readings must be the mean over its members, with a positive interval and a finite distance. The
+    histories and logs are the surrogate's own readings under random commands.
+    """
+    check_plant(surrogate)
+    checks = (_surrogate_members, _storage, _logs, _ensemble)
+    _raise_first_problem(surrogate, checks)
+
+
+def _raise_first_problem(plant: Any, checks: Sequence[Callable[[Any], Iterator[Problem]]]) -> None:
     problem = next((found for check in checks for found in check(plant)), None)
     if problem is not None:
         raise PlantError(f"{type(plant).__name__}: {'; '.join(problem)}")
@@ -225,6 +251,141 @@ def _true_force(plant: Plant) -> Iterator[Problem]:
     after_call = _numbers(state)
     if len(before) != len(after_call) or not all(map(np.array_equal, before, after_call)):
         yield "true_force changes the state", "it must only read the state"
+
+
+def _surrogate_members(surrogate: Any) -> Iterator[Problem]:
+    names = [name for name in dir(SurrogatePlant) if not name.startswith("_")]
+    if missing := [name for name in names if not hasattr(surrogate, name)]:
+        yield (
+            f"has no {', '.join(missing)}",
+            "a surrogate must have all members of softfin.surrogate.protocol.SurrogatePlant",
+        )
+    if surrogate.model not in list_architectures():
+        yield (
+            f"model = {surrogate.model!r} is not an installed architecture",
+            f"install a package with this entry point in the group {ENTRY_POINT_GROUP}",
+        )
+    for name in ("flops_per_tick", "parameters"):
+        count = getattr(surrogate, name)()
+        if not (isinstance(count, int) and count > 0):
+            yield f"{name}() is {count!r}", "it must be a positive int"
+    fields = getattr(surrogate.init(jax.random.key(0)), "_fields", ("no field",))
+    if fields[0] != "tick":
+        yield (
+            f"the state starts with {fields[0]}",
+            "it must be a NamedTuple whose first field, tick, counts the samples since the start",
+        )
+
+
+def _storage(surrogate: SurrogatePlant) -> Iterator[Problem]:
+    with tempfile.TemporaryDirectory() as parent:
+        folder = Path(parent) / "surrogate"
+        try:
+            save_surrogate(folder, surrogate, None, {})
+            loaded = load_surrogate(folder)
+        except SoftfinError as error:
+            yield f"cannot be saved and loaded ({error})", "check to_files and Architecture.load"
+            return
+    if identity(loaded) != identity(surrogate):
+        yield "differs after saving and loading", "to_files must contain all that load needs"
+
+
+def _own_log(surrogate: SurrogatePlant) -> Log:
+    """Return readings of the surrogate under random commands, longer than its memory."""
+    rows = max(surrogate.memory, SKIPPED) + STROKE_TICKS
+    commands = ExcitationConfig()(jax.random.key(0), rows + 1, surrogate.limits)
+    start = surrogate.init(jax.random.key(0))
+    reading = jax.jit(lambda: roll(surrogate, start, commands)[1])()
+    # The command of a row acts after its reading.
+    log = Log(jax.tree.map(lambda x: x[1:], commands), jax.tree.map(lambda x: x[:-1], reading))
+    recorded: Log = jax.tree.map(np.asarray, log)
+    return recorded
+
+
+def _logs(surrogate: SurrogatePlant) -> Iterator[Problem]:
+    log = _own_log(surrogate)
+    yield from _warm_up(surrogate, log)
+    yield from _predictions(surrogate, log)
+
+
+def _warm_up(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
+    state = surrogate.warm(log)
+    if _types(state) != _types(surrogate.init(jax.random.key(0))):
+        yield "warm and init return different states", "their shapes and types must be equal"
+    command = jax.tree.map(lambda x: x[-1], log.command)
+    reading = jax.jit(lambda state: surrogate.advance(state, command, 1)[1])(state)
+    if not np.allclose(reading.time, log.reading.time[-1] + TICK_S, atol=TICK_S / 4):
+        yield (
+            f"after a history that ends at {log.reading.time[-1]:.2f} s, the next reading is at "
+            f"{float(reading.time[0]):.2f} s",
+            "warm must continue the time of the history",
+        )
+    for name, values in reading._asdict().items():
+        if not jnp.isfinite(values).all():
+            yield f"reading.{name} is not finite after warm", "readings must be finite"
+    try:
+        surrogate.warm(jax.tree.map(lambda x: x[: surrogate.memory - 1], log))
+    except LogError:
+        return
+    yield "warm accepts fewer rows than memory", "it must raise a softfin.core.errors.LogError"
+
+
+def _predictions(surrogate: SurrogatePlant, log: Log) -> Iterator[Problem]:
+    predictions = surrogate.predictions([log])
+    rows = find_architecture(surrogate.model).table_one
+    if predictions.keys() != rows.keys():
+        yield (
+            f"predictions has {', '.join(predictions)}",
+            f"it must have the rows of Architecture.table_one: {', '.join(rows)}",
+        )
+    for name, prediction in predictions.items():
+        if not {ANGLE, *FORCES}.issuperset(prediction.channels):
+            yield (
+                f"predictions: {name} has the channels {', '.join(prediction.channels)}",
+                f"they must be among {ANGLE}, {', '.join(FORCES)}",
+            )
+        shapes = [np.shape(series) for series in prediction.series]
+        width = len(prediction.channels)
+        if len(shapes) != 1 or shapes[0] not in [(n, width) for n in range(1, log.rows + 1)]:
+            yield (
+                f"predictions: {name} has series of shapes {shapes} for a log of {log.rows} rows",
+                f"there must be one series (rows, {width}) per log, of its last rows",
+            )
+        if not np.isfinite(prediction.series[0]).all():
+            yield f"predictions: {name} is not finite", "predictions must be finite"
+
+
+def _ensemble(surrogate: SurrogatePlant) -> Iterator[Problem]:
+    if not isinstance(surrogate, EnsemblePlant):
+        return
+    state = surrogate.init(jax.random.key(0))
+    command = _stroke(surrogate)
+    after, members = surrogate.advance_members(state, command, STROKE_TICKS)
+    expected = (surrogate.size, STROKE_TICKS, 2)
+    if members.force.shape != expected:
+        yield (
+            f"advance_members returns forces of shape {members.force.shape}",
+            f"it must be {expected}",
+        )
+    _, mean = surrogate.advance(state, command, STROKE_TICKS)
+    if not np.allclose(mean.force, members.force.mean(axis=0), rtol=1e-3, atol=1e-4):
+        yield "advance differs from the mean of advance_members", "they must be equal"
+    first = surrogate.member(jnp.int32(0))
+    _, alone = first.advance(first.init(jax.random.key(0)), command, STROKE_TICKS)
+    if not np.allclose(alone.force, members.force[0], rtol=1e-3, atol=1e-4):
+        yield "member(0) differs from the first row of advance_members", "they must be equal"
+    half_width = np.asarray(surrogate.interval.half_width(np.asarray(members.force.mean(axis=1))))
+    if half_width.shape != (2,) or not (half_width > 0).all():
+        yield f"the half width of the interval is {half_width}", "it must be two positive numbers"
+    distance = np.asarray(surrogate.distance(after))
+    if distance.shape != () or not np.isfinite(distance):
+        yield f"distance is {distance}", "it must be a finite number"
+
+
+def _types(state: State) -> tuple[Any, list[Any]]:
+    """Return the structure of a state, and the shape and type of each leaf."""
+    leaves, structure = jax.tree.flatten(state)
+    return structure, [(jnp.shape(leaf), jnp.asarray(leaf).dtype) for leaf in leaves]
 
 
 def _numbers(state: State) -> list[Any]:

@@ -9,6 +9,7 @@ from softfin.cli.surrogates import warning
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig
+from softfin.surrogate.registry import find_fitted_architecture
 from tests.surrogate.streaming import small
 
 
@@ -30,9 +31,16 @@ def asked(monkeypatch):
         configs.append((config, seed, len(logs)))
         return small.surrogate()
 
-    monkeypatch.setattr("softfin.stages.surrogates.fit_paper", fit)
-    monkeypatch.setattr("softfin.stages.surrogates.fit_streaming", fit)
+    fit_with(monkeypatch, fit)
     return configs
+
+
+def fit_with(monkeypatch, fit):
+    """Every architecture is fitted by this function."""
+    monkeypatch.setattr(
+        "softfin.stages.surrogates.find_fitted_architecture",
+        lambda config: find_fitted_architecture(config)._replace(fit=fit),
+    )
 
 
 def run(capsys, *words):
@@ -148,7 +156,7 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
         run_directory.save({}, {})
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("softfin.stages.surrogates.fit_streaming", stopped)
+    fit_with(monkeypatch, stopped)
     words = ["fit", dataset, "--out", str(tmp_path / "s")]
     with pytest.raises(SystemExit):
         main(words)

@@ -7,7 +7,6 @@ from typing import Any, get_args
 import pytest
 
 import softfin.cli
-from softfin.cli.surrogates import defaults
 from softfin.core import choices
 from softfin.data.importing.names import UNITS
 from softfin.evaluation.moving_references import SIGNALS
@@ -35,12 +34,6 @@ COMMAND_LINE = Path(softfin.cli.__file__).parent
 )
 def test_every_name_that_may_be_chosen_stands_for_something(names: Any, table: Any) -> None:
     assert set(get_args(names)) == set(table)
-
-
-def test_every_model_has_a_configuration() -> None:
-    assert len({type(defaults(model)) for model in get_args(choices.ModelName)}) == len(
-        get_args(choices.ModelName)
-    )
 
 
 @pytest.mark.parametrize("file", sorted(COMMAND_LINE.glob("*.py")), ids=lambda file: file.stem)

@@ -2,6 +2,7 @@ import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.progress import silent
@@ -13,9 +14,11 @@ from softfin.evaluation.scores import Scores, SurrogateUncertainty
 from softfin.learning.configuration import GRADIENT_SINGLE
 from softfin.stages.reproduce import RESULTS, _Reproduction
 from softfin.stages.reproduce_config import PRESETS, ReproduceConfig
+from softfin.storage.dataset import write_dataset
 from softfin.surrogate import save_surrogate
 from softfin.task.references import PAPER_RANGE
 from tests.control.folders import folder_option
+from tests.surrogate import small as paper
 from tests.surrogate.streaming import small
 
 ROWS = np.zeros((1, 1, 3))
@@ -158,3 +161,27 @@ def test_the_controllers_of_the_first_seed_can_be_tried_in_a_page_where_their_pl
         '<a href="explore.html">A page to drag the target force'
         in (tmp_path / "report.html").read_text()
     )
+
+
+@pytest.mark.parametrize("kind", [paper, small], ids=["paper", "streaming"])
+def test_a_test_log_is_drawn_with_each_prediction_of_its_force(kind, tmp_path, monkeypatch):
+    """A network that is given the measured angle is drawn, too, if there is no ensemble."""
+    log = paper.log(900)
+    write_dataset(tmp_path / "dataset", [log], [log], {})
+    save_surrogate(tmp_path / "surrogate", kind.surrogate(), None, {})
+    drawn = {}
+
+    def draw(measured, predicted, start_s):
+        drawn.update(predicted, measured=measured)
+        return Figure()
+
+    monkeypatch.setattr("softfin.stages.reproduce.prediction_figure", draw)
+    _Reproduction("tank", tmp_path, PRESETS["tiny"], 0, silent).surrogate_figures()
+    first = 450
+    np.testing.assert_array_equal(drawn.pop("measured"), log.reading.force[first:])
+    assert drawn.pop("free-running").shape == (900 - first, 2)
+    if kind is paper:
+        given = paper.surrogate().predict_force(log, free_running=False)
+        expected = given[first - paper.WINDOW :]
+        np.testing.assert_allclose(drawn.pop("given the angle"), expected, rtol=1e-5, atol=1e-5)
+    assert drawn == {}

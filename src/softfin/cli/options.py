@@ -53,6 +53,8 @@ class Option:
     check: Callable[[str | Path, Configuration], object] | None = None
     """Function that takes a value and its command, and raises a SoftfinError if a file, folder or
     plant does not exist."""
+    choices: Callable[[], Iterable[str]] = tuple
+    """Function that lists the allowed values, if only the running program knows them."""
     former_name: str | None = None
     """Name of the option before it was renamed; the error for the old name suggests the new one."""
 
@@ -76,8 +78,12 @@ class Field:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Allowed values of a Literal; empty for other types."""
-        return get_args(self.kind) if get_origin(self.kind) is Literal else ()
+        """Allowed values of the option or of a Literal; empty if any value is allowed."""
+        return (
+            get_args(self.kind)
+            if get_origin(self.kind) is Literal
+            else tuple(self.option.choices())
+        )
 
     @property
     def metavar(self) -> str:

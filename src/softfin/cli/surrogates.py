@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from softfin.cli.common import (
     Common,
@@ -20,14 +20,12 @@ from softfin.cli.common import (
     progress,
 )
 from softfin.cli.options import Option
-from softfin.core.choices import CalibratePreset, ModelName
+from softfin.core.choices import CalibratePreset
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.data.issues import counted
-
-if TYPE_CHECKING:
-    from softfin.surrogate import FitConfig, StreamingConfig
+from softfin.surrogate.registry import DEFAULT, PAPER, find_architecture, list_architectures
 
 VELOCITY_RANGE = Option(
     "LOW,HIGH", parse=numbers("not a range; use LOW,HIGH in rad/s, e.g. 0.3,1.57", count=2)
@@ -45,7 +43,7 @@ class FitArguments(LogOptions, Configured):
     """Folder of a dataset, or of CSV files, Parquet files or ROS 2 bags."""
     out: Out
     """Surrogate folder to write."""
-    model: ModelName = "streaming"
+    model: Annotated[str, Option(choices=list_architectures)] = DEFAULT
     """streaming: an ensemble of recurrent networks; paper: PosNet and ForceNet."""
     ignore_errors: bool = False
     """Also fit to logs with errors."""
@@ -58,7 +56,7 @@ class FitArguments(LogOptions, Configured):
 
     def check(self) -> None:
         """Reject options that do not apply to the model."""
-        if self.epochs is not None and self.model != "paper":
+        if self.epochs is not None and self.model != PAPER:
             raise ConfigurationError(
                 f"--epochs: applies only to --model paper, got --model {self.model}; use "
                 "--set force_updates=N instead"
@@ -69,7 +67,7 @@ class FitArguments(LogOptions, Configured):
         from softfin.cli.tables import format_table_one
         from softfin.stages.surrogates import fit
 
-        config = self.configured(defaults(self.model))
+        config = self.configured(find_architecture(self.model).config())
         with progress() as report:
             result = fit(
                 self.dataset,
@@ -88,13 +86,6 @@ class FitArguments(LogOptions, Configured):
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))
-
-
-def defaults(model: ModelName) -> "StreamingConfig | FitConfig":
-    """Return the default configuration for fitting a model."""
-    from softfin.surrogate import FitConfig, StreamingConfig
-
-    return StreamingConfig() if model == "streaming" else FitConfig()
 
 
 def warning(counts: Mapping[str, int], dataset: Path) -> str:

@@ -10,9 +10,6 @@ MovingReference: TypeAlias = Literal["step", "ramp", "sine"]
 TimeUnit: TypeAlias = Literal["s", "ms", "us", "ns", "min"]
 ForceUnit: TypeAlias = Literal["N", "mN", "kN", "gf", "kgf", "lbf"]
 
-ModelName: TypeAlias = Literal["streaming", "paper"]
-"""Kinds of surrogate."""
-
 PolicyLayout: TypeAlias = Literal["single", "grid"]
 ControllerKind: TypeAlias = Literal["single", "grid", "gaits"]
 """One policy for all references, one policy per cell of a grid, or a table of gaits without a

@@ -47,7 +47,8 @@ from softfin.storage.figures import (
     styled,
     with_minus_signs,
 )
-from softfin.surrogate.compare.scores import NETS, PAPER_TABLE_I
+from softfin.surrogate.compare.scores import PAPER_TABLE_I
+from softfin.surrogate.registry import find_table_one_rows
 
 Figures = Mapping[str, Figure]
 """Figures by caption."""
@@ -156,7 +157,7 @@ class OverviewRow(NamedTuple):
 def _table_one(scores: JsonObject) -> list[JsonObject]:
     """Return a row for each network that has scores."""
     rows = []
-    for key, (text, unit, published) in NETS.items():
+    for key, (text, unit, published) in find_table_one_rows(scores).items():
         if key in scores:
             paper = PAPER_TABLE_I[published] if published else None
             rows.append({**scores[key], "text": text, "unit": unit, "paper": paper})

@@ -19,7 +19,7 @@ from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.quantities import AnyArray
 from softfin.gaits.gait import GaitTable
-from softfin.surrogate import StreamingSurrogate
+from softfin.surrogate.protocol import ExplorableSurrogate
 from softfin.surrogate.training import name_net_arrays
 from softfin.tank import Tank, with_parameters
 from softfin.tank.drive import DEAD_TICKS
@@ -43,7 +43,7 @@ def plant_data(name: str, plant: Plant) -> JsonObject:
     plant."""
     if isinstance(plant, Tank):
         return tank_data(plant)
-    if isinstance(plant, StreamingSurrogate):
+    if isinstance(plant, ExplorableSurrogate):
         return surrogate_data(plant)
     kind = (
         f"a surrogate of kind {plant.model!r}"
@@ -79,19 +79,11 @@ def outline(tank: Tank) -> JsonObject:
     }
 
 
-def surrogate_data(surrogate: StreamingSurrogate) -> JsonObject:
-    """Return the data of a streaming surrogate, with the state of its members after a long rest."""
-    description, arrays = surrogate.to_files()
-    return {
-        "kind": "surrogate",
-        "members": surrogate.size,
-        "scales": description["scales"],
-        "interval": description["interval"],
-        "arrays": {
-            name: encode_arrays(array)
-            for name, array in (arrays | name_net_arrays({"rest": surrogate.rest})).items()
-        },
-    }
+def surrogate_data(surrogate: ExplorableSurrogate) -> JsonObject:
+    """Return the data of a surrogate, with its state after a long rest."""
+    entries, arrays = surrogate.explorer_data()
+    encoded = {name: encode_arrays(array) for name, array in arrays.items()}
+    return {"kind": "surrogate", **entries, "arrays": encoded}
 
 
 def controller_data(controller: LoadedController) -> JsonObject:

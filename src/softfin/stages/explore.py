@@ -14,7 +14,7 @@ from softfin.explorer.page import write_explorer_page
 from softfin.stages.evaluation import check_limits
 from softfin.storage import artifact as artifacts
 from softfin.storage.registry import find_plant
-from softfin.surrogate import StreamingSurrogate
+from softfin.surrogate.protocol import ExplorableSurrogate
 from softfin.tank import Tank
 
 TITLE = "Drag the force, watch the fin"
@@ -65,7 +65,7 @@ def explore(
 
 def is_shown(plant: Plant) -> bool:
     """Whether the page can simulate this plant."""
-    return isinstance(plant, Tank | StreamingSurrogate)
+    return isinstance(plant, Tank | ExplorableSurrogate)
 
 
 def _check_named(given: Sequence[object], num_distinct: int) -> None:

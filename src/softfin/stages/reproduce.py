@@ -42,6 +42,7 @@ from softfin.storage.registry import find_plant, is_surrogate
 from softfin.storage.run_directory import LOG, TRAINING_LOG, check_same, read_training_log
 from softfin.surrogate import load_surrogate
 from softfin.surrogate.compare.scores import free_run
+from softfin.surrogate.registry import find_architecture
 
 REPRODUCTION_KIND = "reproduction"
 RESULTS = "results.json"
@@ -406,12 +407,14 @@ class _Reproduction:
         free, _ = free_run(surrogate, [log], [(0, first)], ticks)
         predicted = {"free-running": np.asarray(free.force[0])}
         if not isinstance(surrogate, EnsemblePlant):
-            # Row i of this prediction corresponds to row i + window of the log.
-            behind = slice(first - surrogate.window, stretch.stop - surrogate.window)
-            predicted = {
-                "given the angle": surrogate.predict_force(log, free_running=False)[behind],
-                **predicted,
-            }
+            networks = find_architecture(surrogate.model).table_one
+            for name, prediction in surrogate.predictions([log]).items():
+                if networks[name].published == "forcenet":
+                    # The first rows of the log may have no prediction.
+                    (force,) = prediction.series
+                    shift = rows - len(force)
+                    given = force[first - shift : stretch.stop - shift]
+                    predicted = {"given the angle": given, **predicted}
         return {
             "Force in a test log and in the surrogate": prediction_figure(
                 np.asarray(log.reading.force[stretch]), predicted, first / RATE_HZ

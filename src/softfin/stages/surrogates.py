@@ -4,6 +4,7 @@ tank."""
 from collections.abc import Sequence
 from pathlib import Path
 
+from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant
@@ -16,8 +17,6 @@ from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import RunDirectory
 from softfin.surrogate import (
-    FitConfig,
-    StreamingConfig,
     Surrogate,
     load_surrogate,
     read_keras_surrogate,
@@ -27,9 +26,7 @@ from softfin.surrogate.channels import SKIPPED, ranges
 from softfin.surrogate.compare.compare import CompareConfig, candidates, compare_surrogates
 from softfin.surrogate.compare.report import write_comparison
 from softfin.surrogate.compare.scores import measured_ranges, table_one
-from softfin.surrogate.paper.fit import fit_paper
-from softfin.surrogate.store import AnySurrogate
-from softfin.surrogate.streaming.fit import fit_streaming
+from softfin.surrogate.registry import DEFAULT, find_architecture, find_fitted_architecture
 from softfin.surrogate.training import check_lengths
 from softfin.tank.calibration.calibrate import calibrate_tank
 from softfin.tank.calibration.config import CalibrateConfig
@@ -39,7 +36,7 @@ from softfin.tank.calibration.model import material
 def fit(
     dataset: Path,
     out: Path,
-    config: FitConfig | StreamingConfig | None = None,
+    config: Configuration | None = None,
     *,
     logs: ImportConfig | None = None,
     ignore_errors: bool = False,
@@ -51,12 +48,14 @@ def fit(
     """Fit a surrogate to logs, score it on the test logs, and write it; returns Table I, issue
     counts and a caveat.
 
-    The class of the configuration selects the model: the paper's networks or streaming networks.
+    The class of the configuration selects the architecture: `StreamingConfig` (the default),
+    `FitConfig` for the paper's networks, or that of an installed package.
     `dataset` is a dataset's folder, or recordings of any other kind, read with the options in
     `logs`. Raises LogError if the logs have errors, unless errors are ignored, now or when the
     dataset was imported.
     """
-    config = config or StreamingConfig()
+    config = config or find_architecture(DEFAULT).config()
+    architecture = find_fitted_architecture(config)
     artifacts.check_vacant(out, overwrite or resume)
     description = (
         artifacts.load_description(dataset, "dataset")
@@ -80,11 +79,7 @@ def fit(
         check_lengths(test, SKIPPED, "test")
         if test:
             measured_ranges(test)
-        fitted: AnySurrogate
-        if isinstance(config, FitConfig):
-            fitted = fit_paper(opened.train, config, seed, run_directory, progress)
-        else:
-            fitted = fit_streaming(opened.train, config, seed, run_directory, progress)
+        fitted = architecture.fit(opened.train, config, seed, run_directory, progress)
         # The metadata of a dataset are already in its own folder.
         own = {} if description else {"logs": opened.metadata}
         provenance = artifacts.provenance(

@@ -1,19 +1,9 @@
-"""Models of the fin, fitted to logs: the paper's networks (Sec. III-B) and streaming ensembles."""
+"""Models of the fin, fitted to logs: the paper's networks (Sec. III-B) and streaming ensembles.
 
-from softfin.surrogate.paper.fit import FitConfig
-from softfin.surrogate.paper.keras import read_keras_surrogate
-from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.store import AnySurrogate, load_surrogate, save_surrogate
-from softfin.surrogate.streaming.fit import StreamingConfig
-from softfin.surrogate.streaming.streaming import StreamingSurrogate
+``__init__.pyi`` lists the names, each imported on first use, so that `softfin.surrogate.registry`
+needs no JAX.
+"""
 
-__all__ = [
-    "AnySurrogate",
-    "FitConfig",
-    "StreamingConfig",
-    "StreamingSurrogate",
-    "Surrogate",
-    "load_surrogate",
-    "read_keras_surrogate",
-    "save_surrogate",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -15,7 +15,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, PyTree
 
-from softfin.core.plant import roll
+from softfin.core.plant import EnsemblePlant, roll
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.data.excitation import ExcitationConfig
 from softfin.storage import artifact as artifacts
@@ -28,8 +28,8 @@ from softfin.storage.onnx_file import (
     keep_model,
     open_session,
 )
-from softfin.surrogate.store import SURROGATE_KIND, AnySurrogate, load_surrogate
-from softfin.surrogate.streaming.streaming import StreamingSurrogate
+from softfin.surrogate.protocol import SurrogatePlant
+from softfin.surrogate.store import SURROGATE_KIND, load_surrogate
 
 CHECK_S = 30
 """Duration of the free run that compares onnxruntime with JAX [s]."""
@@ -63,7 +63,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
         now = start._replace(**dict(zip(start._fields[1:], unpack(state), strict=True)))
         command = Command(command_angle, command_velocity)
         after: PyTree
-        if isinstance(surrogate, StreamingSurrogate):
+        if isinstance(surrogate, EnsemblePlant):
             after, each = surrogate.advance_members(now, command, 1)
             reading = jax.tree.map(lambda channel: channel.mean(axis=0), each)
             more = {"force_members": each.force[:, 0], "distance": surrogate.distance(after)}
@@ -84,7 +84,7 @@ def export_surrogate(folder: Path, file: Path, overwrite: bool = False) -> Expor
     )
 
 
-def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
+def _metadata(surrogate: SurrogatePlant, folder: Path) -> dict[str, Any]:
     """Return the metadata stored in the file: units, rate, limits and training range."""
     description = artifacts.load_description(folder, SURROGATE_KIND)
     outputs = {
@@ -92,7 +92,7 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
         "velocity": "angular velocity of the shaft [rad/s]",
         "force": "(x, y) [N]",
     }
-    if isinstance(surrogate, StreamingSurrogate):
+    if isinstance(surrogate, EnsemblePlant):
         outputs |= {
             "force_members": "(members, 2), force predicted by each member [N]; force is their "
             "mean",
@@ -117,7 +117,7 @@ def _metadata(surrogate: AnySurrogate, folder: Path) -> dict[str, Any]:
     }
 
 
-def _difference(data: bytes, surrogate: AnySurrogate, state: dict[str, np.ndarray]) -> float:
+def _difference(data: bytes, surrogate: SurrogatePlant, state: dict[str, np.ndarray]) -> float:
     """Return the largest difference between onnxruntime and JAX in a free run.
 
     Each continues from its own state, so that differences may grow as they do in use.

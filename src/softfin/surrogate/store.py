@@ -3,28 +3,20 @@ provenance) and ``weights.safetensors``."""
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeAlias
 
 from softfin.core.errors import ArtifactError, ConfigurationError, one_line
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, Limits
 from softfin.storage import artifact as artifacts
-from softfin.surrogate.paper.surrogate import Surrogate
-from softfin.surrogate.streaming.streaming import StreamingSurrogate
+from softfin.surrogate.protocol import SurrogatePlant
+from softfin.surrogate.registry import PAPER, find_architecture, list_architectures
 
 SURROGATE_KIND = "surrogate"
-
-AnySurrogate: TypeAlias = Surrogate | StreamingSurrogate
-
-MODELS: dict[str, type[AnySurrogate]] = {
-    Surrogate.model: Surrogate,
-    StreamingSurrogate.model: StreamingSurrogate,
-}
 
 
 def save_surrogate(
     path: Path,
-    surrogate: AnySurrogate,
+    surrogate: SurrogatePlant,
     scores: JsonObject | None,
     provenance: JsonObject,
     extra_files: Callable[[Path], None] | None = None,
@@ -55,7 +47,7 @@ def save_surrogate(
     artifacts.save(path, SURROGATE_KIND, description, weights, extra_files, overwrite)
 
 
-def load_surrogate(path: Path) -> AnySurrogate:
+def load_surrogate(path: Path) -> SurrogatePlant:
     """Load the surrogate in a folder.
 
     Raises:
@@ -68,15 +60,17 @@ def load_surrogate(path: Path) -> AnySurrogate:
             f"{source}: the surrogate runs at {description.get('rate_hz')} Hz; softfin requires "
             f"{RATE_HZ} Hz"
         )
-    # Folders without this entry contain the paper's networks.
-    model = description.get("model", "paper")
-    if model not in MODELS:
+    model = description.get("model", PAPER)
+    architectures = list_architectures()
+    if model not in architectures:
         raise ArtifactError(
             f"{source}: unknown model {model!r}; this version of softfin supports "
-            f"{', '.join(MODELS)}; update softfin"
+            f"{', '.join(sorted(architectures))}; update softfin, or install the package of this "
+            "model"
         )
+    architecture = find_architecture(model)
     try:
-        surrogate = MODELS[model].from_files(description, weights, source)
+        surrogate = architecture.load(description, weights, source)
         # Validates the limits: those of the paper's networks come from the scaling, unchecked.
         Limits.of(surrogate.limits.to_dict(), one_velocity=True)
         return surrogate

@@ -1,5 +1,5 @@
-"""Training and storage shared by both kinds of surrogates: data split, best weights so far, and the
-names of weights in files."""
+"""Training and storage shared by the architectures of surrogates: data split, best weights so far,
+and the names of weights in files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -8,12 +8,12 @@ from softfin.core.plant import hold, roll
 from softfin.core.quantities import Command
 from softfin.surrogate.paper.network import Network
 from softfin.surrogate.paper.surrogate import Surrogate, SurrogateState, windows
-from softfin.testing import check_plant
+from softfin.testing import check_surrogate
 from tests.surrogate import small
 
 
-def test_a_surrogate_is_a_plant():
-    check_plant(small.surrogate())
+def test_the_papers_surrogate_meets_the_contract():
+    check_surrogate(small.surrogate())
 
 
 def test_windows_are_every_run_of_samples_oldest_first():

@@ -10,7 +10,7 @@ from softfin.surrogate import StreamingSurrogate
 from softfin.surrogate.streaming.ensemble import parameters, single
 from softfin.surrogate.streaming.nets import products
 from softfin.surrogate.streaming.segments import MAX_DELAY
-from softfin.testing import check_plant
+from softfin.testing import check_surrogate
 from tests.surrogate.streaming import small
 
 PLANT = small.surrogate()
@@ -26,8 +26,8 @@ def advance():
     )
 
 
-def test_a_streaming_surrogate_is_a_plant():
-    check_plant(PLANT)
+def test_a_streaming_surrogate_meets_the_contract():
+    check_surrogate(PLANT)
 
 
 def test_33_ticks_are_33_times_one(advance):

@@ -33,8 +33,9 @@ from softfin.surrogate.compare.scores import (
     score_segments,
     take,
 )
-from softfin.surrogate.store import AnySurrogate, load_surrogate
-from softfin.surrogate.streaming.ensemble import COVERAGE
+from softfin.surrogate.protocol import COVERAGE, SurrogatePlant
+from softfin.surrogate.registry import PAPER
+from softfin.surrogate.store import load_surrogate
 
 ENOUGH_SEEDS = 3
 """Minimum number of seeds per group; with fewer, a difference may be due to chance."""
@@ -71,7 +72,7 @@ class Candidate(NamedTuple):
     """A surrogate and its folder."""
 
     folder: Path
-    surrogate: AnySurrogate
+    surrogate: SurrogatePlant
     group: str
     """Key of the group; the same for all seeds of one configuration on the same data."""
 
@@ -187,7 +188,7 @@ def _yardstick(seeds: Sequence[Sequence[Candidate]]) -> int:
     """Return the group to which costs are relative: the paper's networks if they are compared,
     otherwise the first."""
     for index, members in enumerate(seeds):
-        if members[0].surrogate.model == "paper":
+        if members[0].surrogate.model == PAPER:
             return index
     return 0
 
@@ -293,7 +294,7 @@ def _horizons(config: CompareConfig, scores: Sequence[Sequence[HorizonScores]]) 
     return rows
 
 
-def _notes(row: JsonObject, surrogate: AnySurrogate) -> Iterator[str]:
+def _notes(row: JsonObject, surrogate: SurrogatePlant) -> Iterator[str]:
     """Yield caveats about the scores of a group."""
     if (seeds := row["seeds"]) < ENOUGH_SEEDS:
         yield (

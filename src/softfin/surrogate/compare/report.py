@@ -23,7 +23,7 @@ from softfin.storage.figures import (
     styled,
 )
 from softfin.surrogate.compare.compare import Comparison, Group
-from softfin.surrogate.streaming.ensemble import COVERAGE
+from softfin.surrogate.protocol import COVERAGE
 
 SHOWN_FORCE_S = 8
 """Duration of the plotted force traces [s]."""

@@ -25,7 +25,7 @@ from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
 from softfin.core.quantities import AXES, RATE_HZ, AnyArray, Command, Log, Reading
 from softfin.core.window import moving_average
 from softfin.surrogate.channels import ANGLE, FORCES, NetPrediction, ranges, to_columns
-from softfin.surrogate.store import AnySurrogate
+from softfin.surrogate.protocol import SurrogatePlant
 
 BATCH = 64
 """Maximum number of segments per batch: enough for efficient matrix products, with only a few MB of
@@ -39,16 +39,6 @@ PAPER_TABLE_I = {
     "forcenet": {"window": 100, "parameters": 129_794, "rmse": 0.2, "mae": 0.04, "dtw": 0.03},
 }
 """The paper's Table I; it does not state units or the normalisation of DTW."""
-
-NETS = {
-    "posnet": ("PosNet, commands to angle", "rad", "posnet"),
-    "forcenet_measured": ("ForceNet, given the measured angle", "N", "forcenet"),
-    "forcenet_free_running": ("ForceNet, free-running behind PosNet", "N", None),
-    "drive": ("Drive networks, commands to angle", "rad", "posnet"),
-    "force_measured": ("Force networks, given the measured motion", "N", "forcenet"),
-    "force_free_running": ("Force networks, free-running behind the drive networks", "N", None),
-}
-"""Rows of Table I, by key of `table_one`: description, unit, and the key in `PAPER_TABLE_I`."""
 
 Samples = Float[np.ndarray, "samples"]
 
@@ -93,7 +83,7 @@ def take(records: Sequence[Record], segments: Sequence[Segment], ticks: int) -> 
 
 
 def free_run(
-    surrogate: AnySurrogate, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
+    surrogate: SurrogatePlant, logs: Sequence[Log], segments: Sequence[Segment], ticks: int
 ) -> tuple[Reading, Float[np.ndarray, "members segments ticks 2"] | None]:
     """Predict segments from their commands, warmed up on the rows before each segment.
 
@@ -201,7 +191,7 @@ TABLE_I_SCORES: Mapping[str, Callable[[Samples, Samples], float]] = {
 }
 
 
-def table_one(surrogate: AnySurrogate, logs: Sequence[Log]) -> JsonObject:
+def table_one(surrogate: SurrogatePlant, logs: Sequence[Log]) -> JsonObject:
     """Return Table I: ``window``, ``parameters`` and scores by network, averaged over logs and
     channels.
 

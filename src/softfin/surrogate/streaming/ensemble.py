@@ -29,6 +29,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.quantities import AnyArray, Command, Log
 from softfin.core.window import window_means
 from softfin.data.issues import counted
+from softfin.surrogate.protocol import COVERAGE
 from softfin.surrogate.streaming.nets import (
     DriveNetConfig,
     FollowingNet,
@@ -38,9 +39,6 @@ from softfin.surrogate.streaming.nets import (
     ForceState,
 )
 from softfin.surrogate.streaming.segments import MAX_DELAY, Motion, Scales
-
-COVERAGE = 0.9
-"""Fraction of mean forces that should be inside their intervals."""
 
 ENOUGH_LOGS = 10
 """Minimum number of held-out logs for a reliable interval; fewer may not represent differences

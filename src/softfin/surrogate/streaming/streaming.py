@@ -204,6 +204,13 @@ class StreamingSurrogate(eqx.Module):
             "parameters": self.parameters(),
         }, name_net_arrays({"members": self.members, "familiarity": self.familiarity})
 
+    def explorer_data(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
+        """Return what the explorer's script reads: the networks, and the state of the members after
+        a long rest."""
+        description, arrays = self.to_files()
+        entries = {name: description[name] for name in ("members", "scales", "interval")}
+        return entries, arrays | name_net_arrays({"rest": self.rest})
+
     @classmethod
     def from_files(
         cls, description: JsonObject, weights: dict[str, np.ndarray], source: str

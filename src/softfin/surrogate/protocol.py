@@ -1,0 +1,100 @@
+"""Contracts of a surrogate, as the rest of softfin uses it, and of an architecture of surrogates.
+
+`softfin.testing.check_surrogate` checks a surrogate. CONTRIBUTING.md describes how to add an
+architecture.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
+from softfin.core.plant import Plant, State
+from softfin.core.quantities import Log
+from softfin.surrogate.channels import NetPrediction, Scaling
+
+COVERAGE = 0.9
+"""Fraction of mean forces that should be inside the intervals of an ensemble."""
+
+
+@runtime_checkable
+class SurrogatePlant(Plant, Protocol):
+    """A plant fitted to logs.
+
+    Its state is a NamedTuple whose first field, `tick`, counts the samples since the start; nothing
+    else depends on the time. A surrogate that estimates its own error is also an `EnsemblePlant`.
+    """
+
+    @property
+    def model(self) -> str:
+        """Name of the architecture in `softfin.surrogate.registry`."""
+
+    @property
+    def memory(self) -> int:
+        """Number of rows of a log that `warm` needs."""
+
+    @property
+    def scaling(self) -> Scaling | None:
+        """Scaling of the channels, in which Table I also states its scores. None: they are divided
+        by the measured ranges instead."""
+
+    def warm(self, history: Log) -> State:
+        """Return the state after the last `memory` rows of a history.
+
+        The command of the last row has not acted yet; it is the first one passed to `advance`.
+        Raises LogError if the history is too short.
+        """
+
+    def predictions(self, logs: Sequence[Log]) -> dict[str, NetPrediction]:
+        """Predict the last rows of each log with each network of `Architecture.table_one`."""
+
+    def flops_per_tick(self) -> int:
+        """Return the number of floating-point operations in the matrix products per sample and
+        fin."""
+
+    def parameters(self) -> int:
+        """Return the number of trainable parameters."""
+
+    def to_files(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
+        """Return the entries of ``surrogate.json``, and the arrays by name, from which
+        `Architecture.load` builds the same surrogate."""
+
+
+@runtime_checkable
+class ExplorableSurrogate(SurrogatePlant, Protocol):
+    """A surrogate that the explorer page can simulate: its script ``surrogate.js`` computes the
+    same."""
+
+    def explorer_data(self) -> tuple[JsonObject, dict[str, np.ndarray]]:
+        """Return the entries and arrays that the script reads."""
+
+
+class TableOneRow(NamedTuple):
+    """Row of Table I with the scores of one network."""
+
+    title: str
+    """Network and its inputs."""
+    unit: str
+    """rad or N."""
+    published: str | None = None
+    """Row of the paper's Table I (``posnet`` or ``forcenet``) that has the same inputs and
+    outputs."""
+
+
+class Architecture(NamedTuple):
+    """An architecture of surrogates, under its name in `softfin.surrogate.registry`."""
+
+    config: type[Configuration]
+    """Configuration of the fit, which has a default for each field. Its name ends in ``Config``."""
+    fit: Callable[..., SurrogatePlant]
+    """Function ``(logs, config, seed, run_directory, progress)`` that fits a surrogate to the
+    training logs, and continues from the checkpoint in `run_directory`, if any."""
+    load: Callable[[JsonObject, dict[str, np.ndarray], str], SurrogatePlant]
+    """Function ``(description, weights, source)`` that builds a surrogate from the content of
+    ``surrogate.json`` and its arrays. `source` is the name of that file for error messages; a
+    ConfigurationError, KeyError, TypeError or ValueError is converted to an ArtifactError."""
+    table_one: Mapping[str, TableOneRow]
+    """Rows of Table I by the names of the networks in `SurrogatePlant.predictions`, which no other
+    architecture uses."""
