@@ -21,7 +21,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.evaluation.headline import within
 from softfin.evaluation.scores import SETTLED_N, settled_band, step_responses
 from softfin.gaits.force_map import MapConfig, find_force_map
-from softfin.gaits.gait import ForceMap, KnownForces
+from softfin.gaits.gait import FinForces, ForceMap
 from softfin.gaits.reachable import PAPER_REACH_N, PAPER_REFERENCES, PAPER_SIZED, Reachable
 from softfin.gaits.search import GaitConfig
 from softfin.gaits.simulate import SurveyConfig
@@ -88,7 +88,7 @@ def test_a_preset_for_the_reach_learns_the_same_policy(scale: float) -> None:
         )
         reachable = Reachable(*(scale * np.asarray(part) for part in found.reachable))
         preset = GRADIENT_SINGLE.changed(["gradient.num_envs=2", "gradient.num_steps=6"])
-        config = fit_to_reach(preset, KnownForces(reachable, table))
+        config = fit_to_reach(preset, FinForces(reachable, table))
         task = ForceTracking(StrokeFin(GAIN * scale), config.task)
         learner = Gradient(task, config.gradient, config.policy, config.num_updates, table)
         references = stack_references(config.cells, reachable)
@@ -106,7 +106,7 @@ def test_a_preset_for_the_reach_learns_the_same_policy(scale: float) -> None:
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_preset_for_the_reach_is_in_its_newtons(scale: float) -> None:
     reachable = circle(PAPER_REACH_N * scale, (PAPER_REACH_N * scale, 0))
-    config = fit_to_reach(GRADIENT_SINGLE, KnownForces(reachable))
+    config = fit_to_reach(GRADIENT_SINGLE, FinForces(reachable))
     assert config.cells == (reachable.bounding_box(),)
     assert config.margin_n == pytest.approx(0.1 * scale)
     assert config.task.force_scale_n == pytest.approx(3 * scale)
@@ -116,10 +116,10 @@ def test_a_preset_for_the_reach_is_in_its_newtons(scale: float) -> None:
 
 def test_a_grid_over_the_reach_has_no_cell_that_the_fin_cannot_reach() -> None:
     tall = Reachable(np.zeros(2, np.float32), np.array([1, 0.01, 1, 0.01], np.float32))
-    round_one = fit_to_reach(GRADIENT_GRID, KnownForces(circle(1)))
+    round_one = fit_to_reach(GRADIENT_GRID, FinForces(circle(1)))
     assert len(round_one.cells) == 6
     for region in (tall, circle(1)):
-        config = fit_to_reach(GRADIENT_GRID, KnownForces(region))
+        config = fit_to_reach(GRADIENT_GRID, FinForces(region))
         for cell in config.cells:
             assert region.contains(cell.lattice(8)).any()
 
@@ -127,7 +127,7 @@ def test_a_grid_over_the_reach_has_no_cell_that_the_fin_cannot_reach() -> None:
 def test_a_range_that_the_fin_cannot_reach_is_refused_with_its_reach() -> None:
     small = circle(0.1)
     with pytest.raises(ConfigurationError) as refused:
-        check(StrokeFin(), GRADIENT_SINGLE, (0,), KnownForces(small))
+        check(StrokeFin(), GRADIENT_SINGLE, (0,), FinForces(small))
     assert str(refused.value).startswith("range x 0.5 .. 3.5, y -1.5 .. 1.5 N: ")
     assert "x -0.1 .. 0.1, y -0.1 .. 0.1 N" in str(refused.value)
 

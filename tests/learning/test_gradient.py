@@ -152,7 +152,7 @@ def test_no_slope_reaches_the_normalisation_and_the_noise() -> None:
 def test_updates_lower_the_loss() -> None:
     """On average over four policies: which references a short run draws weighs nearly as much as
     what it learns."""
-    run = TrainingRun(StrokeFin(), QUICK, SEEDS, mapped().known)
+    run = TrainingRun(StrokeFin(), QUICK, SEEDS, mapped().forces)
     lanes = loud()
     losses = []
     for number in range(QUICK.num_updates):
@@ -375,12 +375,12 @@ def test_the_table_reaches_over_all_that_is_taught() -> None:
     wide = QUICK.changed(("margin_n=0.25",))
     assert WITHIN.box is not None
     assert wide.training_range == WITHIN.box.expanded(0.25)
-    check(StrokeFin(), QUICK, (0,), mapped().known)
+    check(StrokeFin(), QUICK, (0,), mapped().forces)
     with pytest.raises(
         ConfigurationError,
         match=r"map of x 0.5 .. 1.5, y -0.5 .. 0.5 N: its gaits do not cover",
     ):
-        check(StrokeFin(), wide, (0,), mapped().known)
+        check(StrokeFin(), wide, (0,), mapped().forces)
 
 
 def test_a_run_begins_from_gradients_where_the_plant_has_them() -> None:

@@ -14,7 +14,7 @@ import pytest
 from softfin.control.store import load_controller
 from softfin.core.errors import ArtifactError, ConfigurationError
 from softfin.core.quantities import Command
-from softfin.gaits.gait import KnownForces
+from softfin.gaits.gait import FinForces
 from softfin.learning.configuration import GRADIENT_SINGLE, SINGLE, TrainConfig, fit_to_reach
 from softfin.stages.controllers import train
 from tests.plants import StrokeFin
@@ -71,8 +71,8 @@ class Foreign(StrokeFin):
 def over(low: tuple[float, float], high: tuple[float, float]) -> Callable[..., TrainConfig]:
     """A configuration for a range that was asked for."""
 
-    def make(known: KnownForces) -> TrainConfig:
-        return fit_to_reach(QUICK, known).merged({"cells": [{"low": low, "high": high}]}, "test")
+    def make(forces: FinForces) -> TrainConfig:
+        return fit_to_reach(QUICK, forces).merged({"cells": [{"low": low, "high": high}]}, "test")
 
     return make
 

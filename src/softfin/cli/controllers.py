@@ -127,7 +127,7 @@ class TrainArguments(Configured):
 
     def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
-        from softfin.gaits.gait import KnownForces
+        from softfin.gaits.gait import FinForces
         from softfin.learning.configuration import (
             TrainConfig,
             choose_preset,
@@ -157,11 +157,11 @@ class TrainArguments(Configured):
         # Each algorithm has its own defaults, so it is chosen before other options apply.
         preset, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
 
-        def configure(known: KnownForces) -> TrainConfig:
+        def configure(forces: FinForces) -> TrainConfig:
             cells = asked_cells(
-                self.controller, self.cells, within, reach_box(known), known.reachable
+                self.controller, self.cells, within, reach_box(forces), forces.reachable
             )
-            return self._configured(fit_to_reach(preset, known), cells)
+            return self._configured(fit_to_reach(preset, forces), cells)
 
         config: TrainConfig | MakeConfig = configure
         if self.range == PAPER or (self.cells == PAPER and self.range is None):

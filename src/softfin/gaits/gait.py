@@ -110,8 +110,8 @@ class GaitSearchResult(NamedTuple):
         return np.asarray(np.linalg.norm(self.force - self.table.references(), axis=-1))
 
 
-class KnownForces(NamedTuple):
-    """What is known about the mean forces that a fin can produce."""
+class FinForces(NamedTuple):
+    """Mean forces that a fin can produce, as far as they are known."""
 
     reachable: Reachable
     gaits: GaitTable | None = None
@@ -130,9 +130,9 @@ class ForceMap(NamedTuple):
     reachable: Reachable
 
     @property
-    def known(self) -> KnownForces:
+    def forces(self) -> FinForces:
         """The region and the gaits, without their forces."""
-        return KnownForces(self.reachable, self.gaits.table)
+        return FinForces(self.reachable, self.gaits.table)
 
     def to_dict(self) -> JsonObject:
         """Return the lattice and the region for JSON."""

@@ -15,7 +15,7 @@ from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, Po
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import EnsemblePlant, Plant
-from softfin.gaits.gait import GaitTable, KnownForces
+from softfin.gaits.gait import FinForces, GaitTable
 from softfin.gaits.reachable import Cell, Cells, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
 from softfin.learning.gradient import GradientConfig
@@ -193,17 +193,17 @@ def choose_preset(
     return TRAIN_PRESETS["ppo-hindsight", controller], reason
 
 
-def fit_to_reach(config: TrainConfig, known: KnownForces) -> TrainConfig:
+def fit_to_reach(config: TrainConfig, forces: FinForces) -> TrainConfig:
     """Return a preset for all forces that a fin can produce, as far as there are gaits for them.
 
     Cells cover the reach. The preset's values in newtons were tuned for the paper's fin, so they
     are multiplied by the size of this one; the reward is divided by it.
     """
-    size = known.reachable.size
-    box = reach_box(known)
+    size = forces.reachable.size
+    box = reach_box(forces)
     cells: Cells = (box,)
     if config.controller == "grid":
-        cells = without_unreachable(lattice(*GRID_SHAPE, box), known.reachable)
+        cells = without_unreachable(lattice(*GRID_SHAPE, box), forces.reachable)
     x, y = config.task.reward.weight
     values = {
         "cells": [cell.model_dump() for cell in cells],
@@ -224,11 +224,11 @@ def fit_to_reach(config: TrainConfig, known: KnownForces) -> TrainConfig:
     return config.merged(values, "reach")
 
 
-def reach_box(known: KnownForces) -> Cell:
+def reach_box(forces: FinForces) -> Cell:
     """Return the bounding box of the forces that a fin can produce, as far as there are gaits for
     them."""
-    box = known.reachable.bounding_box()
-    return box if known.gaits is None else box.clipped(known.gaits.low, known.gaits.high)
+    box = forces.reachable.bounding_box()
+    return box if forces.gaits is None else box.clipped(forces.gaits.low, forces.gaits.high)
 
 
 def without_unreachable(cells: Cells, reachable: Reachable) -> Cells:
@@ -246,7 +246,7 @@ def check(
     plant: Plant,
     config: TrainConfig,
     seeds: Sequence[int],
-    known: KnownForces | None = None,
+    forces: FinForces | None = None,
 ) -> None:
     """Check a configuration against a plant, seeds, and the forces that the plant can produce.
 
@@ -276,11 +276,11 @@ def check(
             "ensemble = each: the plant must be an ensemble of at least two members; remove the "
             "option, or fit a streaming surrogate with --set members=5"
         )
-    if known is None:
+    if forces is None:
         return
-    _check_reach(config.cells, known.reachable)
-    if config.begins_as_gaits and known.gaits is not None:
-        _check_gaits(config, known.gaits, known.reachable)
+    _check_reach(config.cells, forces.reachable)
+    if config.begins_as_gaits and forces.gaits is not None:
+        _check_gaits(config, forces.gaits, forces.reachable)
 
 
 def _check_gaits(config: TrainConfig, table: GaitTable, reachable: Reachable) -> None:

@@ -23,7 +23,7 @@ from softfin.core.errors import ConfigurationError, RunError, SoftfinError
 from softfin.core.plant import Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
-from softfin.gaits.gait import KnownForces
+from softfin.gaits.gait import FinForces
 from softfin.installation import how_to_add
 from softfin.learning.configuration import TrainConfig, check
 from softfin.learning.run import BestPolicies, TrainingResult
@@ -56,7 +56,7 @@ fork.
 """
 
 
-KnownFin: TypeAlias = tuple[Plant, KnownForces | None]
+FinOfTask: TypeAlias = tuple[Plant, FinForces | None]
 """A plant, and the forces that it can produce, if known."""
 
 
@@ -86,7 +86,7 @@ def train_on_ray(
     seeds: Sequence[int],
     run_directory: RunDirectory,
     progress: Progress | None = None,
-    known: KnownForces | None = None,
+    forces: FinForces | None = None,
     cluster: str | None = None,
 ) -> TrainingResult:
     """Train like `softfin.learning.train.train`, on the cluster at HOST:PORT or on one started for
@@ -98,20 +98,20 @@ def train_on_ray(
         ConfigurationError: `check` failed, or Ray or the cluster cannot be used.
         RunError: a task failed; the last valid checkpoints are kept.
     """
-    check(plant, config, seeds, known)
-    if known is None and config.begins_as_gaits:
-        known = find_gaits(plant, config, run_directory, progress)
-        check(plant, config, seeds, known)
+    check(plant, config, seeds, forces)
+    if forces is None and config.begins_as_gaits:
+        forces = find_gaits(plant, config, run_directory, progress)
+        check(plant, config, seeds, forces)
     tasks = split_into_tasks(config, seeds)
     with _connected(cluster) as ray:
-        results = _run_tasks(ray, (plant, known), tasks, run_directory, progress or silent)
+        results = _run_tasks(ray, (plant, forces), tasks, run_directory, progress or silent)
     # Tasks are in the order of seeds, then cells, so the leaves become (seeds, cells, ...).
     policies, evaluation = jax.tree.map(
         lambda *leaves: np.concatenate(leaves).reshape(len(seeds), -1, *leaves[0].shape[2:]),
         *results,
     )
     limits = Limits(*map(float, plant.limits))
-    reachable = None if known is None else known.reachable
+    reachable = None if forces is None else forces.reachable
     return TrainingResult(config, limits, tuple(seeds), policies, evaluation, reachable)
 
 
@@ -134,7 +134,7 @@ def check_cluster(cluster: str | None) -> None:
 
 def _run_tasks(
     ray: Any,
-    fin: KnownFin,
+    fin: FinOfTask,
     tasks: Sequence[Task],
     run_directory: RunDirectory,
     progress: Progress,
@@ -184,13 +184,13 @@ def _task_outcome(ray: Any, reference: Any, name: str) -> BestPolicies | Softfin
 
 
 def _run_task(
-    fin: KnownFin, task: Task, run_directory: RunDirectory
+    fin: FinOfTask, task: Task, run_directory: RunDirectory
 ) -> BestPolicies | SoftfinError:
     """Run a task on a worker. softfin's errors are returned, because Ray would wrap raised errors
     in a traceback."""
-    plant, known = fin
+    plant, forces = fin
     try:
-        trained = train(plant, task.config, task.seeds, run_directory, None, known)
+        trained = train(plant, task.config, task.seeds, run_directory, None, forces)
     except SoftfinError as error:
         return error
     return trained.policies, trained.evaluation

@@ -20,7 +20,7 @@ from softfin.core.plant import EnsemblePlant, Plant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import AXES, Command, Limits, Reading
 from softfin.core.randomness import named_key
-from softfin.gaits.gait import GaitTable, KnownForces
+from softfin.gaits.gait import FinForces, GaitTable
 from softfin.gaits.reachable import Reachable, force_decimals
 from softfin.learning.configuration import TrainConfig
 from softfin.learning.gradient import Gradient
@@ -138,12 +138,12 @@ class TrainingRun:
         plant: Plant,
         config: TrainConfig,
         seeds: tuple[int, ...],
-        known: KnownForces | None,
+        forces: FinForces | None,
     ) -> None:
         self.config = config
         self.seeds = seeds
-        self.gaits = None if known is None else known.gaits
-        self.reachable = None if known is None else known.reachable
+        self.gaits = None if forces is None else forces.gaits
+        self.reachable = None if forces is None else forces.reachable
         self.agents = [(seed, cell) for seed in seeds for cell in config.cells]
         self.plant = jit_argument(plant)
         # The configuration is a static argument. Without cells, runs that differ only in their

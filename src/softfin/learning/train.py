@@ -14,7 +14,7 @@ from softfin.core.plant import Plant
 from softfin.core.progress import Progress
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import empty_map, find_force_map
-from softfin.gaits.gait import ForceMap, KnownForces
+from softfin.gaits.gait import FinForces, ForceMap
 from softfin.gaits.reachable import Reachable
 from softfin.gaits.simulate import Survey
 from softfin.learning.configuration import TrainConfig, check
@@ -35,21 +35,21 @@ def train(
     seeds: Sequence[int],
     run_directory: RunDirectory,
     progress: Progress | None = None,
-    known: KnownForces | None = None,
+    forces: FinForces | None = None,
 ) -> TrainingResult:
     """Train a policy for each seed and cell; resume from the checkpoint in `run_directory`, if any.
 
-    If policies start from gaits and these are not `known`, the fin is mapped first.
+    If policies start from gaits and `forces` contains none, the fin is mapped first.
 
     Raises:
         ConfigurationError: `check` failed.
         RunError: a loss is not finite; the last valid checkpoint is kept in `run_directory`.
     """
-    check(plant, config, seeds, known)
-    if known is None and config.begins_as_gaits:
-        known = find_gaits(plant, config, run_directory, progress)
-        check(plant, config, seeds, known)
-    run = TrainingRun(plant, config, tuple(seeds), known)
+    check(plant, config, seeds, forces)
+    if forces is None and config.begins_as_gaits:
+        forces = find_gaits(plant, config, run_directory, progress)
+        check(plant, config, seeds, forces)
+    run = TrainingRun(plant, config, tuple(seeds), forces)
     state = run.start()
     done = 0
     steps_per_update = run.config.learning.steps_per_update
@@ -91,7 +91,7 @@ def find_gaits(
     run_directory: RunDirectory,
     progress: Progress | None,
     surveyed: Survey | None = None,
-) -> KnownForces:
+) -> FinForces:
     """Find gaits for all references of a configuration, or load those of an interrupted run.
 
     After a survey, references that it found to be unreachable get no gaits.
@@ -108,8 +108,8 @@ def find_gaits(
     like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)
     if (resumed := part.load(like)) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
-        return stored.known
+        return stored.forces
     report = None if progress is None else partial(progress, "map")
     found = find_force_map(plant, settings, report, surveyed)
     part.save(found, {})
-    return found.known
+    return found.forces

@@ -14,7 +14,7 @@ from softfin.core.plant_identity import identity
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.gaits.force_map import MapConfig, check_star, find_force_map, load_force_map, save_map
-from softfin.gaits.gait import KnownForces
+from softfin.gaits.gait import FinForces
 from softfin.gaits.reachable import PAPER_REFERENCES, PAPER_SIZED
 from softfin.gaits.simulate import missing_gradient, survey
 from softfin.learning.configuration import TrainConfig, check, choose_preset, fit_to_reach
@@ -28,7 +28,7 @@ from softfin.storage.registry import find_plant, plant_name
 from softfin.storage.run_directory import TRAINING_LOG, RunDirectory
 from softfin.surrogate.channels import learnt_from
 
-MakeConfig = Callable[[KnownForces], TrainConfig]
+MakeConfig = Callable[[FinForces], TrainConfig]
 """Function that returns the configuration for the forces that a fin can make."""
 
 
@@ -147,17 +147,17 @@ def train(
     _check_engine(engine, cluster)
     moving = find_plant(plant)
     learnt = learnt_from(plant)
-    loaded = known = None
+    loaded = forces = None
     if force_map is not None:
         loaded = load_force_map(force_map, moving, plant_name(plant)).force_map
-        known = loaded.known
+        forces = loaded.forces
     if config is None:
         preset, reason = choose_preset(moving, "single")
         config = partial(fit_to_reach, preset)
     proposal = config
     if not isinstance(proposal, TrainConfig):
         # As long as the reach is unknown, the configuration for the paper's fin identifies the run.
-        proposal = proposal(known or KnownForces(PAPER_SIZED))
+        proposal = proposal(forces or FinForces(PAPER_SIZED))
     metadata = {
         "configuration": proposal.model_dump(mode="json"),
         "fitted_to_reach": proposal is not config,
@@ -166,22 +166,22 @@ def train(
         "map": None if loaded is None else loaded.to_dict(),
     }
     # Before the run directory is claimed: a configuration that cannot be trained leaves no trace.
-    check(moving, proposal, seeds, known)
+    check(moving, proposal, seeds, forces)
     run_directory = RunDirectory(out, metadata, resume, overwrite)
     if run_directory.complete:
         return run_directory.finish()
     if not isinstance(config, TrainConfig):
-        if known is None:
-            known = _find_forces(moving, config, proposal, seeds, run_directory, progress)
-        config = config(known)
+        if forces is None:
+            forces = _find_forces(moving, config, proposal, seeds, run_directory, progress)
+        config = config(forces)
     origin = _origin(plant, moving, force_map)
     origin["algorithm"] = reason or f"{config.algorithm}, as configured"
     if reason is not None:
         progress("algorithm", 1.0, reason)
     if engine == "ray":
-        trained = train_on_ray(moving, config, seeds, run_directory, progress, known, cluster)
+        trained = train_on_ray(moving, config, seeds, run_directory, progress, forces, cluster)
     else:
-        trained = train_in_process(moving, config, seeds, run_directory, progress, known)
+        trained = train_in_process(moving, config, seeds, run_directory, progress, forces)
     _write_controllers(out, trained, origin, learnt, run_directory)
     run_directory.finish()
 
@@ -224,25 +224,25 @@ def _find_forces(
     seeds: Sequence[int],
     run_directory: RunDirectory,
     progress: Progress,
-) -> KnownForces:
+) -> FinForces:
     """Survey the forces that a fin can produce, and find gaits for them if policies start from
     gaits."""
     settings = proposal.gradient.map.survey
     if missing_gradient(plant) is not None:
         settings = settings.model_copy(update={"pushes": 0})
     surveyed = survey(plant, settings, partial(progress, "survey"))
-    known = KnownForces(surveyed.reachable)
-    if not known.reachable.radius.any():
+    forces = FinForces(surveyed.reachable)
+    if not forces.reachable.radius.any():
         raise PlantError(
             "this plant produces no mean force, whatever its commands; check its model"
         )
     # References that the fin cannot reach are reported before the search for gaits, which takes
     # most of the time.
-    config = make_config(known)
-    check(plant, config, seeds, known)
+    config = make_config(forces)
+    check(plant, config, seeds, forces)
     if config.begins_as_gaits:
-        known = search_gaits(plant, config, run_directory, progress, surveyed)
-    return known
+        forces = search_gaits(plant, config, run_directory, progress, surveyed)
+    return forces
 
 
 def _check_engine(engine: EngineName, cluster: str | None) -> None:
