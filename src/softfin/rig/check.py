@@ -10,7 +10,7 @@ from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.force_zero import check_force_zero
 from softfin.rig.pace import Pace
 from softfin.rig.prove import check_proof

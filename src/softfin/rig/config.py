@@ -8,8 +8,8 @@ from pydantic import Field, PrivateAttr, model_validator
 from softfin.core.configuration import Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.rig.axia80.config import Axia80Config
-from softfin.rig.epos2.config import BusConfig, Epos2Config
+from softfin.rig.devices.axia80.config import Axia80Config
+from softfin.rig.devices.epos2.config import BusConfig, Epos2Config
 from softfin.rig.filter import BRIDGED_S, design
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig

@@ -8,8 +8,8 @@ import datetime
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
+from softfin.rig.devices.axia80.sensor import Axia80
 from softfin.rig.record import ForceZero, load_record, save_record
 
 MOVING_N = 0.3

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2.drive import Epos2
+from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.record import StopProof, date_and_time, load_record, save_record
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
-from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2.drive import Epos2
+from softfin.rig.devices.axia80.sensor import Axia80
+from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.force_zero import check_force_zero
 from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof

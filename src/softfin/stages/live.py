@@ -28,7 +28,7 @@ from softfin.data.importing.clocks import held_command, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
-from softfin.rig.axia80.config import ADDRESS_FIELDS
+from softfin.rig.devices.axia80.config import ADDRESS_FIELDS
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.record import load_record

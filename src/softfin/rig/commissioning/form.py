@@ -11,8 +11,8 @@ from pathlib import Path
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.config import RigConfig
+from softfin.rig.devices.axia80.config import ADDRESS_FIELDS
 from softfin.storage import artifact as artifacts
 
 STEP_TITLES = {

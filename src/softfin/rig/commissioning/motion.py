@@ -16,10 +16,10 @@ from softfin.core.errors import DeviceError, SafetyStop
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import protocol
-from softfin.rig.epos2.config import Units
-from softfin.rig.epos2.connection import CanConnection
-from softfin.rig.epos2.procedures import read_fault
+from softfin.rig.devices.epos2 import protocol
+from softfin.rig.devices.epos2.config import Units
+from softfin.rig.devices.epos2.connection import CanConnection
+from softfin.rig.devices.epos2.procedures import read_fault
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard

@@ -13,7 +13,6 @@ import numpy as np
 from softfin.core.clock import Clock
 from softfin.core.errors import RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
-from softfin.rig.axia80.stream import BUFFER_BYTES
 from softfin.rig.check import check_currents, check_rig
 from softfin.rig.commissioning.form import Item
 from softfin.rig.commissioning.motion import (
@@ -30,7 +29,8 @@ from softfin.rig.commissioning.motion import (
 )
 from softfin.rig.commissioning.operator import Operator
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.devices.axia80.stream import BUFFER_BYTES
+from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.machine import Target
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force

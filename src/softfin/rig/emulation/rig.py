@@ -19,12 +19,12 @@ from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.core.json_object import JsonObject
 from softfin.rig.config import RigConfig
+from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
+from softfin.rig.devices.epos2.config import BusConfig, Epos2Config
+from softfin.rig.devices.epos2.emulated_drive import EmulatedDrive
+from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.emulation.bus import HOST, SocketcandServer
-from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
-from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.lock import DeviceLock
 from softfin.rig.record import record_file
 from softfin.rig.simulated_clock import SimulatedClock
