@@ -24,7 +24,7 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
-from softfin.rig.devices.epos2.config import BusConfig
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2.emulated_drive import USUAL
 from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.emulation.rig import EmulatedRig

@@ -4,6 +4,10 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 from softfin.rig.machine import Wrench
 
+SENSOR_MOUNTING = "y,-x"
+"""Mounting of an emulated sensor; different from softfin's axes, so that a wrong frame cannot go
+unnoticed."""
+
 COAST_RAD_S2 = 10.0
 """Deceleration of a fin without voltage [rad/s2]; assumed, far lower than in a quick stop, so that
 the two are distinguishable."""

@@ -28,7 +28,7 @@ from softfin.data.importing.clocks import held_command, interpolated
 from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
-from softfin.rig.devices.axia80.config import ADDRESS_FIELDS
+from softfin.rig.device import is_address
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.record import load_record
@@ -326,7 +326,7 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
         kept["sensor"] = {
-            name: value for name, value in kept["sensor"].items() if name not in ADDRESS_FIELDS
+            name: value for name, value in kept["sensor"].items() if not is_address(name)
         }
     return kept
 

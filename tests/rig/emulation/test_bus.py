@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from softfin.rig.devices.epos2.config import BusConfig
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2.emulated_drive import EmulatedDrive
 from softfin.rig.emulation.bus import HOST, SocketcandServer, format_frame, parse_frame
 from tests.patience import HANG_S, wait_until
@@ -23,7 +23,8 @@ import json, sys, time
 from softfin.core.errors import DeviceError
 from softfin.rig.machine import Target
 from softfin.rig.devices.epos2.drive import Epos2
-from softfin.rig.devices.epos2.config import BusConfig, Epos2Config
+from softfin.rig.bus import BusConfig
+from softfin.rig.devices.epos2.config import Epos2Config
 
 assert "jax" not in sys.modules
 given = json.loads(sys.argv[1])
@@ -37,7 +38,7 @@ def done(step):
         # On a busy machine the answers of another process come later than those of a bus.
         assert time.monotonic() < end, error
         return False
-for step in (drive.open, drive.home_here, drive.enable):
+for step in (drive.open, drive.zero, drive.enable):
     while not done(step):
         pass
 drive.command(Target(0.4, 3.0))

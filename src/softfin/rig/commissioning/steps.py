@@ -22,6 +22,7 @@ from softfin.rig.commissioning.motion import (
     changed,
     die_by_signal,
     die_in_process,
+    epos2_config,
     move,
     narrowed,
     stroke_ticks,
@@ -31,6 +32,7 @@ from softfin.rig.commissioning.operator import Operator
 from softfin.rig.config import RigConfig
 from softfin.rig.devices.axia80.stream import BUFFER_BYTES
 from softfin.rig.devices.epos2 import procedures, protocol
+from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.machine import Target
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
@@ -152,7 +154,7 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
     """Step 1: compare the rig's file with data sheets and check the drive settings and the switch
     of the motor's supply."""
     operator = context.operator
-    drive = context.config.drive
+    drive = epos2_config(context.config)
     safety = context.config.safety
     for what, question, value in (
         (
@@ -482,8 +484,10 @@ def _settings(context: StepContext) -> Iterator[Item]:
     rig = context.rig()
     try:
         rig.drive.open()
+        assert isinstance(rig.drive, Epos2), "checked by `compare_data_sheets`"
+        connection = rig.drive.connection
         for entry, wanted in protocol.REACTIONS.items():
-            value = procedures.read_optional(rig.drive.connection, entry)
+            value = procedures.read_optional(connection, entry)
             yield Item(
                 what=str(entry),
                 value="no such object" if value is None else str(value),
@@ -522,7 +526,7 @@ def _proof(context: StepContext) -> Item:
 
 def _refusal_of_wrong_lines(context: StepContext) -> Item:
     """Open the drive with a different number of encoder lines, which must be refused."""
-    lines = context.config.drive.encoder_lines
+    lines = epos2_config(context.config).encoder_lines
     rig = context.rig(changed(context.config, drive={"encoder_lines": 2 * lines}))
     try:
         rig.drive.open()
@@ -566,7 +570,7 @@ def _try_signal(
     time."""
     operator = context.operator
     # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
-    braking_s = SLOW_RAD_S / config.drive.quick_stop_rad_s2
+    braking_s = SLOW_RAD_S / epos2_config(config).quick_stop_rad_s2
     allowed_s = config.drive.heartbeat_s + braking_s + REST_MARGIN_S
     operator.wait(
         f"Next, the shaft will swing {TRIALS} times, and {number.name} ends softfin each "

@@ -248,7 +248,7 @@ def test_a_sensor_that_restarted_is_a_complaint_as_soon_as_it_sends_again(pair):
     # It stays one until the zero is set.
     read_for(client, 2.0)
     assert "its zero is lost" in client.complaints()[0]
-    client.bias()
+    client.zero()
     assert client.complaints() == ()
 
 
@@ -366,14 +366,14 @@ def test_a_second_client_takes_the_stream_and_ends_it(pair):
 
 def test_the_emulated_zero_drifts_and_its_own_filter_delays_if_asked():
     with emulated() as sensor, opened(sensor) as client:
-        client.bias()
+        client.zero()
         sensor.drift_n_s = 0.1
-        client.bias()
+        client.zero()
         sensor.clock.sleep(3.0)
         assert read_for(client, 0.2)[-1].wrench[:3] == pytest.approx((0.33, 0.33, 0.33), abs=0.02)
         sensor.drift_n_s = 0.0
         sensor.filter_delay_s = 0.1
-        client.bias()
+        client.zero()
         read_for(client, 0.2)
         sensor.fin.wrench = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         assert read_for(client, 0.12)[-1].wrench[0] == pytest.approx(0.0, abs=0.01)
@@ -396,7 +396,7 @@ def test_a_date_that_is_set_makes_no_force_newer_than_it_is(pair, step_s):
 
 def test_the_zero_is_set_to_what_is_felt_now_and_what_changes_from_then_on_is_measured():
     with emulated(1, 2, 3, 0.1, 0.2, 0.3) as sensor, opened(sensor) as client:
-        client.bias()
+        client.zero()
         assert client.read().wrench == pytest.approx((0,) * 6, abs=1e-5)
         ticks = itertools.count()
         sensor.fin.now = lambda: FinMotion(

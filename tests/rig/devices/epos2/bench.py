@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 import can
 
-from softfin.rig.devices.epos2.config import BusConfig, Epos2Config
+from softfin.rig.bus import BusConfig
+from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.devices.epos2.emulated_drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.simulated_clock import SimulatedClock
@@ -97,7 +98,7 @@ def bench(
 def enabled(**changes: Any) -> Iterator[Bench]:
     with bench(**changes) as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         made.drive.enable()
         yield made
 

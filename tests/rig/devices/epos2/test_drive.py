@@ -9,8 +9,8 @@ import can
 import pytest
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2 import emulated_motor, procedures, protocol
-from softfin.rig.devices.epos2.config import BusConfig
 from softfin.rig.devices.epos2.connection import CanConnection, download
 from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.devices.epos2.emulated_drive import DriveTraits
@@ -109,7 +109,7 @@ def test_homing_moves_nothing_and_makes_here_zero() -> None:
         made.fin.move(0.7, 100.0)
         made.clock.sleep(0.05)
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         assert made.fin.now().angle == pytest.approx(0.7)
         assert made.drive.referenced
         assert made.drive.sync_and_read(0.1).angle == pytest.approx(0.0, abs=1e-3)
@@ -130,7 +130,7 @@ def test_a_fin_is_enabled_a_little_beyond_its_limits_and_no_further(
 ) -> None:
     with bench(angle_min_rad=-1.0, angle_max_rad=0.5, zero_offset_rad=angle) as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         with pytest.raises(RigError, match=r"outside -1 \.\. 0\.5") if refused else nullcontext():
             made.drive.enable()
         assert (made.emulated.state in AT_REST) is refused
@@ -154,7 +154,7 @@ def test_a_command_before_enable_and_after_stop_is_refused() -> None:
         made.drive.open()
         with pytest.raises(DeviceError, match="not enabled"):
             made.drive.command(Target(0.1, 2.0))
-        made.drive.home_here()
+        made.drive.zero()
         made.drive.enable()
         made.drive.stop()
         with pytest.raises(DeviceError, match="not enabled"):
@@ -471,7 +471,7 @@ def test_settings_that_a_drive_does_not_have_are_notes() -> None:
 def test_other_devices_are_read_while_the_drive_is_being_enabled() -> None:
     with bench() as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         times: list[float] = []
         made.drive.enable(meanwhile=lambda: times.append(made.clock()))
         assert len(times) > 2
@@ -505,7 +505,7 @@ def test_a_stop_is_safe_in_any_state_any_number_of_times() -> None:
         made.drive.open()
         made.drive.stop()
         made.drive.stop()
-        made.drive.home_here()
+        made.drive.zero()
         made.drive.enable()
         made.drive.stop()
         made.drive.stop()
@@ -542,7 +542,7 @@ def test_many_threads_may_stop_at_once() -> None:
 def test_a_stop_while_it_is_being_enabled_wins() -> None:
     with bench() as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         drive = made.drive
         read = drive.sync_and_read
         calls = [0]
@@ -629,7 +629,7 @@ def test_a_target_whose_first_frame_hangs_does_not_follow_the_stop_that_went_pas
 def test_a_homing_that_failed_does_not_leave_its_mode_for_targets() -> None:
     with bench() as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         made.emulated._node.sdo.download(0x6060, 0, b"\x06")
         made.drive.enable()
         made.drive.command(Target(0.2, 3.0))
@@ -731,7 +731,7 @@ def test_the_first_word_after_a_bus_took_no_frames_is_a_quick_stop(
 def test_a_stop_that_comes_while_the_drive_is_being_enabled_is_not_forgotten(monkeypatch) -> None:
     with bench() as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
         set_mode = procedures.set_mode
 
         def stop_and_set_mode(connection: CanConnection, mode: int) -> None:
@@ -825,7 +825,7 @@ def test_a_host_with_our_number_is_a_complaint_whenever_it_begins_to_send() -> N
 def test_a_drive_is_not_enabled_if_its_bus_cannot_be_read_any_more() -> None:
     with bench() as made:
         made.drive.open()
-        made.drive.home_here()
+        made.drive.zero()
 
         def lose_the_bus() -> None:
             made.drive.trouble = "bus cannot be read"
@@ -857,7 +857,7 @@ def test_a_motor_that_may_still_be_on_is_told_whatever_else_went_wrong(
             raise KeyboardInterrupt
 
         monkeypatch.setattr(procedures, motion, fail)
-        begin = made.drive.home_here if motion == "home" else made.drive.prove_stop
+        begin = made.drive.zero if motion == "home" else made.drive.prove_stop
         with pytest.raises(SafetyStop, match="interrupted; BUT drive did not confirm"):
             begin()
 
@@ -878,4 +878,4 @@ def test_ctrl_c_while_a_homing_brakes_does_not_hide_that_the_motor_may_be_on(
 
         monkeypatch.setattr(made.drive, "_come_to_rest", interrupted)
         with pytest.raises(SafetyStop, match="BUT drive did not confirm"):
-            made.drive.home_here()
+            made.drive.zero()

@@ -9,8 +9,8 @@ import can
 import pytest
 
 from softfin.core.errors import RigError
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2 import emulated_motor, protocol
-from softfin.rig.devices.epos2.config import BusConfig
 from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.devices.epos2.emulated_drive import USUAL, DriveTraits, EmulatedDrive
 from softfin.rig.devices.epos2.protocol import FAULT_STATES, State
@@ -38,7 +38,7 @@ class Host:
 
     def swim(self) -> None:
         self.drive.open()
-        self.drive.home_here()
+        self.drive.zero()
         self.drive.enable()
         self._clock.spawn(self._loop, "host")
 
@@ -202,6 +202,6 @@ def test_a_drive_may_take_as_long_to_enable_on_a_busy_bus_as_on_a_quiet_one(
         monkeypatch.setattr(emulated_motor, "next_state", power_up_slowly)
         made.clock.spawn(send_frames_of_another_fin, "another fin")
         host.drive.open()
-        host.drive.home_here()
+        host.drive.zero()
         assert made.clock() >= powered_at
         host.killed.set()

@@ -1,26 +1,22 @@
 """Configuration of the force sensor in a rig's file."""
 
+import math
 from typing import Literal
 
 import pydantic
 
-from softfin.core.configuration import Configuration
-from softfin.data.importing.importing import FORCE_FRAMES
-
-ADDRESS_FIELDS = ("address", "http_port", "rdt_port")
-"""Fields that only define the sensor's address, which may change at any time; the others affect the
-readings."""
+from softfin.rig.device import ForceSensorConfig
+from softfin.rig.filter import BRIDGED_S, design
 
 
-class Axia80Config(Configuration):
+class Axia80Config(ForceSensorConfig):
     """An ATI Axia80 with an Ethernet interface; the address and the ports default to its factory
     settings."""
 
+    type: Literal["axia80"] = "axia80"
+    """An Axia80."""
     address: str = pydantic.Field(min_length=1)
     """IP address or host name of the sensor; the factory setting is 192.168.1.1."""
-    frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
-    """Sensor axes along softfin's +x (forward thrust on the robot) and +y, e.g. ``y,-x``; z follows
-    from the right-hand rule. No default, because it depends on how the sensor is mounted."""
     http_port: int = pydantic.Field(default=80, ge=1, le=65535)
     """TCP port of the sensor's web pages, from which units and scale are read."""
     rdt_port: int = pydantic.Field(default=49152, ge=1, le=65535)
@@ -36,3 +32,20 @@ class Axia80Config(Configuration):
     """Product name that the sensor must report; None accepts any."""
     serial: str | None = None
     """Calibration serial number that the sensor must report; None accepts any."""
+
+    def check_stale(self, force_stale_s: float) -> None:
+        """Raise ValueError if the filter delays the force by too much for a limit on its age
+        [s]."""
+        # The delay of a symmetric filter is half its length.
+        delay = len(design(self.rate_hz, self.cutoff_hz)) // 2 / self.rate_hz
+        # After a gap too long to bridge, the filter takes twice its delay to refill, and the latest
+        # force is one delay older than the gap. A shorter limit would stop the fin because of a
+        # dozen lost records.
+        needed = 3 * delay + 2 * BRIDGED_S
+        if force_stale_s < needed:
+            least = math.ceil(100 * needed) / 100
+            raise ValueError(
+                f"safety.force_stale_s = {force_stale_s:g}: the force filter alone "
+                f"delays by {delay:.3f} s, and by three times that after lost records; use "
+                f"{least:.2f} or more, or a higher sensor.cutoff_hz"
+            )

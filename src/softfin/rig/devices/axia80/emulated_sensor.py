@@ -124,6 +124,15 @@ class EmulatedAxia80:
         self._ports.callback(self._socket.close)
         self._thread = clock.spawn(self._serve, "emulated sensor's stream")
 
+    def address(self) -> JsonObject:
+        """Return its address and ports, as in a rig's file."""
+        return {"address": LOOPBACK, "http_port": self.http_port, "rdt_port": self.rdt_port}
+
+    def description(self) -> str:
+        """Return its address and ports."""
+        pages = f"pages at http://{LOOPBACK}:{self.http_port}"
+        return f"{LOOPBACK}, RDT port {self.rdt_port}, {pages}"
+
     def remembered(self) -> JsonObject:
         """Return the state that a power loss would erase, for JSON: the zero in the sensor's axes
         [N, N m] and the sample counter."""

@@ -6,17 +6,18 @@ Axia). Tested with the emulator, which a third-party client can also read, but n
 sensor.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError
+from softfin.rig.device import CheckResult, ForceReading, SampleCounter
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.pages import SensorSettings, fetch_page, read_settings
 from softfin.rig.devices.axia80.rdt import RdtCommand, decode_status
-from softfin.rig.devices.axia80.stream import ForceReading, ForceStream
+from softfin.rig.devices.axia80.stream import ForceStream
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Wrench, rotated
 from softfin.rig.simulated_clock import SimulatedClock
@@ -49,9 +50,9 @@ class Axia80:
         self.settings: SensorSettings | None = None
         """Settings from the sensor's pages; None before the first `open`."""
         self.clock = clock
-        self._name = f"force sensor {config.address}"
+        self.name = f"force sensor {config.address}"
         self._stream: ForceStream | None = None
-        self.device_lock = DeviceLock(self._name, config.address, config.rdt_port)
+        self.device_lock = DeviceLock(self.name, config.address, config.rdt_port)
         """Acquired by `open`: the sensor streams only to the latest client, so a second program
         would cut off the first."""
 
@@ -65,8 +66,24 @@ class Axia80:
     def stream(self) -> ForceStream:
         """Stream of the open sensor; raises DeviceError if the sensor is not open."""
         if self._stream is None or self._stream.client.closed:
-            raise DeviceError(f"{self._name}: not open; open it first")
+            raise DeviceError(f"{self.name}: not open; open it first")
         return self._stream
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the filter [s]."""
+        return self.stream.delay_s
+
+    @property
+    def sample_counter(self) -> SampleCounter:
+        """The sensor's counter of samples since it was switched on."""
+        watch = self.stream.watch
+        return SampleCounter(watch.ft_sequence, watch.ft_rate_hz)
+
+    @property
+    def zero_wrench(self) -> None:
+        """None, because the sensor subtracts its zero itself."""
+        return None
 
     def open(self) -> None:
         """Read the sensor's pages, start the stream and measure its rate, which takes half a
@@ -99,8 +116,7 @@ class Axia80:
         for name, (value, found) in wanted.items():
             if value not in (None, found):
                 raise RigError(
-                    f"{self._name}: {name} must be {value!r}, got {found!r}; check address or "
-                    f"{name}"
+                    f"{self.name}: {name} must be {value!r}, got {found!r}; check address or {name}"
                 )
         self._stream = ForceStream(config, settings.scale, clock)
         self._await_stream(self._stream)
@@ -118,7 +134,7 @@ class Axia80:
         reading = stream.reading()
         if reading is None:
             raise DeviceError(
-                f"{self._name}: received {stream.records} records, too few to compute a force; "
+                f"{self.name}: received {stream.records} records, too few to compute a force; "
                 "check the network"
             )
         return reading
@@ -128,7 +144,7 @@ class Axia80:
         other waits."""
         self.stream.take()
 
-    def bias(self) -> None:
+    def zero(self) -> None:
         """Set the sensor's zero to the current load. The sensor does not acknowledge this, so use
         `measured` to check the result.
 
@@ -137,17 +153,31 @@ class Axia80:
         stream = self.stream
         if not stream.client.send(RdtCommand.BIAS):
             raise DeviceError(
-                f"{self._name}: could not send the request to set its zero; check the cable"
+                f"{self.name}: could not send the request to set its zero; check the cable"
             )
         # Records in transit still have the old zero.
         self._wait(lambda: False, 0.1)
         stream.filter.clear()
         if not self._wait(lambda: stream.filter.full, FIRST_RECORD_S):
             raise DeviceError(
-                f"{self._name}: stream stopped while its zero was being set; check its power and "
+                f"{self.name}: stream stopped while its zero was being set; check its power and "
                 "cable"
             )
         stream.watch.accept_restart()
+
+    def restore_zero(self, wrench: Wrench) -> None:
+        """Never called, because `zero_wrench` is None."""
+        raise AssertionError("the sensor keeps its zero itself")
+
+    def checks(self) -> Iterator[CheckResult]:
+        """Describe the open sensor."""
+        product = self.settings.prodname if self.settings else "sensor"
+        yield CheckResult(
+            "force sensor",
+            "well",
+            f"{product}, {self.stream.times.rate_hz:.0f} records/s, filter delay "
+            f"{self.stream.delay_s * 1e3:.1f} ms",
+        )
 
     def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
         """Wait for `seconds`, then return the mean and standard deviation of the unfiltered records
@@ -161,7 +191,7 @@ class Axia80:
             stream.collected = None
         if not collected:
             raise DeviceError(
-                f"{self._name}: sent nothing for {seconds:g} s; check its power and cable"
+                f"{self.name}: sent nothing for {seconds:g} s; check its power and cable"
             )
         values = np.stack(collected)
         turn = stream.rotation
@@ -181,7 +211,7 @@ class Axia80:
                 "no other program reads it; if it was off, its zero is lost: run softfin rig "
                 "zero --force"
             )
-        return tuple(f"{self._name}: {line}" for line in lines)
+        return tuple(f"{self.name}: {line}" for line in lines)
 
     def notes(self) -> tuple[str, ...]:
         """Return notes on the sensor's status that do not stop the fin, e.g. that it is busy or
@@ -189,7 +219,7 @@ class Axia80:
         if self._stream is None or self._stream.client.closed:
             return ()
         return tuple(
-            f"{self._name}: {bit}" for bit in decode_status(self._stream.status) if not bit.is_error
+            f"{self.name}: {bit}" for bit in decode_status(self._stream.status) if not bit.is_error
         )
 
     def counters(self) -> dict[str, int]:
@@ -221,7 +251,7 @@ class Axia80:
                 break
         else:
             raise DeviceError(
-                f"{self._name}: its web page on port {config.http_port} works, but no record "
+                f"{self.name}: its web page on port {config.http_port} works, but no record "
                 f"arrived from UDP port {config.rdt_port} within {FIRST_RECORD_S:g} s "
                 f"({stream.client.refused} malformed datagrams); check rdt_port, the RDT setting "
                 "on the sensor's communication page, and the firewall"
@@ -235,14 +265,14 @@ class Axia80:
         # A busy computer delivers records in bursts; their mean rate converges to the true one.
         if not self._wait(fits, 5.0):
             raise RigError(
-                f"{self._name}: sends {stream.times.rate_hz:.0f} records per second, but rate_hz "
+                f"{self.name}: sends {stream.times.rate_hz:.0f} records per second, but rate_hz "
                 f"is {config.rate_hz:g}; set the RDT rate on the sensor's communication page, or "
                 "change rate_hz to match"
             )
 
         if not self._wait(lambda: not stream.watch.is_busy, BUSY_S):
             raise DeviceError(
-                f"{self._name}: busy for more than {BUSY_S:g} s; do not use its web pages; if it "
+                f"{self.name}: busy for more than {BUSY_S:g} s; do not use its web pages; if it "
                 "stays busy, switch it off and on, then run: softfin rig zero --force"
             )
 

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError
+from softfin.rig.device import ForceReading
 from softfin.rig.devices.axia80.config import Axia80Config
 from softfin.rig.devices.axia80.rdt import (
     RdtCommand,
@@ -237,18 +238,6 @@ class StreamClock:
         """Return the monotonic time of a position near the latest ones [s]."""
         # Every timestamp is late by an unknown delay, so the earliest estimate is the best.
         return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)
-
-
-class ForceReading(NamedTuple):
-    """The latest force."""
-
-    force_time: float
-    """Monotonic time of the filtered wrench [s]: time of the latest record minus the filter's
-    delay."""
-    wrench: Wrench
-    peak: Wrench
-    """Largest magnitudes of the unfiltered records since the previous read; used for safety limits,
-    because the filter is slow."""
 
 
 class ForceStream:

@@ -1,35 +1,25 @@
-"""Configuration of the drive and its CAN bus, and conversion to the drive's units: counts, rpm and
-rpm/s of the motor."""
+"""Configuration of the drive, and conversion to the drive's units: counts, rpm and rpm/s of the
+motor."""
 
 import math
 from typing import Literal, NamedTuple
 
 from pydantic import Field, model_validator
 
-from softfin.core.configuration import Configuration
-from softfin.core.quantities import PAPER_LIMITS, TICK_S, Limits
+from softfin.core.quantities import TICK_S
+from softfin.rig.device import DriveConfig
 
 MAX_BRAKE_S = 0.5
 """Longest allowed quick stop from the highest velocity [s]; softfin does not wait any longer."""
 
 
-class BusConfig(Configuration):
-    """A CAN bus, in python-can's terms."""
-
-    interface: str
-    """python-can interface of the adapter, e.g. socketcan, pcan, kvaser, slcan, socketcand or
-    virtual; no default."""
-    channel: str
-    """Channel of the interface, e.g. can0; no default."""
-    bitrate: int = Field(1_000_000, gt=0, le=1_000_000)
-    """Bitrate [bit/s]; the factory setting of an EPOS2 is 1 Mbit/s. SocketCAN uses the bitrate set
-    with ``ip link``."""
-    options: dict[str, str | int | float | bool] = Field(default_factory=dict)
-    """Additional options for the interface, such as host and port for socketcand."""
-
-
-class Epos2Config(Configuration):
+class Epos2Config(DriveConfig):
     """An EPOS2 drive with its motor, gearbox and encoder."""
+
+    NEEDS_BUS = True
+
+    type: Literal["epos2"] = "epos2"
+    """An EPOS2."""
 
     node: int = Field(ge=1, le=127)
     """Node number of the drive on the bus, set with its DIP switches or in EPOS Studio."""
@@ -41,18 +31,6 @@ class Epos2Config(Configuration):
     """-1 if positive counts correspond to negative fin angles."""
     zero_offset_rad: float = Field(0.0, ge=-math.pi, le=math.pi)
     """Fin angle at which the drive's position is zero [rad]."""
-    angle_min_rad: float = PAPER_LIMITS.angle_min
-    """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
-    angle_max_rad: float = PAPER_LIMITS.angle_max
-    """Maximum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
-    slowest_rad_s: float = Field(PAPER_LIMITS.velocity_min, gt=0)
-    """Minimum profile velocity of a command [rad/s]; the default is from the paper, Sec. III-A."""
-    fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
-    """Maximum profile velocity, enforced by the drive [rad/s]; the default is from the paper, Sec.
-    III-A."""
-    acceleration_rad_s2: float = Field(gt=0)
-    """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
-    gearbox and fin."""
     quick_stop_rad_s2: float = Field(gt=0)
     """Quick-stop deceleration [rad/s2]; no default, because it depends on what the fin's mount can
     withstand."""
@@ -69,9 +47,11 @@ class Epos2Config(Configuration):
     means 127 - node."""
     sync_s: float = Field(TICK_S, ge=0.001, le=0.1)
     """Period at which the drive is read [s]."""
-    zero_needed: bool = True
-    """Refuse to move until the fin has been zeroed after each power-up of the drive; set to false
-    only for an absolute encoder."""
+
+    @property
+    def summary(self) -> str:
+        """The encoder and the gearbox."""
+        return f"{self.encoder_lines} lines, gear {self.gear_ratio:g}"
 
     @property
     def host(self) -> int:
@@ -79,17 +59,8 @@ class Epos2Config(Configuration):
         under it would keep this drive moving."""
         return 127 - self.node if self.host_node is None else self.host_node
 
-    @property
-    def limits(self) -> Limits:
-        """Command limits."""
-        return Limits(
-            self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s
-        )
-
     @model_validator(mode="after")
     def _fits(self) -> "Epos2Config":
-        if problem := self.limits.problem(one_velocity=True):
-            raise ValueError(problem)
         if self.host == 0:
             raise ValueError(
                 "node 127 leaves no default for host_node; set host_node to a node number that "

@@ -18,8 +18,8 @@ import can
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError, RigError, one_line
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2 import protocol
-from softfin.rig.devices.epos2.config import BusConfig
 from softfin.rig.devices.epos2.protocol import Object
 from softfin.rig.simulated_network import open_bus
 

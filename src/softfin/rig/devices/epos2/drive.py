@@ -9,11 +9,19 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.epos2 import procedures, protocol
 from softfin.rig.devices.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
 from softfin.rig.devices.epos2.protocol import Bit, State
 from softfin.rig.machine import Target
 from softfin.rig.safety import OVERSHOOT_RAD, check_target
+
+ANSWER_S = 0.006
+"""Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
+busy computer."""
+
+BEAT_TICKS = 4
+"""Ticks between our heartbeats: 40 ms, one fifth of the default heartbeat timeout."""
 
 RESET_TIMEOUT_S = 1.0
 LIMITED_S = 0.1
@@ -86,6 +94,24 @@ class Epos2(Exchange):
         self.owned = False
         self.connection.close()
         self.device_lock.release()
+
+    def read(self) -> DriveReading:
+        """Read the drive now; every fourth call also sends a heartbeat."""
+        if self._ticks % BEAT_TICKS == 0:
+            self.send_heartbeat()
+        self._ticks += 1
+        status = self.sync_and_read(ANSWER_S)
+        return DriveReading(
+            time=status.time,
+            angle=status.angle,
+            velocity=status.velocity,
+            current=status.current,
+            following_error=status.demand - status.angle,
+        )
+
+    def read_angle(self) -> float:
+        """Return the shaft's angle now [rad]."""
+        return self.sync_and_read(0.02).angle
 
     def reset_fault(self) -> str | None:
         """Acknowledge the drive's fault and return its description; None if there was none. Raises
@@ -177,6 +203,33 @@ class Epos2(Exchange):
         return tuple(line for is_wrong, line in lines if is_wrong and line)
 
     @property
+    def where(self) -> str:
+        """The drive's bus, and its number there."""
+        return f"{self.bus.interface} {self.bus.channel}, node {self.config.node}"
+
+    def checks(self) -> Iterator[CheckResult]:
+        """Describe the open drive."""
+        text = f"{self.where}: limits, ramps and mapping written and read back"
+        yield CheckResult("drive", "well", text)
+        yield from (CheckResult("drive setup", "note", note) for note in self.notes)
+
+    def current_limits(self) -> CurrentLimits:
+        """Return the open drive's limits for the motor's current."""
+        peak_ma, continuous_ma = (
+            procedures.read_optional(self.connection, entry)
+            for entry in (protocol.CURRENT_LIMIT, protocol.CONTINUOUS_CURRENT)
+        )
+        return CurrentLimits(
+            None if peak_ma is None else peak_ma / 1000,
+            None if continuous_ma is None else continuous_ma / 1000,
+        )
+
+    def own_stop(self) -> str:
+        """Return the open drive's reaction to a missing host."""
+        behaviour = procedures.read_optional(self.connection, protocol.LOSS_BEHAVIOUR)
+        return f"{protocol.LOSS_BEHAVIOUR} is {behaviour}"
+
+    @property
     def stop_unconfirmed(self) -> str | None:
         """Warning that the motor may still be on after a stop; None if the drive confirmed that it
         is off."""
@@ -217,7 +270,7 @@ class Epos2(Exchange):
         procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
         self._power_up(then_arm=True, meanwhile=meanwhile)
 
-    def home_here(self) -> None:
+    def zero(self) -> None:
         """Make the current position the drive's zero (homing method 35); the motor is powered, but
         nothing moves."""
         self._new_reading()
@@ -237,7 +290,7 @@ class Epos2(Exchange):
         not fault. The drive must be reopened afterwards.
         """
         self._new_reading()
-        # In homing mode, as in `home_here`: a fin that has not been zeroed may be outside the
+        # In homing mode, as in `zero`: a fin that has not been zeroed may be outside the
         # drive's position limits.
         procedures.set_mode(self.connection, protocol.HOMING)
         # The fault is expected: `on_fault` must not stop the drive before it stops by itself.

@@ -17,8 +17,9 @@ import canopen
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2 import emulated_motor, protocol
-from softfin.rig.devices.epos2.config import BusConfig, Epos2Config, Units
+from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.emulated_motor import EmulatedMotor
 from softfin.rig.devices.epos2.emulated_objects import (
     OUT_OF_RANGE,
@@ -155,6 +156,14 @@ class EmulatedDrive:
         self._network.bus = None
         if bus is not None:
             bus.shutdown()
+
+    def address(self) -> JsonObject:
+        """Return nothing: the drive is on the rig's bus, under the number in its configuration."""
+        return {}
+
+    def description(self) -> str:
+        """Return its number on the bus."""
+        return f"node {self._config.node}"
 
     def remembered(self) -> JsonObject:
         """Return the state that a power loss would erase (the zero), for JSON."""

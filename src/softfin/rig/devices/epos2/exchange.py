@@ -12,8 +12,9 @@ from typing import TypeAlias
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import DeviceError
+from softfin.rig.bus import BusConfig
 from softfin.rig.devices.epos2 import protocol
-from softfin.rig.devices.epos2.config import BusConfig, Epos2Config, Units
+from softfin.rig.devices.epos2.config import Epos2Config, Units
 from softfin.rig.devices.epos2.connection import CanConnection, download
 from softfin.rig.devices.epos2.protocol import Bit, State
 from softfin.rig.lock import DeviceLock
@@ -231,7 +232,10 @@ class Exchange:
         clock: Clock = REAL,
         on_fault: Callable[[str], None] | None = None,
     ) -> None:
+        self.bus = bus
         self.config = config
+        self._ticks = 0
+        """Number of readings so far."""
         self.units = Units.of(config)
         self.clock = clock
         self.on_fault = on_fault
