@@ -1,5 +1,5 @@
-"""Conformance kit: `check_plant` checks a plant against the Plant contract, here and in users'
-tests."""
+"""Conformance kit, here and in users' tests: `check_plant`, `check_drive` and `check_force_sensor`
+check a plant, a drive or a force sensor against its contract."""
 
 import itertools
 from collections.abc import Iterator
@@ -15,6 +15,9 @@ from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
 from softfin.core.quantities import TICK_S, Command, Limits, Reading, action_to_command
+from softfin.rig.device_conformance import check_drive, check_force_sensor
+
+__all__ = ("check_drive", "check_force_sensor", "check_plant")
 
 STROKE_TICKS = ACTION_TICKS[0]
 
