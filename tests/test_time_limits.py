@@ -33,9 +33,9 @@ WAITS = (
 
 SIMULATED = (
     "tests/rig/conformance.py",
-    "tests/rig/epos2/test_drive.py",
-    "tests/rig/epos2/test_own_stop.py",
-    "tests/rig/epos2/test_several_fins.py",
+    "tests/rig/devices/epos2/test_drive.py",
+    "tests/rig/devices/epos2/test_own_stop.py",
+    "tests/rig/devices/epos2/test_several_fins.py",
     "tests/rig/ros2/test_plant.py",
     "tests/rig/test_simulated_clock.py",
 )

@@ -4,7 +4,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.rig import doctor
-from softfin.rig.check import CheckResult
+from softfin.rig.device import CheckResult
 from tests.rig.rigs import filed, simulated
 
 

@@ -9,9 +9,9 @@ import softfin
 from softfin.cli import main
 from softfin.core.errors import RunError
 from softfin.rig.config import load_rig
-from softfin.rig.emulation.drive import DriveTraits
-from softfin.rig.epos2.drive import Epos2
-from softfin.rig.epos2.protocol import State
+from softfin.rig.devices.epos2.drive import Epos2
+from softfin.rig.devices.epos2.emulated_drive import DriveTraits
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import SafetyConfig
 from tests.cli.terminal import Terminal

@@ -8,7 +8,7 @@ import pytest
 
 from softfin.cli import main
 from softfin.cli.driving import listen_on_terminal
-from softfin.rig.epos2.protocol import State
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails

@@ -16,12 +16,18 @@ from typing import Any, NamedTuple
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import SoftfinError
+from softfin.rig.bus import BusConfig
 from softfin.rig.config import RigConfig
+from softfin.rig.devices.axia80.emulated_sensor import EmulatedAxia80
+from softfin.rig.devices.epos2.config import Epos2Config
+from softfin.rig.devices.epos2.emulated_drive import (
+    MOTION_STEP_S,
+    USUAL,
+    DriveTraits,
+    EmulatedDrive,
+)
+from softfin.rig.devices.epos2.protocol import UNPOWERED, State
 from softfin.rig.emulation.bus import HOST, SocketcandServer
-from softfin.rig.emulation.drive import MOTION_STEP_S, USUAL, DriveTraits, EmulatedDrive
-from softfin.rig.emulation.sensor import EmulatedAxia80
-from softfin.rig.epos2.config import BusConfig, Epos2Config
-from softfin.rig.epos2.protocol import UNPOWERED, State
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig

@@ -11,9 +11,9 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.rig.config import RigConfig, load_rig
-from softfin.rig.emulation.drive_objects import values as drive_values
+from softfin.rig.devices.epos2 import protocol
+from softfin.rig.devices.epos2.emulated_objects import values as drive_values
 from softfin.rig.emulation.rig import EmulatedRig, rigs
-from softfin.rig.epos2 import protocol
 from softfin.rig.record import RigRecord, StopProof, save_record
 from softfin.rig.rig import Rig
 from softfin.rig.robot_setup import RobotSetup
@@ -119,5 +119,5 @@ def patient() -> Iterator[None]:
     """On a busy machine an emulated sensor in real time is silent at times; no more than its age is
     judged then."""
     with pytest.MonkeyPatch.context() as patches:
-        patches.setattr("softfin.rig.axia80.sensor.SILENT_S", 2.0)
+        patches.setattr("softfin.rig.devices.axia80.sensor.SILENT_S", 2.0)
         yield

@@ -1,6 +1,6 @@
 """A fin whose wrench the test sets."""
 
-from softfin.rig.emulation.fin import FinMotion
+from softfin.rig.emulated_fin import FinMotion
 
 
 class StillFin:

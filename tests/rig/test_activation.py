@@ -8,8 +8,8 @@ import pytest
 
 from softfin.core.errors import SafetyStop
 from softfin.rig import simulated_network
-from softfin.rig.emulation import drive_motor
-from softfin.rig.epos2.protocol import State
+from softfin.rig.devices.epos2 import emulated_motor
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Target
 from softfin.rig.safety import Guard, SafetyConfig
 from softfin.rig.session import GOOD_TICKS, Session
@@ -104,7 +104,7 @@ def test_a_sensor_that_restarted_in_a_pause_is_named_before_the_motor_is_powered
 @pytest.mark.parametrize("enable_s", [0.02, 0.3, 0.7])
 def test_a_drive_that_takes_long_to_enable_leaves_the_force_fresh(bench, monkeypatch, enable_s):
     behind, machine, safety = bench
-    next_state = drive_motor.next_state
+    next_state = emulated_motor.next_state
     began = []
 
     def slow_next_state(state, word, before):
@@ -114,7 +114,7 @@ def test_a_drive_that_takes_long_to_enable_leaves_the_force_fresh(bench, monkeyp
         began.append(behind.clock())
         return after if began[-1] - began[0] >= enable_s else state
 
-    monkeypatch.setattr(drive_motor, "next_state", slow_next_state)
+    monkeypatch.setattr(emulated_motor, "next_state", slow_next_state)
     with Session(machine, Guard(safety, machine.limits)) as session:
         pause(behind, 1.0)
         session.activate()

@@ -30,13 +30,13 @@ from softfin.rig.commissioning.motion import DriveWatch, die_by_signal, narrowed
 from softfin.rig.commissioning.operator import TerminalOperator
 from softfin.rig.commissioning.steps import STEP_FUNCTIONS
 from softfin.rig.config import RigConfig, load_rig
-from softfin.rig.epos2.protocol import State
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 from tests.cli.test_cli import fails
 from tests.patience import wait_until
+from tests.rig.devices.axia80.faulty_network import FaultyNetwork
 from tests.rig.emulated_operator import EmulatedOperator
-from tests.rig.faulty_network import FaultyNetwork
 from tests.rig.rigs import over_sockets, simulated, values_of
 
 LIMITS = {

@@ -11,7 +11,7 @@ import random
 import pytest
 
 from softfin.core.errors import SafetyStop
-from softfin.rig.emulation.drive import DriveTraits
+from softfin.rig.devices.epos2.emulated_drive import DriveTraits
 from softfin.rig.simulated_clock import SimulatedClock
 from tests.rig.braking_fin import BrakingFin
 from tests.rig.deaths import (

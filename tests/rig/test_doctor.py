@@ -10,7 +10,7 @@ import pytest
 from softfin import installation
 from softfin.installation import EXTRAS
 from softfin.rig import doctor
-from softfin.rig.check import CheckResult
+from softfin.rig.device import CheckResult
 from softfin.rig.doctor import examine
 from tests.patience import HANG_S
 from tests.rig.rigs import filed, simulated

@@ -4,10 +4,10 @@ import math
 import pytest
 
 from softfin.core.errors import DeviceError, RigError
-from softfin.rig.axia80.rdt import RdtCommand
 from softfin.rig.check import check_rig
 from softfin.rig.config import RigConfig
-from softfin.rig.emulation.sensor import sensor_pages
+from softfin.rig.devices.axia80.emulated_sensor import sensor_pages
+from softfin.rig.devices.axia80.rdt import RdtCommand
 from softfin.rig.force_zero import has_restarted
 from softfin.rig.record import ForceZero, load_record, record_file
 from softfin.rig.rig import Rig, zero_force

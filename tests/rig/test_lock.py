@@ -143,7 +143,7 @@ def test_a_second_program_is_refused_by_the_drive_before_it_asks_the_sensor(fold
         second = Rig(config_of(behind))
         with monkeypatch.context() as patches:
             patches.setattr(
-                "softfin.rig.axia80.sensor.read_settings",
+                "softfin.rig.devices.axia80.sensor.read_settings",
                 lambda *_: pytest.fail("asked the sensor"),
             )
             with pytest.raises(RigError, match=r"drive 1 on CAN bus virtual .*: in use"):

@@ -5,7 +5,7 @@ import pytest
 from softfin.core.clock import REAL
 from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.rig.config import load_rig
-from softfin.rig.epos2.protocol import State
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.machine import Machine, Target
 from softfin.rig.rig import Rig, zero_angle, zero_force
 from softfin.rig.safety import Guard

@@ -24,10 +24,10 @@ import yaml
 
 from softfin.core.clock import REAL
 from softfin.core.errors import SafetyStop
-from softfin.rig.emulation.drive import USUAL
+from softfin.rig.bus import BusConfig
+from softfin.rig.devices.epos2.emulated_drive import USUAL
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.emulation.rig import EmulatedRig
-from softfin.rig.epos2.config import BusConfig
-from softfin.rig.epos2.protocol import State
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Target
 from softfin.rig.rig import Rig
@@ -37,8 +37,8 @@ from softfin.rig.simulated_clock import SimulatedClock
 from tests.patience import HANG_S
 from tests.rig.bags import events_of
 from tests.rig.deaths import DRIVE, Station, cut, swim_by_values
-from tests.rig.epos2_bench import block, ignore_targets
-from tests.rig.faulty_network import FaultyNetwork
+from tests.rig.devices.axia80.faulty_network import FaultyNetwork
+from tests.rig.devices.epos2.bench import block, ignore_targets
 from tests.rig.machines import Wagging
 from tests.rig.rigs import SAFETY, config_of
 from tests.rig.simple_fin import SimpleFin

@@ -15,7 +15,7 @@ from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.recordings import open_logs
 from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.rig.epos2.protocol import State
+from softfin.rig.devices.epos2.protocol import State
 from softfin.rig.record import load_record
 from softfin.rig.rig import zero_force
 from softfin.rig.robot_setup import RobotSetup

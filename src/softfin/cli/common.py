@@ -25,7 +25,7 @@ from softfin.storage.registry import is_live, resolve_plant
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from softfin.rig.check import CheckResult
+    from softfin.rig.device import CheckResult
     from softfin.rig.robot_setup import RobotSetup
 
 StageConfig = TypeVar("StageConfig", bound=Configuration)

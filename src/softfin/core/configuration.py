@@ -5,7 +5,7 @@ import difflib
 import math
 import reprlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,7 +42,7 @@ class Configuration(pydantic.BaseModel):
         try:
             return cls.model_validate(values)
         except pydantic.ValidationError as error:
-            raise ConfigurationError(f"{source}: {_explain(cls, error)}") from None
+            raise ConfigurationError(f"{source}: {_explain(cls, error, values)}") from None
 
     def changed(self: Config, changes: Sequence[str]) -> Config:
         """Return a copy with ``path=value`` changes, such as ``reward.smoothness=0.2``; values are
@@ -75,6 +75,21 @@ class Configuration(pydantic.BaseModel):
     def merged(self: Config, values: Mapping[str, object], source: str) -> Config:
         """Return a copy with a mapping, such as part of a YAML file, merged into it."""
         return self.build(_merge(self.model_dump(), values), source)
+
+
+class Chosen:
+    """Validator, for pydantic's BeforeValidator, of a field whose class depends on its values."""
+
+    def __init__(self, choose: Callable[[Mapping[str, object]], type[Configuration]]) -> None:
+        self.choose = choose
+        """Function that returns the class for the field's values; may raise ValueError."""
+
+    def __call__(self, values: Any) -> Configuration:
+        """Return the configuration for a mapping; raises pydantic's ValidationError."""
+        if isinstance(values, Configuration):
+            return values
+        chosen = self.choose(values if isinstance(values, Mapping) else {})
+        return chosen.model_validate(values)
 
 
 def read_yaml(path: Path) -> JsonObject:
@@ -138,7 +153,9 @@ def _merge(base: JsonObject, over: Mapping[str, Any]) -> JsonObject:
     }
 
 
-def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> str:
+def _explain(
+    cls: type[pydantic.BaseModel], error: pydantic.ValidationError, values: Mapping[str, Any]
+) -> str:
     errors = error.errors(include_url=False)
     # If a value may be one of several configurations, pydantic tries each; the user probably meant
     # the one with the fewest errors.
@@ -154,9 +171,11 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
     name = ".".join(str(part) for part in place)
     if first["type"] == "extra_forbidden":
         model: Any = cls
+        part: Any = values
         for parent in parents:
             field = getattr(model, "model_fields", {}).get(str(parent))
-            model = field.annotation if field else None
+            part = part.get(parent, {}) if isinstance(part, Mapping) else {}
+            model = _field_class(field, part) if field else None
         fields = dict.fromkeys(model.model_fields) if hasattr(model, "model_fields") else {}
         return f"unknown key {name!r}{_nearest(str(leaf), fields) if fields else ''}"
     if first["type"] == "missing":
@@ -167,6 +186,15 @@ def _explain(cls: type[pydantic.BaseModel], error: pydantic.ValidationError) -> 
         # the input is the entire mapping, so it is not shown.
         return f"{name}: {first['ctx']['error']}" if name else str(first["ctx"]["error"])
     return f"{name or 'value'} = {reprlib.repr(first['input'])[:200]}: {first['msg']}"
+
+
+def _field_class(field: pydantic.fields.FieldInfo, values: Any) -> Any:
+    """Return the class of a field, which may depend on its values."""
+    for validator in field.metadata:
+        function = getattr(validator, "func", None)
+        if isinstance(function, Chosen):
+            return function.choose(values)
+    return field.annotation
 
 
 def _alternative(place: Sequence[int | str]) -> str | None:

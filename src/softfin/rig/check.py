@@ -4,13 +4,12 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 from softfin.core.clock import Clock
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.device import CheckResult
 from softfin.rig.force_zero import ZERO_N, check_force_zero, tolerance_scale
 from softfin.rig.pace import Pace
 from softfin.rig.prove import check_proof
@@ -19,14 +18,6 @@ from softfin.rig.simulated_clock import SimulatedClock
 
 NEEDED_MB = 500
 """Free disk space for a few hours of recording at about 40 kB/s [MB]."""
-
-
-class CheckResult(NamedTuple):
-    """One line of the results table."""
-
-    what: str
-    state: Literal["well", "note", "wrong"]
-    text: str
 
 
 def check_rig(
@@ -38,7 +29,7 @@ def check_rig(
     yield CheckResult(
         "rig file",
         "well",
-        f"fin {config.fin!r}, {drive.encoder_lines} lines, gear {drive.gear_ratio:g}",
+        f"fin {config.fin!r}, {drive.summary}",
     )
     yield check_disk(folder)
     all_well = True
@@ -62,13 +53,9 @@ def check_rig(
 def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     sensor = rig.sensor
     sensor.open()
-    product = sensor.settings.prodname if sensor.settings else "sensor"
-    yield CheckResult(
-        "force sensor",
-        "well",
-        f"{product}, {sensor.stream.times.rate_hz:.0f} records/s, filter delay "
-        f"{sensor.stream.delay_s * 1e3:.1f} ms",
-    )
+    yield from sensor.checks()
+    # First, because a sensor whose zero softfin keeps needs it for the measurement.
+    zero_result = _check_force_zero(rig)
     mean, deviation = sensor.measured(1.0)
     force = ", ".join(f"{value:+.3f}" for value in mean[:3])
     noise = ", ".join(f"{value:.3f}" for value in deviation[:3])
@@ -76,7 +63,7 @@ def _check_sensor(rig: Rig) -> Iterator[CheckResult]:
     advice = "" if is_zero else "; with the fin at rest in the water, run: softfin rig zero --force"
     text = f"({force}) N, noise ({noise}) N per record{advice}"
     yield CheckResult("force at rest", "well" if is_zero else "note", text)
-    yield _check_force_zero(rig)
+    yield zero_result
     yield from (CheckResult("sensor status", "wrong", line) for line in sensor.complaints())
 
 
@@ -94,16 +81,13 @@ def _check_force_zero(rig: Rig) -> CheckResult:
 
 
 def _check_drive(rig: Rig) -> Iterator[CheckResult]:
-    bus = rig.config.bus
     config = rig.config.drive
-    where = f"{bus.interface} {bus.channel}, node {config.node}"
     try:
         rig.drive.open()
     except SoftfinError as error:
-        raise DeviceError(f"{where}: {error}") from None
-    angle = rig.drive.sync_and_read(0.02).angle
-    yield CheckResult("drive", "well", f"{where}: limits, ramps and mapping written and read back")
-    yield from (CheckResult("drive setup", "note", note) for note in rig.drive.notes)
+        raise DeviceError(f"{rig.drive.where}: {error}") from None
+    angle = rig.drive.read_angle()
+    yield from rig.drive.checks()
     yield from check_currents(rig)
     yield from _check_own_stop(rig)
     inside = config.angle_min_rad <= angle <= config.angle_max_rad
@@ -126,20 +110,20 @@ def check_currents(rig: Rig) -> Iterator[CheckResult]:
     """Compare the safety limits for the current with the drive's limits; one above the drive's
     limit can never trip."""
     safety = rig.config.safety
-    for name, limit_a, entry in (
-        ("current_peak_a", safety.current_peak_a, protocol.CURRENT_LIMIT),
-        ("current_sustained_a", safety.current_sustained_a, protocol.CONTINUOUS_CURRENT),
+    own = rig.drive.current_limits()
+    for name, limit_a, own_a in (
+        ("current_peak_a", safety.current_peak_a, own.peak_a),
+        ("current_sustained_a", safety.current_sustained_a, own.continuous_a),
     ):
-        held_ma = procedures.read_optional(rig.drive.connection, entry)
-        if held_ma is None or limit_a is None:
+        if own_a is None or limit_a is None:
             continue
         # The drive clips the peak current at its own limit, so the current never exceeds a safety
         # limit equal to it.
-        is_peak = entry is protocol.CURRENT_LIMIT
-        if limit_a * 1000 > held_ma or (is_peak and limit_a * 1000 == held_ma):
+        is_peak = name == "current_peak_a"
+        if limit_a > own_a or (is_peak and limit_a == own_a):
             text = (
                 f"{name} {limit_a:g} A can never trip: the drive itself limits the current to "
-                f"{held_ma / 1000:g} A; lower it"
+                f"{own_a:g} A; lower it"
             )
             yield CheckResult("safety", "note", text)
 
@@ -148,7 +132,6 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
     """Report whether it has been proved that the drive stops if softfin dies."""
     if rig.config.file is None:
         return
-    behaviour = procedures.read_optional(rig.drive.connection, protocol.LOSS_BEHAVIOUR)
     try:
         proof = check_proof(rig.config, rig.drive.serial)
     except RigError as error:
@@ -161,7 +144,7 @@ def _check_own_stop(rig: Rig) -> Iterator[CheckResult]:
         yield CheckResult(
             "own stop",
             "well",
-            f"{after}, proved {proof.date}; {protocol.LOSS_BEHAVIOUR} is {behaviour}",
+            f"{after}, proved {proof.date}; {rig.drive.own_stop()}",
         )
 
 

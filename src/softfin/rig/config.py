@@ -1,16 +1,16 @@
 """Configuration of a real fin, read from YAML: bus, drive, sensor and safety limits."""
 
-import math
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, SerializeAsAny, model_validator
 
-from softfin.core.configuration import Config, Configuration, read_yaml
+from softfin.core.configuration import Chosen, Config, Configuration, read_yaml
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.rig.axia80.config import Axia80Config
-from softfin.rig.epos2.config import BusConfig, Epos2Config
-from softfin.rig.filter import BRIDGED_S, design
+from softfin.rig.bus import BusConfig
+from softfin.rig.device import DriveConfig, ForceSensorConfig
+from softfin.rig.devices.registry import choose_drive, choose_force_sensor
 from softfin.rig.ros2.config import Ros2PlantConfig
 from softfin.rig.safety import SafetyConfig
 from softfin.storage.paths import RIG_FILE, check_readable
@@ -41,12 +41,14 @@ class EmulationConfig(Configuration):
 class RigConfig(RealFinConfig):
     """Configuration of one rig; values that depend on your hardware have no default."""
 
-    bus: BusConfig
-    """The CAN bus."""
-    drive: Epos2Config
-    """The EPOS2 on the bus."""
-    sensor: Axia80Config
-    """The Axia80."""
+    bus: BusConfig | None = None
+    """The CAN bus; required by drives on one."""
+    drive: Annotated[SerializeAsAny[DriveConfig], BeforeValidator(Chosen(choose_drive))]
+    """The drive; `type` selects it and is epos2 by default."""
+    sensor: Annotated[
+        SerializeAsAny[ForceSensorConfig], BeforeValidator(Chosen(choose_force_sensor))
+    ]
+    """The force sensor; `type` selects it and is axia80 by default."""
     safety: SafetyConfig
     """Safety limits; the current limits are required for a rig."""
     emulation: EmulationConfig | None = None
@@ -60,6 +62,8 @@ class RigConfig(RealFinConfig):
 
     @model_validator(mode="after")
     def _consistent(self) -> "RigConfig":
+        if self.drive.NEEDS_BUS and self.bus is None:
+            raise ValueError("bus: missing required key")
         if self.safety.current_peak_a is None:
             raise ValueError(
                 "safety.current_peak_a and current_sustained_a are missing; set them to the "
@@ -76,19 +80,7 @@ class RigConfig(RealFinConfig):
                     f"drive.{own} = {value:g} exceeds safety.{limit} = {most:g}; lower one or "
                     "raise the other"
                 )
-        # The delay of a symmetric filter is half its length.
-        delay = len(design(self.sensor.rate_hz, self.sensor.cutoff_hz)) // 2 / self.sensor.rate_hz
-        # After a gap too long to bridge, the filter takes twice its delay to refill, and the latest
-        # force is one delay older than the gap. A shorter limit would stop the fin because of a
-        # dozen lost records.
-        needed = 3 * delay + 2 * BRIDGED_S
-        if self.safety.force_stale_s < needed:
-            least = math.ceil(100 * needed) / 100
-            raise ValueError(
-                f"safety.force_stale_s = {self.safety.force_stale_s:g}: the force filter alone "
-                f"delays by {delay:.3f} s, and by three times that after lost records; use "
-                f"{least:.2f} or more, or a higher sensor.cutoff_hz"
-            )
+        self.sensor.check_stale(self.safety.force_stale_s)
         return self
 
 

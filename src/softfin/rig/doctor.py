@@ -19,8 +19,9 @@ from softfin.installation import (
     missing_from,
     origin,
 )
-from softfin.rig.check import CheckResult, check_disk, check_rig
+from softfin.rig.check import check_disk, check_rig
 from softfin.rig.config import load_rig
+from softfin.rig.device import CheckResult
 from softfin.storage.artifact import check_writable
 
 INTERFACES = Path("/sys/class/net")

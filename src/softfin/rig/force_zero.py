@@ -1,7 +1,7 @@
 """The force sensor's zero: set it, verify it, and detect later whether it was lost.
 
-The sensor loses its zero when it loses power. Its sample counter reveals that: `zero_force` saves
-the counter in the rig's record, and it is compared each time the rig is opened.
+A sensor that keeps its zero loses it when it loses power. Its sample counter reveals that:
+`zero_force` saves the counter in the rig's record, and it is compared each time the rig is opened.
 """
 
 import datetime
@@ -9,8 +9,8 @@ import datetime
 from softfin.core.errors import DeviceError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.gaits.reachable import round_size
-from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
+from softfin.rig.device import ForceSensor
 from softfin.rig.record import ForceZero, load_record, save_record
 from softfin.rig.safety import FORCE_PEAK_N
 
@@ -36,7 +36,7 @@ MAX_DATE_LAG_S = 3600.0
 around cannot be distinguished from a restart."""
 
 
-def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonObject:
+def zero_force(sensor: ForceSensor, config: RigConfig, seconds: float = 2.0) -> JsonObject:
     """Set the sensor's zero to the force at rest and save it in the rig's record; raises
     DeviceError if that fails.
 
@@ -53,7 +53,7 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
             "the water is calm"
         )
     for _ in range(ATTEMPTS):
-        sensor.bias()
+        sensor.zero()
         after, noise = sensor.measured(seconds)
         is_zero = all(
             abs(force) < zero_n + deviation
@@ -68,13 +68,15 @@ def zero_force(sensor: Axia80, config: RigConfig, seconds: float = 2.0) -> JsonO
             f"{zero_n:g} N plus its noise; wait until the water is calm, check the sensor's "
             "network, and make sure that no other program uses the sensor"
         )
+    counter = sensor.sample_counter
     zero = ForceZero(
         date=datetime.datetime.fromtimestamp(sensor.clock.wall(), datetime.UTC).isoformat(
             timespec="seconds"
         ),
         sensor_serial=sensor.serial,
-        ft_sequence=sensor.stream.watch.ft_sequence,
+        ft_sequence=None if counter is None else counter.samples,
         wall_s=sensor.clock.wall(),
+        wrench=sensor.zero_wrench,
     )
     record = load_record(config.file)
     save_record(config.file, record.model_copy(update={"force_zero": zero}))
@@ -92,7 +94,7 @@ def tolerance_scale(config: RigConfig) -> float:
     return max(round_size(config.safety.force_peak_n / FORCE_PEAK_N), 1.0)
 
 
-def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
+def check_force_zero(sensor: ForceSensor, config: RigConfig) -> ForceZero | None:
     """Return the recorded zero, or None if there is none; raises RigError if the open sensor has
     lost it."""
     zero = load_record(config.file).force_zero
@@ -101,15 +103,21 @@ def check_force_zero(sensor: Axia80, config: RigConfig) -> ForceZero | None:
     fix = "let the fin rest in the water and run: softfin rig zero --force"
     if zero.sensor_serial != sensor.serial:
         raise RigError(
-            f"force sensor {config.sensor.address}: has serial number {sensor.serial}, but the "
+            f"{sensor.name}: has serial number {sensor.serial}, but the "
             f"sensor that was zeroed has {zero.sensor_serial}; connect that sensor, or {fix}"
         )
-    watch = sensor.stream.watch
+    if (zero.wrench is None) != (sensor.zero_wrench is None):
+        raise RigError(f"{sensor.name}: the zero was set with another type of sensor; {fix}")
+    if zero.wrench is not None:
+        sensor.restore_zero(zero.wrench)
+    counter = sensor.sample_counter
+    if counter is None or zero.ft_sequence is None:
+        return zero
     # An emulated rig is paused between commands, and so is its sensor's counter.
     elapsed_s = 0.0 if config.emulation is not None else sensor.clock.wall() - zero.wall_s
-    if has_restarted(zero, watch.ft_sequence, elapsed_s, watch.ft_rate_hz):
+    if has_restarted(zero, counter.samples, elapsed_s, counter.rate_hz):
         raise RigError(
-            f"force sensor {config.sensor.address}: restarted since its zero was set "
+            f"{sensor.name}: restarted since its zero was set "
             f"({zero.date}), so its zero is lost; {fix} (also if this computer's date was wrong)"
         )
     return zero
@@ -121,6 +129,7 @@ def has_restarted(zero: ForceZero, ft_sequence: int, elapsed_s: float, ft_rate_h
     The counter wraps around at 2^32, after 6 days at 7.8 kHz. More samples than expected mean that
     the wall clock was wrong, not that the sensor restarted.
     """
+    assert zero.ft_sequence is not None, "only a sensor with a counter can be checked"
     expected = zero.ft_sequence + ft_rate_hz * elapsed_s
     # Close to 2^32, `missing` stands for a negative number: more samples than expected.
     missing = (expected - ft_sequence) % 2**32

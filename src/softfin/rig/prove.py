@@ -10,11 +10,11 @@ from pathlib import Path
 
 from softfin.core.errors import DeviceError, RigError, SoftfinError
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2.drive import Epos2
+from softfin.rig.device import Drive
 from softfin.rig.record import StopProof, date_and_time, load_record, save_record
 
 
-def prove_stop(config: RigConfig, drive: Epos2) -> StopProof:
+def prove_stop(config: RigConfig, drive: Drive) -> StopProof:
     """Withhold heartbeats from the open drive, with its motor powered at standstill, and save the
     proof in the rig's record.
 

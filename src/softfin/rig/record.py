@@ -26,8 +26,8 @@ class StopProof(Configuration):
     """Serial number of the drive (0x1018.4); None if the drive does not report it."""
     heartbeat_s: float = Field(gt=0)
     """Value of `drive.heartbeat_s` during the test [s]."""
-    host_node: int = Field(ge=1, le=127)
-    """Node number of softfin's heartbeats during the test."""
+    host_node: int | None = Field(ge=1, le=127)
+    """Node number of softfin's heartbeats during the test; None if the bus has no such numbers."""
     faulted_after_s: float = Field(ge=0)
     """Time from the last heartbeat to the drive's fault [s]."""
 
@@ -39,11 +39,14 @@ class ForceZero(Configuration):
     """Date and time, as ISO 8601."""
     sensor_serial: str | None
     """Serial number of the sensor's calibration; None if the sensor does not report it."""
-    ft_sequence: int = Field(ge=0)
+    ft_sequence: int | None = Field(ge=0)
     """Sensor's sample counter at that time, counted since power-up; a smaller value later means
-    that the sensor restarted."""
+    that the sensor restarted. None if the sensor does not keep its zero."""
     wall_s: float = Field(ge=0)
     """Wall-clock time of the zero [s since 1970]."""
+    wrench: tuple[float, float, float, float, float, float] | None = None
+    """Wrench that softfin subtracts, in the sensor's axes [N, N m]; None if the sensor subtracts it
+    itself."""
 
 
 class RigRecord(Configuration):

@@ -1,23 +1,16 @@
-"""The rig as a `Machine`: one EPOS2 and one Axia80, both read at each tick."""
+"""The rig as a `Machine`: one drive and one force sensor, both read at each tick."""
 
 from collections.abc import Callable
 
 from softfin.core.clock import REAL, Clock
 from softfin.core.json_object import JsonObject
 from softfin.rig import force_zero
-from softfin.rig.axia80.sensor import Axia80
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2.drive import Epos2
+from softfin.rig.device import Drive, ForceSensor
+from softfin.rig.devices.registry import find_drive, find_force_sensor
 from softfin.rig.force_zero import check_force_zero
 from softfin.rig.machine import Sample, Target
 from softfin.rig.prove import check_proof
-
-ANSWER_S = 0.006
-"""Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
-busy computer."""
-
-BEAT_TICKS = 4
-"""Ticks between our heartbeats: 40 ms, one fifth of the default heartbeat timeout."""
 
 
 class Rig:
@@ -40,9 +33,12 @@ class Rig:
         self.name = f"rig of {config.fin}"
         self.limits = drive.limits
         # Stop immediately on a drive fault, without waiting for the next tick.
-        self.drive = Epos2(config.bus, drive, self.clock, on_fault=lambda _: self.stop())
-        self.sensor = Axia80(config.sensor, self.clock)
-        self._ticks = 0
+        self.drive: Drive = find_drive(drive.type).make(
+            drive, config.bus, self.clock, lambda _: self.stop()
+        )
+        self.sensor: ForceSensor = find_force_sensor(config.sensor.type).make(
+            config.sensor, self.clock
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -78,17 +74,10 @@ class Rig:
 
     def read(self) -> Sample:
         """Read the drive now, and return its values with the latest force received."""
-        if self._ticks % BEAT_TICKS == 0:
-            self.drive.send_heartbeat()
-        self._ticks += 1
-        drive = self.drive.sync_and_read(ANSWER_S)
+        drive = self.drive.read()
         force = self.sensor.read()
         return Sample(
-            time=drive.time,
-            angle=drive.angle,
-            velocity=drive.velocity,
-            current=drive.current,
-            following_error=drive.demand - drive.angle,
+            **drive._asdict(),
             complaints=(*self.drive.complaints(), *self.sensor.complaints()),
             **force._asdict(),
         )
@@ -149,11 +138,11 @@ def zero_angle(
     try:
         drive.open()
         confirm(rig)
-        before = drive.sync_and_read(0.02).angle
-        drive.home_here()
+        before = drive.read_angle()
+        drive.zero()
         return {
             "angle_before_rad": round(before, 5),
-            "angle_after_rad": round(drive.sync_and_read(0.02).angle, 5),
+            "angle_after_rad": round(drive.read_angle(), 5),
         }
     finally:
         rig.close()

@@ -30,7 +30,7 @@ _free_ports = itertools.count(50_000)
 
 
 def open_bus(config: Configuration, clock: Clock) -> can.BusABC:
-    """Open the bus of an `epos2.config.BusConfig`, whose fields are arguments of python-can; raises
+    """Open the bus of an `rig.bus.BusConfig`, whose fields are arguments of python-can; raises
     python-can's errors.
 
     On a simulated clock, this is an in-process bus, regardless of the interface.

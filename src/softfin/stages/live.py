@@ -29,7 +29,7 @@ from softfin.evaluation.evaluate import EvaluateConfig
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.results import EvaluationSummary
 from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
-from softfin.rig.axia80.config import ADDRESS_FIELDS
+from softfin.rig.device import is_address
 from softfin.rig.loop import run_controller
 from softfin.rig.machine import Machine, Sample, Target
 from softfin.rig.record import load_record
@@ -330,7 +330,7 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
     kept = {name: part for name, part in configuration.items() if name != "bus"}
     if "sensor" in kept:
         kept["sensor"] = {
-            name: value for name, value in kept["sensor"].items() if name not in ADDRESS_FIELDS
+            name: value for name, value in kept["sensor"].items() if not is_address(name)
         }
     return kept
 

@@ -11,19 +11,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softfin.rig.bus import BusConfig
+from softfin.rig.devices.epos2.emulated_drive import EmulatedDrive
 from softfin.rig.emulation.bus import HOST, SocketcandServer, format_frame, parse_frame
-from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.epos2.config import BusConfig
 from tests.patience import HANG_S, wait_until
-from tests.rig.epos2_bench import drive_config
+from tests.rig.devices.epos2.bench import drive_config
 from tests.rig.simple_fin import SimpleFin
 
 OTHER_PROCESS = """
 import json, sys, time
 from softfin.core.errors import DeviceError
 from softfin.rig.machine import Target
-from softfin.rig.epos2.drive import Epos2
-from softfin.rig.epos2.config import BusConfig, Epos2Config
+from softfin.rig.devices.epos2.drive import Epos2
+from softfin.rig.bus import BusConfig
+from softfin.rig.devices.epos2.config import Epos2Config
 
 assert "jax" not in sys.modules
 given = json.loads(sys.argv[1])
@@ -37,7 +38,7 @@ def done(step):
         # On a busy machine the answers of another process come later than those of a bus.
         assert time.monotonic() < end, error
         return False
-for step in (drive.open, drive.home_here, drive.enable):
+for step in (drive.open, drive.zero, drive.enable):
     while not done(step):
         pass
 drive.command(Target(0.4, 3.0))

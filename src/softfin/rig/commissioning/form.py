@@ -11,8 +11,8 @@ from pathlib import Path
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
-from softfin.rig.axia80.config import ADDRESS_FIELDS
 from softfin.rig.config import RigConfig
+from softfin.rig.device import is_address
 from softfin.storage import artifact as artifacts
 
 STEP_TITLES = {
@@ -161,5 +161,5 @@ def _voiding_parts(rig: JsonObject) -> JsonObject:
     # A change of address does not void a step: the devices are still the same.
     parts = {}
     for part in VOIDING:
-        parts[part] = {name: rig[part][name] for name in rig[part] if name not in ADDRESS_FIELDS}
+        parts[part] = {name: rig[part][name] for name in rig[part] if not is_address(name)}
     return parts

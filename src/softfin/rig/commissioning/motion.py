@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softfin.core.clock import REAL, Clock
-from softfin.core.errors import DeviceError, SafetyStop
+from softfin.core.errors import DeviceError, RigError, SafetyStop
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import protocol
-from softfin.rig.epos2.config import Units
-from softfin.rig.epos2.connection import CanConnection
-from softfin.rig.epos2.procedures import read_fault
+from softfin.rig.devices.epos2 import protocol
+from softfin.rig.devices.epos2.config import Epos2Config, Units
+from softfin.rig.devices.epos2.connection import CanConnection
+from softfin.rig.devices.epos2.procedures import read_fault
 from softfin.rig.machine import Sample, Target
 from softfin.rig.rig import Rig
 from softfin.rig.safety import Guard
@@ -163,15 +163,28 @@ class Death:
     """The drive's fault afterwards."""
 
 
+def epos2_config(config: RigConfig) -> Epos2Config:
+    """Return the configuration of a rig's EPOS2; raises RigError for another drive, for which there
+    are no acceptance steps yet."""
+    if not isinstance(config.drive, Epos2Config):
+        raise RigError(
+            f"rig of {config.fin}: commissioning supports only drive.type epos2, got "
+            f"{config.drive.type}; follow docs/commissioning.md by hand"
+        )
+    return config.drive
+
+
 class DriveWatch:
     """Monitor that reads a drive only over SDO, while or after another program drives it; sends no
     heartbeat and no SYNC."""
 
     def __init__(self, config: RigConfig, clock: Clock) -> None:
-        self._units = Units.of(config.drive)
+        drive = epos2_config(config)
+        assert config.bus is not None, "RigConfig requires a bus for this drive"
+        self._units = Units.of(drive)
         self._clock = clock
         self._connection = CanConnection(
-            config.bus, config.drive.node, lambda cob_id, data: None, lambda problem: None, clock
+            config.bus, drive.node, lambda cob_id, data: None, lambda problem: None, clock
         )
 
     def __enter__(self) -> "DriveWatch":

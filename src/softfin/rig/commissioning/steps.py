@@ -14,7 +14,6 @@ from softfin.core.clock import Clock
 from softfin.core.errors import RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.gaits.reachable import PAPER_PEAK_N, round_size
-from softfin.rig.axia80.stream import BUFFER_BYTES
 from softfin.rig.check import check_currents, check_rig
 from softfin.rig.commissioning.form import Item
 from softfin.rig.commissioning.motion import (
@@ -24,6 +23,7 @@ from softfin.rig.commissioning.motion import (
     changed,
     die_by_signal,
     die_in_process,
+    epos2_config,
     move,
     narrowed,
     stroke_ticks,
@@ -31,7 +31,9 @@ from softfin.rig.commissioning.motion import (
 )
 from softfin.rig.commissioning.operator import Operator
 from softfin.rig.config import RigConfig
-from softfin.rig.epos2 import procedures, protocol
+from softfin.rig.devices.axia80.stream import BUFFER_BYTES
+from softfin.rig.devices.epos2 import procedures, protocol
+from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.machine import Target
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
@@ -154,7 +156,7 @@ def compare_data_sheets(context: StepContext) -> Iterator[Item]:
     """Step 1: compare the rig's file with data sheets and check the drive settings and the switch
     of the motor's supply."""
     operator = context.operator
-    drive = context.config.drive
+    drive = epos2_config(context.config)
     safety = context.config.safety
     for what, question, value in (
         (
@@ -485,8 +487,10 @@ def _settings(context: StepContext) -> Iterator[Item]:
     rig = context.rig()
     try:
         rig.drive.open()
+        assert isinstance(rig.drive, Epos2), "checked by `compare_data_sheets`"
+        connection = rig.drive.connection
         for entry, wanted in protocol.REACTIONS.items():
-            value = procedures.read_optional(rig.drive.connection, entry)
+            value = procedures.read_optional(connection, entry)
             yield Item(
                 what=str(entry),
                 value="no such object" if value is None else str(value),
@@ -525,7 +529,7 @@ def _proof(context: StepContext) -> Item:
 
 def _refusal_of_wrong_lines(context: StepContext) -> Item:
     """Open the drive with a different number of encoder lines, which must be refused."""
-    lines = context.config.drive.encoder_lines
+    lines = epos2_config(context.config).encoder_lines
     rig = context.rig(changed(context.config, drive={"encoder_lines": 2 * lines}))
     try:
         rig.drive.open()
@@ -569,7 +573,7 @@ def _try_signal(
     time."""
     operator = context.operator
     # The drive notices the death of its host after heartbeat_s, and then brakes for v / a.
-    braking_s = SLOW_RAD_S / config.drive.quick_stop_rad_s2
+    braking_s = SLOW_RAD_S / epos2_config(config).quick_stop_rad_s2
     allowed_s = config.drive.heartbeat_s + braking_s + REST_MARGIN_S
     operator.wait(
         f"Next, the shaft will swing {TRIALS} times, and {number.name} ends softfin each "

@@ -18,23 +18,19 @@ import yaml
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, RigError, one_line
 from softfin.core.json_object import JsonObject
+from softfin.rig.bus import BusConfig
 from softfin.rig.config import RigConfig
+from softfin.rig.device import DriveConfig, ForceSensorConfig
+from softfin.rig.devices.registry import find_drive, find_force_sensor
+from softfin.rig.emulated_fin import EmulatedFin
 from softfin.rig.emulation.bus import HOST, SocketcandServer
-from softfin.rig.emulation.drive import EmulatedDrive
-from softfin.rig.emulation.fin import EmulatedFin
-from softfin.rig.emulation.sensor import EmulatedAxia80
 from softfin.rig.emulation.tank import TankFin
-from softfin.rig.epos2.config import BusConfig, Epos2Config
 from softfin.rig.lock import DeviceLock
 from softfin.rig.record import record_file
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.simulated_network import SIMULATED
 from softfin.storage import artifact as artifacts
 from softfin.tank import Tank, TankConfig
-
-SENSOR_MOUNTING = "y,-x"
-"""Mounting of the emulated sensor; different from softfin's axes, so that a wrong frame cannot go
-unnoticed."""
 
 REAL_TIME_SAFETY = {"overrun_s": 0.3, "stale_s": 0.3, "force_stale_s": 0.4, "watchdog_s": 0.8}
 """Relaxed limits for real-time emulation on a computer that also runs browsers and compilers. A
@@ -52,9 +48,11 @@ class EmulatedRig(contextlib.ExitStack):
         fin: EmulatedFin | None = None,
         channel: str | None = None,
         clock: Clock | None = None,
+        drive: str = DriveConfig.DEFAULT_TYPE,
+        sensor: str = ForceSensorConfig.DEFAULT_TYPE,
     ) -> None:
         """`fin` replaces the tank and must use the same clock; `channel` is that of the bus, by
-        default a new one for each rig."""
+        default a new one for each rig. `drive` and `sensor` are types of devices."""
         super().__init__()
         self.clock = clock or SimulatedClock()
         if fin is None:
@@ -63,14 +61,15 @@ class EmulatedRig(contextlib.ExitStack):
         self.fin: Any = fin
         self.channel = channel or f"emulated-{uuid.uuid4().hex[:8]}"
         simulated = isinstance(self.clock, SimulatedClock)
-        # In simulated time, the sensor can use its factory ports, because they exist only within
-        # this process.
-        ports = (49152, 80) if simulated else (0, 0)
-        self.sensor = EmulatedAxia80(self.fin, *ports, frame=SENSOR_MOUNTING, clock=self.clock)
+        sensor_type = find_force_sensor(sensor)
+        self._sensor = sensor_type.emulated_config()
+        # Not the protocol's type: tests provoke the faults of each emulator.
+        self.sensor: Any = sensor_type.emulate(self._sensor, self.fin, self.clock)
         self.callback(self.sensor.close)
-        self._drive = _drive_config(tank, real_time=not simulated)
+        drive_type = find_drive(drive)
+        self._drive = _drive_config(drive, tank, real_time=not simulated)
         bus = BusConfig(interface="virtual", channel=self.channel)
-        self.drive = EmulatedDrive(bus, self._drive, self.fin, self.clock)
+        self.drive: Any = drive_type.emulate(self._drive, bus, self.fin, self.clock)
         self.callback(self.drive.close)
         self.server = None if simulated else self.enter_context(SocketcandServer(self.channel))
 
@@ -80,8 +79,7 @@ class EmulatedRig(contextlib.ExitStack):
     def description(self) -> str:
         """Return a description of the rig's addresses."""
         bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
-        pages = f"RDT port {self.sensor.rdt_port}, pages at http://{HOST}:{self.sensor.http_port}"
-        return f"drive: {bus}, node {self._drive.node}; sensor: {HOST}, {pages}"
+        return f"drive: {bus}, {self.drive.description()}; sensor: {self.sensor.description()}"
 
     def values(self, **changes: object) -> JsonObject:
         """Return the contents of the rig's file, with `changes`."""
@@ -89,9 +87,9 @@ class EmulatedRig(contextlib.ExitStack):
         if self.server is not None:
             options = {"host": HOST, "port": self.server.port, "tcp_tune": True}
             bus |= {"interface": "socketcand", "options": options}
-        values = _rig_values(
-            self._drive, bus, http_port=self.sensor.http_port, rdt_port=self.sensor.rdt_port
-        )
+        values = _rig_values(self._drive, bus, self._sensor)
+        values["drive"] |= self.drive.address()
+        values["sensor"] |= self.sensor.address()
         if self.server is not None:
             values["safety"] |= REAL_TIME_SAFETY
         return values | changes
@@ -137,7 +135,13 @@ class _KeptRig(EmulatedRig):
             f"{file}: emulated rig", "emulated", hashlib.sha256(bytes(file)).hexdigest()[:16]
         )
         lock.acquire(REAL)
-        super().__init__(tank, config.emulation.seed, channel=config.bus.channel)
+        super().__init__(
+            tank,
+            config.emulation.seed,
+            channel=None if config.bus is None else config.bus.channel,
+            drive=config.drive.type,
+            sensor=config.sensor.type,
+        )
         self.callback(lock.release)
         self._state = state_file(file)
         self._emulation = config.emulation.model_dump(mode="json")
@@ -163,11 +167,20 @@ class _KeptRig(EmulatedRig):
         artifacts.write_file(self._state, json.dumps(state) + "\n")
 
 
-def write_simulated(path: Path, tank: Tank, values: JsonObject, seed: int) -> None:
+def write_simulated(
+    path: Path,
+    tank: Tank,
+    values: JsonObject,
+    seed: int,
+    drive: str = DriveConfig.DEFAULT_TYPE,
+    sensor: str = ForceSensorConfig.DEFAULT_TYPE,
+) -> None:
     """Write the file of a rig that each command emulates in simulated time; `values` are the
-    contents of the tank's file."""
+    contents of the tank's file, `drive` and `sensor` the types of its devices."""
     rig = _rig_values(
-        _drive_config(tank, real_time=False), {"interface": SIMULATED, "channel": "emulated"}
+        _drive_config(drive, tank, real_time=False),
+        {"interface": SIMULATED, "channel": "emulated"},
+        find_force_sensor(sensor).emulated_config(),
     )
     rig["emulation"] = {"seed": seed, "tank": values}
     write_rig(path, rig, "An emulated rig, run by each command in simulated time")
@@ -188,37 +201,19 @@ EMULATED_SAFETY = {"current_peak_a": 3.0, "current_sustained_a": 1.5}
 current."""
 
 
-def _rig_values(drive: Epos2Config, bus: JsonObject, **ports: int) -> JsonObject:
+def _rig_values(drive: DriveConfig, bus: JsonObject, sensor: ForceSensorConfig) -> JsonObject:
     return {
         "fin": "emulated",
-        "bus": bus,
+        **({"bus": bus} if drive.NEEDS_BUS else {}),
         "drive": drive.model_dump(mode="json", exclude_defaults=True),
-        "sensor": {"address": HOST, **ports, "frame": SENSOR_MOUNTING},
+        "sensor": sensor.model_dump(mode="json", exclude_defaults=True),
         "safety": dict(EMULATED_SAFETY),
         "settle_s": 1.0,
     }
 
 
-def _drive_config(tank: Tank | None, real_time: bool) -> Epos2Config:
-    """Return the configuration of the tank's drive; 500 lines and a gear ratio of 111:1 match the
-    steps of the tank's encoder."""
-    values: dict[str, float] = {
-        "node": 1,
-        "encoder_lines": 500,
-        "gear_ratio": 111.0,
-        "acceleration_rad_s2": 80.0,
-        "quick_stop_rad_s2": 80.0,
-        "following_error_rad": 0.5,
-    }
-    if real_time:
-        values["heartbeat_s"] = 1.0
-    if tank is not None:
-        limits = tank.limits
-        values |= {
-            "angle_min_rad": limits.angle_min,
-            "angle_max_rad": limits.angle_max,
-            "slowest_rad_s": limits.velocity_min,
-            "fastest_rad_s": limits.velocity_max,
-            "acceleration_rad_s2": float(tank.drive.acceleration),
-        }
-    return Epos2Config.build(values, "emulated drive")
+def _drive_config(drive: str, tank: Tank | None, real_time: bool) -> DriveConfig:
+    limits = None if tank is None else tank.limits
+    acceleration = None if tank is None else float(tank.drive.acceleration)
+    config: DriveConfig = find_drive(drive).emulated_config(limits, acceleration, real_time)
+    return config

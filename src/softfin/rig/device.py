@@ -1,0 +1,384 @@
+"""Interfaces of a rig's devices: what softfin needs from a drive and from a force sensor.
+
+A device is a folder in `rig/devices`, or a package of yours with an entry point in the group
+`softfin.devices`. It consists of a configuration, a class that implements `Drive` or `ForceSensor`,
+and an emulator; `DriveType` or `ForceSensorType` names all three. `softfin.testing.check_drive` and
+`check_force_sensor` test an implementation.
+
+All times are from the `clock` that the device is given [s]. All calls come from one thread at a
+time, except that any thread may call `Drive.stop`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
+
+from softfin.core.clock import Clock
+from softfin.core.configuration import Configuration
+from softfin.core.json_object import JsonObject
+from softfin.core.quantities import PAPER_LIMITS, Limits
+from softfin.data.importing.importing import FORCE_FRAMES
+from softfin.rig.bus import BusConfig
+from softfin.rig.emulated_fin import EmulatedFin
+from softfin.rig.lock import DeviceLock
+from softfin.rig.machine import Target, Wrench
+
+
+class CheckResult(NamedTuple):
+    """One line of the table of `softfin rig check`."""
+
+    what: str
+    state: Literal["well", "note", "wrong"]
+    text: str
+
+
+class DeviceConfig(Configuration):
+    """Configuration of a device in a rig's file; `type` selects the device."""
+
+    DEFAULT_TYPE: ClassVar[str]
+    """Type of a device without the key `type`."""
+
+    type: str
+    """Name of the device's type."""
+
+    @model_serializer(mode="wrap")
+    def _serialize(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = handler(self)
+        values.pop("type", None)
+        # The default type is left out: collections and signed commissioning steps from before there
+        # were types must stay equal to the rig's configuration.
+        return values if self.type == self.DEFAULT_TYPE else {"type": self.type} | values
+
+
+def is_address(field: str) -> bool:
+    """Return whether a field of a device's configuration only defines its address, which may change
+    at any time; the others affect the readings or the motion."""
+    return field in ("address", "port") or field.endswith("_port")
+
+
+class DriveConfig(DeviceConfig):
+    """Settings that softfin needs from every drive."""
+
+    DEFAULT_TYPE = "epos2"
+    NEEDS_BUS: ClassVar[bool] = False
+    """Whether the rig's file needs a CAN bus for this drive."""
+
+    angle_min_rad: float = PAPER_LIMITS.angle_min
+    """Minimum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
+    angle_max_rad: float = PAPER_LIMITS.angle_max
+    """Maximum fin angle, enforced by the drive [rad]; the default is from the paper, Sec. III-A."""
+    slowest_rad_s: float = Field(PAPER_LIMITS.velocity_min, gt=0)
+    """Minimum profile velocity of a command [rad/s]; the default is from the paper, Sec. III-A."""
+    fastest_rad_s: float = Field(PAPER_LIMITS.velocity_max, gt=0)
+    """Maximum profile velocity, enforced by the drive [rad/s]; the default is from the paper, Sec.
+    III-A."""
+    acceleration_rad_s2: float = Field(gt=0)
+    """Profile acceleration and deceleration [rad/s2]; no default, because it depends on the motor,
+    gearbox and fin."""
+    heartbeat_s: float = Field(0.2, ge=0.1, le=1)
+    """Time without a message from softfin after which the drive stops by itself [s]."""
+    zero_needed: bool = True
+    """Refuse to move until the fin has been zeroed after each power-up of the drive; set to false
+    only for an absolute encoder."""
+
+    @property
+    def limits(self) -> Limits:
+        """Command limits."""
+        return Limits(
+            self.angle_min_rad, self.angle_max_rad, self.slowest_rad_s, self.fastest_rad_s
+        )
+
+    @property
+    def summary(self) -> str:
+        """The settings to compare with the device, in a few words."""
+        return self.type
+
+    @property
+    def host(self) -> int | None:
+        """Number of this program on the drive's bus; None if the bus has none."""
+        return None
+
+    @model_validator(mode="after")
+    def _limits_fit(self) -> "DriveConfig":
+        if problem := self.limits.problem(one_velocity=True):
+            raise ValueError(problem)
+        return self
+
+
+class ForceSensorConfig(DeviceConfig):
+    """Settings that softfin needs from every force sensor."""
+
+    DEFAULT_TYPE = "axia80"
+
+    frame: Literal[FORCE_FRAMES]  # type: ignore[valid-type]
+    """Sensor axes along softfin's +x (forward thrust on the robot) and +y, e.g. ``y,-x``; z follows
+    from the right-hand rule. No default, because it depends on how the sensor is mounted."""
+
+    def check_stale(self, force_stale_s: float) -> None:
+        """Raise ValueError if the sensor's readings are usually older than a limit on their age
+        [s]."""
+
+
+class DriveReading(NamedTuple):
+    """The latest values of a drive, all valid at the same time."""
+
+    time: float
+    """Time of the values [s]; more than one tick old if no newer ones have arrived."""
+    angle: float
+    """Shaft angle [rad]."""
+    velocity: float
+    """Shaft angular velocity [rad/s]."""
+    current: float | None
+    """Motor current [A]; None if not measured."""
+    following_error: float | None
+    """Angle demanded by the drive minus the actual angle [rad]; None if not measured."""
+
+
+class ForceReading(NamedTuple):
+    """The latest force."""
+
+    force_time: float
+    """Time of the filtered wrench [s]: time of the latest record minus all delays."""
+    wrench: Wrench
+    """Filtered force and torque in softfin's axes [N, N m]."""
+    peak: Wrench
+    """Largest magnitudes of the unfiltered records since the previous read; used for safety limits,
+    because the filter is slow."""
+
+
+class CurrentLimits(NamedTuple):
+    """Limits of a drive for the motor's current [A]; None if unknown."""
+
+    peak_a: float | None
+    continuous_a: float | None
+
+
+class SampleCounter(NamedTuple):
+    """A sensor's counter, which restarts when the sensor loses power and with it its zero."""
+
+    samples: int
+    rate_hz: float
+    """Measured rate [Hz]; 0 until it is known."""
+
+
+class Drive(Protocol):
+    """A drive that turns the fin's shaft to target angles."""
+
+    @property
+    def config(self) -> DriveConfig:
+        """Configuration."""
+
+    @property
+    def where(self) -> str:
+        """How the drive is reached, for messages, e.g. its bus and its number there."""
+
+    @property
+    def device_lock(self) -> DeviceLock:
+        """Lock acquired by `connect`, so that no second program uses the drive."""
+
+    @property
+    def serial(self) -> int | None:
+        """Serial number; None if the drive does not report it or has not been connected."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the drive's setup since it was opened, one line each."""
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the fin's zero is known."""
+
+    @property
+    def stop_unconfirmed(self) -> str | None:
+        """Warning that the motor may still be on after a stop; None if it is confirmed to be
+        off."""
+
+    def connect(self) -> None:
+        """Connect to the drive in any state without changing anything; raises RigError or
+        DeviceError."""
+
+    def open(self) -> None:
+        """Connect, check, and write and read back the configuration; the motor stays off. On
+        failure, close again and raise RigError or DeviceError."""
+
+    def read(self) -> DriveReading:
+        """Return the latest values; called once per tick, must not wait longer than a few
+        milliseconds. Also sends what keeps the drive from stopping by itself."""
+
+    def read_angle(self) -> float:
+        """Return the shaft's angle now [rad]; may wait 20 ms."""
+
+    def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
+        motor is off. `meanwhile` is called every few milliseconds."""
+
+    def command(self, target: Target) -> None:
+        """Start moving to a target and return immediately; raises CommandError if it is outside the
+        limits, and DeviceError if the drive has not been enabled since the last stop."""
+
+    def stop(self) -> None:
+        """Brake as fast as the drive allows, then disable the motor; may be called repeatedly from
+        any thread and never raises."""
+
+    def close(self) -> None:
+        """Stop and disconnect; may be called repeatedly and never raises."""
+
+    def zero(self) -> None:
+        """Make the present angle the fin's zero; nothing moves. The drive must be open."""
+
+    def reset_fault(self) -> str | None:
+        """Acknowledge the drive's fault and return its description; None if there was none. The
+        motor stays off. Raises DeviceError if the fault persists."""
+
+    def switch_off(self) -> None:
+        """Stop the motor unconditionally, no matter which program powered it; raises DeviceError if
+        it is not confirmed to be off."""
+
+    def prove_stop(self) -> float:
+        """Power the motor at rest and send nothing; return the time until the drive stops by itself
+        [s]. Raises DeviceError if it does not."""
+
+    def checks(self) -> Iterator[CheckResult]:
+        """Yield lines for `softfin rig check` about the open drive; the first describes it."""
+
+    def current_limits(self) -> CurrentLimits:
+        """Return the open drive's own limits for the motor's current."""
+
+    def own_stop(self) -> str:
+        """Describe the open drive's setting for a missing host, for `softfin rig check`."""
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return one line per fault as of the latest read, ending with its fix."""
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters since `open`, by name."""
+
+
+class ForceSensor(Protocol):
+    """A sensor of the fin's force on its mount."""
+
+    @property
+    def name(self) -> str:
+        """Name in messages, with the sensor's address."""
+
+    @property
+    def config(self) -> ForceSensorConfig:
+        """Configuration."""
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of all times."""
+
+    @property
+    def device_lock(self) -> DeviceLock:
+        """Lock acquired by `open`, so that no second program uses the sensor."""
+
+    @property
+    def serial(self) -> str | None:
+        """Serial number; None if the sensor does not report it or has not been opened."""
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the force in an open sensor's readings, for which `force_time` is corrected
+        [s]."""
+
+    @property
+    def sample_counter(self) -> SampleCounter | None:
+        """Counter that reveals that an open sensor has lost its zero; None if the sensor does not
+        keep its zero itself."""
+
+    @property
+    def zero_wrench(self) -> Wrench | None:
+        """Wrench that softfin subtracts from every record, in the sensor's axes [N, N m]; None if
+        the sensor subtracts it itself."""
+
+    def open(self) -> None:
+        """Connect and wait for readings. On failure, close again; raises RigError if the sensor
+        does not match its configuration and DeviceError if it does not respond."""
+
+    def read(self) -> ForceReading:
+        """Return the latest force without waiting. If nothing new has arrived, it does not
+        change."""
+
+    def keep_up(self) -> None:
+        """Process what has arrived, so that nothing becomes outdated during other waits."""
+
+    def measured(self, seconds: float) -> tuple[Wrench, Wrench]:
+        """Wait for `seconds`, then return the mean and standard deviation of the unfiltered records
+        received in that time, in softfin's axes [N, N m]."""
+
+    def zero(self) -> None:
+        """Set the zero to the current load; call only while the fin is at rest."""
+
+    def restore_zero(self, wrench: Wrench) -> None:
+        """Set an open sensor's `zero_wrench` to a recorded one; only called if it is not None."""
+
+    def checks(self) -> Iterator[CheckResult]:
+        """Yield lines for `softfin rig check` about the open sensor; the first describes it."""
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return one line per fault as of the latest read, ending with its fix."""
+
+    def notes(self) -> tuple[str, ...]:
+        """Return notes for the operator that do not stop the fin, one line each."""
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters since `open`; names start with ``sensor_``, and ``sensor_records``
+        and ``sensor_lost`` are required."""
+
+    def close(self) -> None:
+        """Disconnect; may be called repeatedly and never raises."""
+
+
+class EmulatedDevice(Protocol):
+    """An emulated device, running from construction until `close`."""
+
+    def address(self) -> JsonObject:
+        """Return the fields of the device's configuration that lead to this emulator."""
+
+    def description(self) -> str:
+        """Describe the address for the operator."""
+
+    def remembered(self) -> JsonObject:
+        """Return the state that a power loss would erase, for JSON."""
+
+    def recall(self, remembered: JsonObject) -> None:
+        """Continue as if the supply had never been off."""
+
+    def close(self) -> None:
+        """Stop; may be called repeatedly."""
+
+
+Settings = TypeVar("Settings", bound=DeviceConfig)
+
+
+@dataclass(frozen=True)
+class DriveType(Generic[Settings]):
+    """A type of drive."""
+
+    config: type[Settings]
+    """Class of its configuration."""
+    make: Callable[[Settings, BusConfig | None, Clock, Callable[[str], None] | None], Drive]
+    """Makes a drive from its configuration, the rig's CAN bus, a clock, and a function to call at
+    once when the drive reports a fault, from any thread."""
+    emulated_config: Callable[[Limits | None, float | None, bool], Settings]
+    """Returns the configuration of an emulated drive with these command limits and this
+    acceleration [rad/s2], in real time or not."""
+    emulate: Callable[[Settings, BusConfig, EmulatedFin, Clock], EmulatedDevice]
+    """Starts an emulator that turns a fin."""
+
+
+@dataclass(frozen=True)
+class ForceSensorType(Generic[Settings]):
+    """A type of force sensor."""
+
+    config: type[Settings]
+    """Class of its configuration."""
+    make: Callable[[Settings, Clock], ForceSensor]
+    """Makes a sensor from its configuration and a clock."""
+    emulated_config: Callable[[], Settings]
+    """Returns the configuration of an emulated sensor, mounted as `SENSOR_MOUNTING`."""
+    emulate: Callable[[Settings, EmulatedFin, Clock], EmulatedDevice]
+    """Starts an emulator that measures a fin's force, mounted as `SENSOR_MOUNTING`."""

@@ -1,0 +1,1 @@
+"""The drives and force sensors that softfin can use, one folder each."""

@@ -1,0 +1,455 @@
+"""Driver for a maxon EPOS2 Module 36/2 over CANopen in profile position mode, from a safe start to
+a safe stop.
+
+The control loop's thread makes all calls except `stop`, which any thread may call. Tested with our
+emulator, not yet with a real drive.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
+from softfin.rig.devices.epos2 import procedures, protocol
+from softfin.rig.devices.epos2.exchange import BEATS_AFTER_STOP, DriveStatus, Exchange
+from softfin.rig.devices.epos2.protocol import Bit, State
+from softfin.rig.machine import Target
+from softfin.rig.safety import OVERSHOOT_RAD, check_target
+
+ANSWER_S = 0.006
+"""Longest wait for the drive's answers per tick [s]; they take 1 ms on a real bus, and longer on a
+busy computer."""
+
+BEAT_TICKS = 4
+"""Ticks between our heartbeats: 40 ms, one fifth of the default heartbeat timeout."""
+
+RESET_TIMEOUT_S = 1.0
+LIMITED_S = 0.1
+"""Time for which the drive may run into one of its internal limits [s]; a steep stroke reaches one
+for milliseconds."""
+FIRST_ANSWER_S = 0.5
+STOP_TIMEOUT_S = 3.0
+"""Longest wait for another stop in progress [s]."""
+ANSWER_STEP_S = 0.01
+UNANSWERED = 3
+"""Number of consecutive unanswered handshakes that counts as a problem."""
+UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
+
+
+class Epos2(Exchange):
+    """An EPOS2 drive: open, enable, command, stop. `on_fault` may call `stop`."""
+
+    def connect(self) -> None:
+        """Connect to the node in any state without changing anything; raises RigError or
+        DeviceError."""
+        self.device_lock.acquire(self.clock)
+        self.reset()
+        try:
+            self.connection.open()
+            self.foreign_ids = procedures.refuse_others(self.connection, self.config)
+            procedures.identify_drive(self.connection)
+            self.serial = procedures.read_optional(self.connection, protocol.SERIAL_NUMBER)
+        except BaseException:
+            self.connection.close()
+            self.device_lock.release()
+            raise
+
+    def open(self) -> None:
+        """Connect, check, write the limits and start the node; the motor stays off. On failure,
+        close again."""
+        self.connect()
+        try:
+            self.notes = procedures.check_settings(self.connection, self.config)
+            self.powered = False
+            self.owned = True
+            self.connection.send(
+                protocol.NMT, bytes([protocol.NMT_PRE_OPERATIONAL, self.config.node])
+            )
+            self.connection.write(protocol.CONTROLWORD, protocol.DISABLE_VOLTAGE)
+            procedures.configure(self.connection, self.config)
+            self.notes += procedures.set_reactions(self.connection)
+            self._own_sync()
+            self.connection.send(protocol.NMT, bytes([protocol.NMT_START, self.config.node]))
+            status = self.status
+            with self.lock:
+                status.rebooted = False
+                status.emergency = None
+                status.nmt = None
+                status.heartbeat_time = self.clock()
+            for _ in range(round((FIRST_ANSWER_S + self.config.heartbeat_s) / ANSWER_STEP_S)):
+                if self.sync_and_read(ANSWER_STEP_S).new and status.nmt == protocol.OPERATIONAL:
+                    return
+                self.clock.sleep(ANSWER_STEP_S)
+            raise DeviceError(
+                "drive sends no process data or no heartbeat; check the bus load and end other "
+                "programs that use the bus"
+            )
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Stop the drive and release the bus; may be called repeatedly and never raises."""
+        self.stop()
+        self.owned = False
+        self.connection.close()
+        self.device_lock.release()
+
+    def read(self) -> DriveReading:
+        """Read the drive now; every fourth call also sends a heartbeat."""
+        if self._ticks % BEAT_TICKS == 0:
+            self.send_heartbeat()
+        self._ticks += 1
+        status = self.sync_and_read(ANSWER_S)
+        return DriveReading(
+            time=status.time,
+            angle=status.angle,
+            velocity=status.velocity,
+            current=status.current,
+            following_error=status.demand - status.angle,
+        )
+
+    def read_angle(self) -> float:
+        """Return the shaft's angle now [rad]."""
+        return self.sync_and_read(0.02).angle
+
+    def reset_fault(self) -> str | None:
+        """Acknowledge the drive's fault and return its description; None if there was none. Raises
+        DeviceError if the fault persists.
+
+        The motor stays off. The drive must be reopened before it can be enabled.
+        """
+        fault = procedures.read_fault(self.connection)
+        if fault is None:
+            return None
+        with self.lock:
+            self.armed = False
+            self.stopped = True
+            self.owned = False
+        if procedures.newest_error(self.connection) in protocol.NEEDS_RESET_OF_COMMUNICATION:
+            self._reset_communication()
+        # Otherwise the drive would fault again at once, because the previous host no longer sends
+        # heartbeats.
+        self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
+        for word in protocol.RESET_EDGE:
+            self.connection.write(protocol.CONTROLWORD, word)
+        for _ in range(round(RESET_TIMEOUT_S / ANSWER_STEP_S)):
+            if procedures.read_fault(self.connection) is None:
+                self.status.emergency = None
+                self.sync_and_read()
+                return fault
+            self.clock.sleep(ANSWER_STEP_S)
+        raise DeviceError(f"drive is still in fault: {fault}; the cause is still present")
+
+    def command(self, target: Target) -> None:
+        """Move to the target, replacing the previous one; raises CommandError if it is outside the
+        limits and DeviceError if the drive is not enabled."""
+        low_angle, high_angle, slowest, fastest = limits = self.config.limits
+        if trip := check_target(target, limits):
+            raise CommandError(trip.reason)
+        # `check_target` tolerates rounding errors, but the drive enforces its limits exactly to the
+        # count: clamp the target to them.
+        counts = self.units.counts(min(max(target.angle, low_angle), high_angle))
+        rpm = self.units.rpm(min(max(target.velocity, slowest), fastest))
+        with self.lock:
+            if not self.armed:
+                raise DeviceError("drive is not enabled; enable it before you command it")
+            self.handshake.waiting = counts, rpm
+            self.carry_on()
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return one line per problem, with its fix; empty if there are no problems."""
+        with self.lock:
+            status = self.status
+            fault = self.status.fault()
+            unanswered = self.handshake.unanswered
+            silence = self.clock() - status.heartbeat_time
+            enabled = self.armed and not fault
+            limited_s = 0.0 if status.limited_since is None else self.clock() - status.limited_since
+            is_limited = limited_s > LIMITED_S
+            lines = (
+                (fault, fault),
+                (self.trouble != fault, self.trouble),
+                (
+                    silence > self.config.heartbeat_s,
+                    f"drive's heartbeat has been missing for {silence:.2f} s; check its supply and "
+                    "the bus cable",
+                ),
+                (
+                    not status.rebooted and status.nmt != protocol.OPERATIONAL,
+                    f"drive left the operational state (NMT 0x{status.nmt or 0:02X}); close "
+                    "other programs and start again",
+                ),
+                (
+                    enabled and status.state is not State.OPERATION_ENABLED,
+                    f"drive is {status.words} although it was enabled; check its enable input "
+                    "and close other programs that use the drive",
+                ),
+                (
+                    enabled and is_limited,
+                    "drive has reached one of its internal limits; reduce the velocity, "
+                    "acceleration or angle",
+                ),
+                (
+                    enabled and status.has(Bit.ERROR),
+                    "drive exceeds its following error limit; check for a blocked fin",
+                ),
+                (
+                    enabled and unanswered >= UNANSWERED,
+                    f"drive did not acknowledge a target {unanswered} times in a row; check the "
+                    "bus and end other programs that use the drive",
+                ),
+            )
+        return tuple(line for is_wrong, line in lines if is_wrong and line)
+
+    @property
+    def where(self) -> str:
+        """The drive's bus, and its number there."""
+        return f"{self.bus.interface} {self.bus.channel}, node {self.config.node}"
+
+    def checks(self) -> Iterator[CheckResult]:
+        """Describe the open drive."""
+        text = f"{self.where}: limits, ramps and mapping written and read back"
+        yield CheckResult("drive", "well", text)
+        yield from (CheckResult("drive setup", "note", note) for note in self.notes)
+
+    def current_limits(self) -> CurrentLimits:
+        """Return the open drive's limits for the motor's current."""
+        peak_ma, continuous_ma = (
+            procedures.read_optional(self.connection, entry)
+            for entry in (protocol.CURRENT_LIMIT, protocol.CONTINUOUS_CURRENT)
+        )
+        return CurrentLimits(
+            None if peak_ma is None else peak_ma / 1000,
+            None if continuous_ma is None else continuous_ma / 1000,
+        )
+
+    def own_stop(self) -> str:
+        """Return the open drive's reaction to a missing host."""
+        behaviour = procedures.read_optional(self.connection, protocol.LOSS_BEHAVIOUR)
+        return f"{protocol.LOSS_BEHAVIOUR} is {behaviour}"
+
+    @property
+    def stop_unconfirmed(self) -> str | None:
+        """Warning that the motor may still be on after a stop; None if the drive confirmed that it
+        is off."""
+        return UNCONFIRMED if self.powered else None
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the fin has been zeroed since the drive was powered up."""
+        return self.status.has(Bit.REFERENCED)
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters since `open`, by name."""
+        counted = self.status.counters + self.connection.counters
+        return {"targets repeated": self.handshake.repeated} | dict(counted)
+
+    def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
+        motor is off again.
+
+        This takes up to one second; `meanwhile` is called every few milliseconds, so that other
+        devices can be read.
+        """
+        angle = self._new_reading().angle
+        low = self.config.angle_min_rad
+        high = self.config.angle_max_rad
+        if self.config.zero_needed and not self.referenced:
+            raise RigError(
+                "fin has not been zeroed since the drive's power-up; turn the fin to zero and run: "
+                "softfin rig zero --arm"
+            )
+        if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
+            raise RigError(
+                f"fin is at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it back by "
+                "hand, or turn it to zero and run: softfin rig zero --arm"
+            )
+        # After a failed homing, the drive may still be in homing mode, in which a new target would
+        # set a new zero.
+        procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
+        self._power_up(then_arm=True, meanwhile=meanwhile)
+
+    def zero(self) -> None:
+        """Make the current position the drive's zero (homing method 35); the motor is powered, but
+        nothing moves."""
+        self._new_reading()
+        procedures.set_mode(self.connection, protocol.HOMING)
+        with self._stopped_afterwards():
+            for entry, value in procedures.HOME.items():
+                procedures.write(self.connection, entry, value)
+            self._power_up(then_arm=False, meanwhile=lambda: None)
+            procedures.home(self)
+        procedures.set_mode(self.connection, protocol.PROFILE_POSITION)
+
+    def prove_stop(self) -> float:
+        """Power the motor at standstill and withhold heartbeats; return the time until the drive
+        faults by itself [s].
+
+        Nothing moves, so the fin does not need to be zeroed. Raises DeviceError if the drive does
+        not fault. The drive must be reopened afterwards.
+        """
+        self._new_reading()
+        # In homing mode, as in `zero`: a fin that has not been zeroed may be outside the
+        # drive's position limits.
+        procedures.set_mode(self.connection, protocol.HOMING)
+        # The fault is expected: `on_fault` must not stop the drive before it stops by itself.
+        on_fault = self.on_fault
+        self.on_fault = None
+        try:
+            with self._stopped_afterwards():
+                self._power_up(then_arm=False)
+                faulted_after_s = procedures.time_own_stop(self)
+            self.reset_fault()
+            return faulted_after_s
+        finally:
+            self.on_fault = on_fault
+
+    @contextmanager
+    def _stopped_afterwards(self) -> Iterator[None]:
+        """Stop the motor when the block ends, even with an exception; raises SafetyStop if the
+        motor may still be on."""
+        reason = "the drive was stopped"
+        try:
+            yield
+        except BaseException as error:
+            reason = str(error) if isinstance(error, SoftfinError) else "interrupted"
+            raise
+        finally:
+            try:
+                self.stop()
+            finally:
+                # Once more, in case Ctrl-C interrupted the first stop; this takes no time if the
+                # motor is off.
+                self.stop()
+                if self.stop_unconfirmed:
+                    # This outranks any other error: the operator is next to a powered motor.
+                    raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
+
+    def switch_off(self) -> None:
+        """Stop the drive unconditionally, no matter which program powered it; raises DeviceError if
+        the motor is not confirmed off."""
+        self.reset()
+        try:
+            self.connection.open()
+            is_off = procedures.switch_off(self)
+        except DeviceError as error:
+            raise DeviceError(f"{UNCONFIRMED} ({error})") from None
+        finally:
+            self.connection.close()
+        if not is_off:
+            raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
+
+    def stop(self) -> None:
+        """Quick-stop immediately, then disable voltage; may be called repeatedly from any thread
+        and never raises."""
+        try:
+            generation = self.generation
+            free = self.brake()
+            if not self.powered:
+                return
+            if self.connection.in_receiver or not free:
+                # The rest of the stop needs answers from the receiver's thread, and must not block
+                # on a bus that hangs, so it runs in its own thread. There is one such thread at a
+                # time and none after a failure: a lost bus reports an error every 50 ms, and the
+                # threads would delay the loop's own stop.
+                if self.waiting_stop != generation and not self.rest_failed:
+                    self.waiting_stop = generation
+                    self.clock.spawn(lambda: self._come_to_rest(generation), "softfin drive stop")
+            else:
+                self._come_to_rest(generation)
+        except Exception as error:
+            self.trouble = f"stopping the drive failed ({error}); press the emergency stop"
+
+    def _new_reading(self) -> DriveStatus:
+        """Return a new status before powering the motor up; a stop from then on is remembered."""
+        if not self.owned:
+            raise DeviceError("drive is not open; open it first")
+        with self.lock:
+            self.stopped = False
+        is_new = any(
+            self.sync_and_read(ANSWER_STEP_S).new
+            for _ in range(round(FIRST_ANSWER_S / ANSWER_STEP_S))
+        )
+        if lines := self.complaints():
+            raise DeviceError(lines[0])
+        if not is_new:
+            raise DeviceError("drive does not respond; check its supply and the bus cable")
+        return self.status
+
+    def _own_sync(self) -> None:
+        self.sync_id = procedures.set_sync(self.connection, self.config)
+        if self.sync_id != protocol.SYNC:
+            return
+        self.notes += ("drive responds to every program's SYNC; connect each fin to its own bus",)
+        if protocol.SYNC in self.foreign_ids:
+            raise RigError(
+                f"{self.connection.name}: another program sends the SYNC that this drive responds "
+                "to; connect each fin to its own bus, or end the other program"
+            )
+
+    def _reset_communication(self) -> None:
+        """Reset the node's communication and wait for its boot-up message; the drive keeps its
+        zero."""
+        self.status.rebooted = False
+        self.connection.send(
+            protocol.NMT, bytes([protocol.NMT_RESET_COMMUNICATION, self.config.node])
+        )
+        with self.lock:
+            # A missing boot-up message is not an error: what matters is whether the fault clears.
+            self.lock.wait_for(lambda: self.status.rebooted, RESET_TIMEOUT_S)
+            self.status.rebooted = False
+
+    def _power_up(self, then_arm: bool, meanwhile: Callable[[], object] = lambda: None) -> None:
+        if not self.stopping.acquire(timeout=STOP_TIMEOUT_S):
+            raise DeviceError("drive is still stopping; wait, then enable it again")
+        try:
+            with self.lock:
+                if self.stopped:
+                    raise DeviceError(
+                        "drive was stopped while it was being enabled; enable it again"
+                    )
+                self.handshake.clear()
+                self.powered = True
+                self.generation += 1
+                self.beats_left = BEATS_AFTER_STOP
+                self.rest_failed = False
+        finally:
+            self.stopping.release()
+        try:
+            self.send_heartbeat()
+            # CiA 301, object 0x1016: node number in bits 16 to 23, time in ms in bits 0 to 15.
+            silence = round(1000 * self.config.heartbeat_s)
+            procedures.write(
+                self.connection, protocol.HEARTBEAT_CONSUMER, self.config.host << 16 | silence
+            )
+            procedures.reach_enabled(self, then_arm, meanwhile)
+        except BaseException:
+            self.stop()
+            raise
+
+    def _come_to_rest(self, generation: int) -> None:
+        """Finish a stop, unless the drive has been powered up again: this stop must not mark that
+        motor as off."""
+        is_acquired = self.stopping.acquire(timeout=STOP_TIMEOUT_S)
+        # From here on, another stop must start its own thread: this one may already have passed the
+        # point that it needs.
+        self.waiting_stop = None
+        if not is_acquired:
+            return
+        try:
+            if generation != self.generation or not self.powered:
+                return
+            if procedures.rest(self):
+                self.powered = False
+                # The host's heartbeat ends with the program, which should not put a stopped drive
+                # into fault.
+                self.connection.write(protocol.HEARTBEAT_CONSUMER, 0)
+            else:
+                self.rest_failed = True
+                self.trouble = UNCONFIRMED
+        except SoftfinError as error:
+            self.rest_failed = True
+            self.trouble = str(error)
+        finally:
+            self.stopping.release()

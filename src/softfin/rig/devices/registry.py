@@ -1,0 +1,85 @@
+"""The known types of drives and force sensors: softfin's own, and those of other installed packages
+through the entry point group `softfin.devices`."""
+
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, TypeVar
+
+from softfin.core.errors import RigError, one_line
+from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+
+GROUP = "softfin.devices"
+"""Entry point group; the name of an entry point is the `type` in a rig's file, and its object is a
+`DriveType` or a `ForceSensorType`."""
+
+BUILT_IN = {
+    name: EntryPoint(name, f"softfin.rig.devices.{name}.device:DEVICE", GROUP)
+    for name in ("epos2", "axia80")
+}
+"""softfin's own devices; their modules are imported when they are used."""
+
+Kind = TypeVar("Kind", DriveType[Any], ForceSensorType[Any])
+
+
+def find_drive(name: str) -> DriveType[Any]:
+    """Return a type of drive; raises RigError if it is unknown or cannot be imported."""
+    return _find(name, DriveType, "drive")
+
+
+def find_force_sensor(name: str) -> ForceSensorType[Any]:
+    """Return a type of force sensor; raises RigError if it is unknown or cannot be imported."""
+    return _find(name, ForceSensorType, "force sensor")
+
+
+def choose_drive(values: Mapping[str, object]) -> type[DriveConfig]:
+    """Return the class of a drive's configuration in a rig's file; raises ValueError."""
+    config: type[DriveConfig] = _choose(values, DriveConfig, DriveType, "drive").config
+    return config
+
+
+def choose_force_sensor(values: Mapping[str, object]) -> type[ForceSensorConfig]:
+    """Return the class of a sensor's configuration in a rig's file; raises ValueError."""
+    config: type[ForceSensorConfig] = _choose(
+        values, ForceSensorConfig, ForceSensorType, "force sensor"
+    ).config
+    return config
+
+
+def _choose(
+    values: Mapping[str, object],
+    base: type[DriveConfig] | type[ForceSensorConfig],
+    kind: type[Kind],
+    what: str,
+) -> Kind:
+    try:
+        return _find(str(values.get("type", base.DEFAULT_TYPE)), kind, what)
+    except RigError as error:
+        raise ValueError(str(error)) from None
+
+
+def _find(name: str, kind: type[Kind], what: str) -> Kind:
+    found = _entry_point(name)
+    if found is None:
+        available = ", ".join(sorted({*BUILT_IN, *entry_points(group=GROUP).names}))
+        raise RigError(
+            f"type {name!r}: unknown {what}; use one of {available}, or install the package of the "
+            "device"
+        )
+    try:
+        device = found.load()
+    except Exception as error:
+        # The package of a device may raise anything.
+        raise RigError(
+            f"type {name!r}: {found.value} cannot be imported ({one_line(error)}); reinstall the "
+            "package of the device"
+        ) from None
+    if not isinstance(device, kind):
+        raise RigError(f"type {name!r}: {found.value} is not a {what}; use another type")
+    return device
+
+
+def _entry_point(name: str) -> EntryPoint | None:
+    # softfin's own devices come first: another package must not replace them by accident.
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    return next((entry for entry in entry_points(group=GROUP) if entry.name == name), None)
