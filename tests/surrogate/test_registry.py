@@ -44,13 +44,11 @@ from tests.surrogate.streaming import small as streaming
 
 UPDATES = {"units": 4, "updates": 6, "updates_per_scoring": 2, "batch": 4, "ticks": 40}
 GRU = {**UPDATES, "burn_in": 10}
-CELL = {"low": [0.5, -0.5], "high": [1.5, 0.5]}
 TRAIN = {
     "steps": 12,
     "num_evaluations": 1,
     "policy": {"units": 4, "width": 4},
     "ppo": {"num_envs": 2, "num_steps": 6, "num_epochs": 1, "num_minibatches": 1},
-    "cells": [CELL],
 }
 
 
@@ -148,7 +146,16 @@ def test_an_installed_architecture_is_fitted_compared_trained_in_and_evaluated(
     wide = tmp_path / "wide"
     save_surrogate(wide, gru.surrogate(), None, {})
     words = ("--controller", "single", "--algorithm", "ppo", "--out", tmp_path / "controller")
-    run(capsys, "train", wide, *words, "--config", write(tmp_path / "train.yaml", TRAIN))
+    run(
+        capsys,
+        "train",
+        wide,
+        *words,
+        "--range",
+        "paper",
+        "--config",
+        write(tmp_path / "train.yaml", TRAIN),
+    )
     words = ("--reference=1,0", "--seconds", "3", "--repeats", "1", "--out", tmp_path / "judged")
     scored = run(capsys, "evaluate", tmp_path / "controller", "--plant", wide, *words, "--json")
     assert json.loads(scored)["references"][0]["x"]["error_n"] >= 0

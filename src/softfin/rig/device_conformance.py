@@ -18,11 +18,11 @@ MAX_AGE_S = 1.0
 SLOW_READ_S = 0.02
 """Longest median duration of `read` [s]."""
 
-SILENT_S = 6.0
+SILENCE_S = 6.0
 """Longest time in which a silent device must be noticed [s]."""
 
 STEP_RAD = 0.2
-STILL_RAD = 0.02
+AT_REST_RAD = 0.02
 
 ZERO_N = 0.1
 """Largest mean force after zeroing, in addition to its noise [N]."""
@@ -75,7 +75,7 @@ def check_drive(drive: Drive, clock: Clock = REAL) -> None:
             drive.own_stop()
             _check_refusal(drive, "before it was enabled")
             drive.zero()
-            if abs(drive.read_angle()) > STILL_RAD and drive.config.zero_needed:
+            if abs(drive.read_angle()) > AT_REST_RAD and drive.config.zero_needed:
                 _fail(drive, f"is at {drive.read_angle():.3f} rad after zero", "it must be at zero")
             _check_still(drive, pace, "before it was enabled")
             drive.enable()
@@ -179,10 +179,10 @@ def _check_zero(sensor: ForceSensor) -> None:
 
 def _check_silence(sensor: ForceSensor) -> None:
     clock = sensor.clock
-    end = clock() + SILENT_S
+    end = clock() + SILENCE_S
     while not sensor.complaints():
         if clock() > end:
-            _fail(sensor, f"no complaint after {SILENT_S:g} s of silence", "report the silence")
+            _fail(sensor, f"no complaint after {SILENCE_S:g} s of silence", "report the silence")
         sensor.read()
         clock.sleep(0.01)
     if clock() - sensor.read().force_time < 0.05:
@@ -216,7 +216,7 @@ def _watch_drive(drive: Drive, pace: Pace, ticks: int) -> list[float]:
 def _check_still(drive: Drive, pace: Pace, when: str) -> None:
     angles = _watch_drive(drive, pace, 50)
     way = max(angles) - min(angles)
-    if way > STILL_RAD:
+    if way > AT_REST_RAD:
         _fail(drive, f"moved by {way:.3f} rad {when}", "it must move under a command only")
 
 

@@ -12,9 +12,9 @@ GROUP = "softfin.devices"
 """Entry point group; the name of an entry point is the `type` in a rig's file, and its object is a
 `DriveType` or a `ForceSensorType`."""
 
-BUILT_IN = {
-    name: EntryPoint(name, f"softfin.rig.devices.{name}.device:DEVICE", GROUP)
-    for name in ("epos2", "axia80")
+DEVICES = {
+    "epos2": "softfin.rig.devices.epos2.device:EPOS2",
+    "axia80": "softfin.rig.devices.axia80.device:AXIA80",
 }
 """softfin's own devices; their modules are imported when they are used."""
 
@@ -60,7 +60,7 @@ def _choose(
 def _find(name: str, kind: type[Kind], what: str) -> Kind:
     found = _entry_point(name)
     if found is None:
-        available = ", ".join(sorted({*BUILT_IN, *entry_points(group=GROUP).names}))
+        available = ", ".join(sorted({*DEVICES, *entry_points(group=GROUP).names}))
         raise RigError(
             f"type {name!r}: unknown {what}; use one of {available}, or install the package of the "
             "device"
@@ -80,6 +80,6 @@ def _find(name: str, kind: type[Kind], what: str) -> Kind:
 
 def _entry_point(name: str) -> EntryPoint | None:
     # softfin's own devices come first: another package must not replace them by accident.
-    if name in BUILT_IN:
-        return BUILT_IN[name]
+    if name in DEVICES:
+        return EntryPoint(name, DEVICES[name], GROUP)
     return next((entry for entry in entry_points(group=GROUP) if entry.name == name), None)

@@ -23,4 +23,4 @@ def _emulate(config: Axia80Config, fin: EmulatedFin, clock: Clock) -> EmulatedDe
     return EmulatedAxia80(fin, *ports, frame=SENSOR_MOUNTING, clock=clock)
 
 
-DEVICE = ForceSensorType(Axia80Config, Axia80, _emulated_config, _emulate)
+AXIA80 = ForceSensorType(Axia80Config, Axia80, _emulated_config, _emulate)

@@ -53,4 +53,4 @@ def _emulate(config: Epos2Config, bus: BusConfig, fin: EmulatedFin, clock: Clock
     return EmulatedDrive(bus, config, fin, clock)
 
 
-DEVICE = DriveType(Epos2Config, _make, _emulated_config, _emulate)
+EPOS2 = DriveType(Epos2Config, _make, _emulated_config, _emulate)
