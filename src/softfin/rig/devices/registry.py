@@ -14,7 +14,7 @@ GROUP = "softfin.devices"
 
 BUILT_IN = {
     name: EntryPoint(name, f"softfin.rig.devices.{name}.device:DEVICE", GROUP)
-    for name in ("epos2", "axia80")
+    for name in ("epos2", "axia80", "lines")
 }
 """softfin's own devices; their modules are imported when they are used."""
 
