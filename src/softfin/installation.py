@@ -9,13 +9,14 @@ from urllib.parse import unquote, urlparse
 
 from softfin.core.json_object import JsonObject
 
-EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3")
+EXTRAS = ("learn", "onnx", "ros2", "ray", "sb3", "serial")
 """Optional parts of softfin, as in pyproject.toml; `learn` simulates, trains and draws."""
 
 DISTRIBUTIONS = {
     "PIL": "pillow",
     "can": "python-can",
     "jaxlib": "jax",
+    "serial": "pyserial",
     "stable_baselines3": "sb3-contrib",
     "yaml": "pyyaml",
 }

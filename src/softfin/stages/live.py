@@ -6,6 +6,7 @@ continues.
 """
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -50,7 +51,8 @@ Confirm = Callable[[RobotSetup], None]
 yes."""
 
 EXTRA_TICKS = 20
-"""Number of ticks read after the last row of a log, because the force filter delays its output."""
+"""Minimum number of ticks read after the last row of a log, because the force filter delays its
+output."""
 
 HALF_TICK_S = TICK_S / 2
 """Time by which command stamps are moved back [s], so that the jitter of the ticks cannot move a
@@ -241,7 +243,7 @@ class LiveFin:
             run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero)
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
-        tail = [session.tick() for _ in range(EXTRA_TICKS)]
+        tail = [session.tick() for _ in range(extra_ticks(self._robot))]
         # Power off first: resampling ten minutes of samples takes longer than a tick may be late.
         session.deactivate()
         # A tick's reading is taken at its end, so row 0, the rest before the first action, is
@@ -259,6 +261,12 @@ def longest_gap(robot: RobotSetup) -> float:
     """Return the longest gap allowed in a log [s]; gaps that the safety limits allow are
     interpolated as well."""
     return max(GAP_S, robot.safety.stale_s, robot.safety.force_stale_s)
+
+
+def extra_ticks(robot: RobotSetup) -> int:
+    """Return the number of ticks to read after the last row of a log, until its force is known: as
+    long as the safety limits allow the force to lag."""
+    return max(EXTRA_TICKS, math.ceil(robot.safety.force_stale_s * RATE_HZ))
 
 
 def find_bags(out: Path) -> Path:
@@ -336,15 +344,16 @@ def _drop_addresses(configuration: JsonObject) -> JsonObject:
 
 
 def _sensor_state(machine: Machine) -> JsonObject:
-    """Return the serial number of the sensor's calibration and its last zero; None for entries that
-    a machine lacks."""
+    """Return the serial number of the sensor's calibration, its last zero, and the delay for which
+    its force is corrected [s]; None for entries that a machine lacks."""
     # Only a rig owns its sensor; behind ROS 2 the sensor belongs to another program.
     if not isinstance(machine, Rig):
-        return {"sensor_serial": None, "force_zero": None}
+        return {"sensor_serial": None, "force_zero": None, "force_delay_s": None}
     force_zero = load_record(machine.config.file).force_zero
     return {
         "sensor_serial": machine.sensor.serial,
         "force_zero": None if force_zero is None else force_zero.model_dump(mode="json"),
+        "force_delay_s": round(machine.sensor.delay_s, 5),
     }
 
 
@@ -419,7 +428,7 @@ def _record(
     zero = session.rest(robot.settle_s)
     samples: list[Sample] = []
     issued: list[tuple[float, Target]] = []
-    for tick in range(len(commands) + EXTRA_TICKS):
+    for tick in range(len(commands) + extra_ticks(robot)):
         sample = session.tick()
         samples.append(sample)
         # The drive holds a command until the next one, so only changes are sent.

@@ -15,6 +15,7 @@ GROUP = "softfin.devices"
 DEVICES = {
     "epos2": "softfin.rig.devices.epos2.device:EPOS2",
     "axia80": "softfin.rig.devices.axia80.device:AXIA80",
+    "lines": "softfin.rig.devices.lines.device:LINES",
 }
 """softfin's own devices; their modules are imported when they are used."""
 

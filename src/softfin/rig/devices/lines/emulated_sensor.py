@@ -1,0 +1,158 @@
+"""An emulated sensor that sends lines, on a pseudo-terminal or over UDP on the loopback address.
+
+Each line contains a counter, force x and force y [N] of an emulated fin, with noise.
+"""
+
+import contextlib
+import os
+import socket
+import tty
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from softfin.core.choices import LOOPBACK
+from softfin.core.clock import REAL, Clock
+from softfin.core.json_object import JsonObject
+from softfin.rig.emulated_fin import SENSOR_MOUNTING, EmulatedFin
+from softfin.rig.machine import rotated, rotation
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SimulatedSocket
+
+UDP_PORT = 47_470
+"""Port of an emulated sensor in simulated time."""
+
+EMULATED_COLUMNS = ("count", "force_x", "force_y")
+
+NOISE_N = np.random.default_rng(0).uniform(-1e-3, 1e-3, (1021, 2))
+"""Noise, indexed by the counter [N]; small, so that tests can compare forces."""
+
+
+class EmulatedLines:
+    """Emulated sensor, running from construction until `close`; faults may be set from any
+    thread."""
+
+    def __init__(
+        self,
+        fin: EmulatedFin,
+        rate_hz: float,
+        clock: Clock = REAL,
+        frame: str = SENSOR_MOUNTING,
+        over: str = "udp",
+    ) -> None:
+        """`over` is udp or serial; there are no serial ports in simulated time."""
+        self.transmit: Callable[[bytes], Iterable[bytes]] = lambda line: (line,)
+        """Function that maps a sent line to the bytes that arrive; tests may cut, double, lose or
+        change lines."""
+        self.rate_hz = rate_hz
+        self.count = 0
+        self.are_values_frozen = False
+        self._fin = fin
+        self._clock = clock
+        self._rotation = rotation(frame).T
+        self._values = (0.0, 0.0)
+        self._silent_until = 0.0
+        self._closing = clock.event()
+        self._link: _Pty | _Udp = _Pty() if over == "serial" else _Udp(clock)
+        self._thread = clock.spawn(self._run, "emulated line sensor")
+
+    def address(self) -> JsonObject:
+        """Return the port, as in a rig's file."""
+        return self._link.address
+
+    def description(self) -> str:
+        """Return the port."""
+        return ", ".join(f"{name} {value}" for name, value in self.address().items())
+
+    def remembered(self) -> JsonObject:
+        """Return nothing: softfin keeps the zero."""
+        return {}
+
+    def recall(self, remembered: JsonObject) -> None:
+        """Continue; there is nothing to recall."""
+
+    def silence(self, seconds: float = float("inf")) -> None:
+        """Send nothing for a time [s]; 0 ends the silence."""
+        self._silent_until = self._clock() + seconds
+
+    def reboot(self) -> None:
+        """Start the counter again."""
+        self.count = 0
+
+    def unplug(self) -> None:
+        """Remove the port."""
+        self._link.close()
+
+    def close(self) -> None:
+        """Stop the sensor; may be called repeatedly."""
+        self._closing.set()
+        self._thread.join()
+        self._link.close()
+
+    def _run(self) -> None:
+        started = self._clock()
+        sent = 0
+        while not self._closing.wait(max(0.002, 1 / self.rate_hz)):
+            now = self._clock()
+            due = int((now - started) * self.rate_hz) - sent
+            sent += due
+            for _ in range(due):
+                line = self._measure()
+                for data in self.transmit(line) if now >= self._silent_until else ():
+                    with contextlib.suppress(OSError):
+                        self._link.send(data)
+
+    def _measure(self) -> bytes:
+        self.count = (self.count + 1) % 2**32
+        if not self.are_values_frozen:
+            x, y = rotated(self._fin.now().wrench, self._rotation)[:2]
+            noise = NOISE_N[self.count % len(NOISE_N)]
+            self._values = (x + noise[0], y + noise[1])
+        return f"{self.count},{self._values[0]:.6f},{self._values[1]:.6f}\r\n".encode()
+
+
+class _Pty:
+    """A pseudo-terminal; its other end is the serial port."""
+
+    def __init__(self) -> None:
+        self._own, self._other = os.openpty()
+        tty.setraw(self._other)
+        os.set_blocking(self._own, False)
+        self.address: JsonObject = {"port": os.ttyname(self._other)}
+        self._is_open = True
+
+    def send(self, data: bytes) -> None:
+        """Send; bytes that nobody reads are lost, as on a real port."""
+        if self._is_open:
+            os.write(self._own, data)
+
+    def close(self) -> None:
+        """Unplug; may be called repeatedly."""
+        if self._is_open:
+            self._is_open = False
+            os.close(self._own)
+            os.close(self._other)
+
+
+class _Udp:
+    """A socket that sends to this computer."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._socket: socket.socket | SimulatedSocket
+        port = UDP_PORT
+        if isinstance(clock, SimulatedClock):
+            self._socket = SimulatedSocket(clock, LOOPBACK)
+        else:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+                free.bind((LOOPBACK, 0))
+                port = free.getsockname()[1]
+            self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.address: JsonObject = {"address": LOOPBACK, "udp_port": port}
+
+    def send(self, data: bytes) -> None:
+        """Send a datagram."""
+        self._socket.sendto(data, (LOOPBACK, int(self.address["udp_port"])))
+
+    def close(self) -> None:
+        """Close; may be called repeatedly."""
+        self._socket.close()

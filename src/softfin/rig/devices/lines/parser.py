@@ -1,0 +1,88 @@
+"""Decode and number the lines, without I/O: text in, wrenches and numbers of lost lines out."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from softfin.rig.devices.lines.config import WRENCH_CHANNELS, COUNTERS, LinesConfig
+
+REORDERED_LINES = 64
+"""Number of lines by which a counter may go back without a restart."""
+
+
+class Record(NamedTuple):
+    """One line."""
+
+    wrench: Float[np.ndarray, " 6"]
+    """Force and torque in the sensor's axes [N, N m]; zero for channels without a column."""
+    number: int | None
+    """Value of the counter or of the time; None without such a column."""
+
+
+class LineParser:
+    """Decodes the lines of one sensor."""
+
+    def __init__(self, config: LinesConfig) -> None:
+        self._columns = config.columns
+        self._separator = config.separator
+        self._scale = config.scale
+
+    def parse(self, line: bytes) -> Record | None:
+        """Return the record in a line; None if it is cut, joined with another, or not numbers."""
+        try:
+            texts = line.decode("ascii").strip().split(self._separator)
+        except UnicodeDecodeError:
+            return None
+        if len(texts) != len(self._columns):
+            return None
+        wrench = np.zeros(len(WRENCH_CHANNELS))
+        number = None
+        try:
+            for column, text in zip(self._columns, texts, strict=True):
+                if column in COUNTERS:
+                    number = int(text) % 2**32
+                elif column in WRENCH_CHANNELS:
+                    value = float(text) * self._scale.get(column, 1.0)
+                    wrench[WRENCH_CHANNELS.index(column)] = value
+        except (ValueError, OverflowError):
+            return None
+        return Record(wrench, number) if math.isfinite(wrench.sum()) else None
+
+
+class LineCounter:
+    """Counts lost, repeated and late lines by their counter or time; without either, every line
+    counts as the next one."""
+
+    def __init__(self, config: LinesConfig) -> None:
+        self.has_restarted = False
+        """Whether the counter went back, as after a restart of the sensor."""
+        self._rate_hz = config.rate_hz
+        self._column = config.counter
+        self._newest: int | None = None
+
+    def steps(self, number: int | None) -> int:
+        """Return by how many lines this one is later than the latest; 0 or less if it is not
+        newer."""
+        if number is None:
+            return 1
+        before = self._newest
+        if before is None:
+            self._newest = number
+            return 1
+        # Unsigned 32-bit numbers wrap around.
+        change = (number - before + 2**31) % 2**32 - 2**31
+        steps = change
+        if self._column != "count":
+            seconds = change * COUNTERS[self._column or "count"]
+            steps = round(seconds * self._rate_hz)
+            if change > 0:
+                # Lines that are printed late follow each other quickly.
+                steps = max(1, steps)
+        if steps < -REORDERED_LINES:
+            self.has_restarted = True
+            steps = 1
+        if change > 0 or self.has_restarted:
+            self._newest = number
+        return steps

@@ -1,0 +1,166 @@
+"""Sources of the lines: a serial port or UDP, read by a thread of its own.
+
+A thread, because the buffer of a serial port holds 4 KB and keeps the oldest bytes: if the loop
+read it, the first force after a pause would be an old one that looks new.
+"""
+
+import contextlib
+import socket
+from collections import deque
+from typing import NamedTuple, Protocol
+
+from softfin.core.choices import LOOPBACK
+from softfin.core.clock import Clock
+from softfin.core.errors import DeviceError, one_line
+from softfin.rig.devices.lines.config import LinesConfig
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SimulatedSocket
+
+WAIT_S = 0.05
+"""Longest wait for data [s]."""
+
+KEPT_S = 2.0
+"""Time for which lines are kept if nobody takes them [s]; older ones are dropped."""
+
+MAX_LINE_BYTES = 1000
+
+
+class Transport(Protocol):
+    """A source of bytes."""
+
+    def read(self) -> bytes:
+        """Wait up to `WAIT_S` for bytes and return them; raises OSError if the sensor is gone."""
+
+    def close(self) -> None:
+        """Close; may be called repeatedly."""
+
+
+class SerialTransport:
+    """A serial port, opened for this program alone."""
+
+    def __init__(self, port: str, baud: int) -> None:
+        # Imported here because it belongs to the extra `serial`, and UDP does not need it.
+        import serial
+
+        try:
+            self._serial = serial.Serial(port, baud, timeout=WAIT_S, exclusive=True)
+        except (OSError, ValueError) as error:
+            raise DeviceError(
+                f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
+                "and your permission to use it, and end other programs that use it"
+            ) from None
+
+    def read(self) -> bytes:
+        """Return the bytes that have arrived, at least one unless none arrives in time."""
+        data: bytes = self._serial.read(max(1, self._serial.in_waiting))
+        return data
+
+    def close(self) -> None:
+        """Close the port."""
+        self._serial.close()
+
+
+class UdpTransport:
+    """Datagrams from one address; each contains whole lines."""
+
+    def __init__(self, address: str, port: int, clock: Clock) -> None:
+        self._address = address
+        self._socket: socket.socket | SimulatedSocket
+        if isinstance(clock, SimulatedClock):
+            self._socket = SimulatedSocket(clock, LOOPBACK, port, WAIT_S)
+            return
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._address = socket.gethostbyname(address)
+            # A sensor on this computer is an emulated one, which others need not reach.
+            host = LOOPBACK if self._address.startswith("127.") else ""
+            self._socket.bind((host, port))
+            self._socket.settimeout(WAIT_S)
+        except (OSError, UnicodeError) as error:
+            self._socket.close()
+            raise DeviceError(
+                f"UDP port {port}: cannot be opened ({one_line(error)}); check address and "
+                "udp_port, and end other programs that use the port"
+            ) from None
+
+    def read(self) -> bytes:
+        """Return a datagram of the sensor; empty if none arrives in time."""
+        try:
+            data, sender = self._socket.recvfrom(65_535)
+        except (TimeoutError, BlockingIOError):
+            return b""
+        # A datagram is not continued by the next one.
+        return data + b"\n" if sender[0] == self._address else b""
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+def open_transport(config: LinesConfig, clock: Clock) -> Transport:
+    """Open the port of a sensor; raises DeviceError."""
+    if config.port is not None:
+        return SerialTransport(config.port, config.baud)
+    assert config.address is not None
+    assert config.udp_port is not None
+    return UdpTransport(config.address, config.udp_port, clock)
+
+
+class TimedLine(NamedTuple):
+    """A line without its end, and the time at which it arrived [s]."""
+
+    text: bytes
+    time: float
+
+
+class LineReader:
+    """Thread that splits the bytes into lines as they arrive."""
+
+    def __init__(self, transport: Transport, rate_hz: float, clock: Clock, is_cut: bool) -> None:
+        """`is_cut` if the first bytes may be the rest of a line."""
+        self.trouble: str | None = None
+        """Error that ended the thread; None while it runs."""
+        self.lines: deque[TimedLine] = deque(maxlen=max(100, round(KEPT_S * rate_hz)))
+        """Lines that have arrived, oldest first."""
+        self._transport = transport
+        self._rate_hz = rate_hz
+        self._clock = clock
+        self._is_cut = is_cut
+        self._rest = b""
+        self._closing = clock.event()
+        self._thread = clock.spawn(self._run, "line sensor")
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` has been called."""
+        return self._closing.is_set()
+
+    def close(self) -> None:
+        """End the thread and close the transport; may be called repeatedly."""
+        self._closing.set()
+        self._thread.join(10 * WAIT_S)
+        with contextlib.suppress(OSError):
+            self._transport.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                data = self._transport.read()
+            except Exception as error:
+                # pyserial raises OSError, and TypeError if its port is closed meanwhile.
+                if not self._closing.is_set():
+                    self.trouble = one_line(error)
+                return
+            self._split(data, self._clock())
+
+    def _split(self, data: bytes, now: float) -> None:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        # An endless line must not fill the memory; its end is malformed and will be counted.
+        self._rest = self._rest[-MAX_LINE_BYTES:]
+        if lines and self._is_cut:
+            self._is_cut = False
+            lines = lines[1:]
+        lines = [line for line in lines if line.strip()]
+        for index, line in enumerate(lines):
+            # Lines that arrive together were sent one after the other.
+            self.lines.append(TimedLine(line, now - (len(lines) - 1 - index) / self._rate_hz))

@@ -1,0 +1,40 @@
+"""Times of the records in a sensor's stream, from noisy timestamps."""
+
+from collections import deque
+
+
+class StreamClock:
+    """Monotonic times of records in an evenly spaced stream, from noisy timestamps, which can only
+    be too late."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self.rate_hz = rate_hz
+        """Measured rate once the stream has lasted 0.3 s; before that, the configured rate [Hz]."""
+        self.measured_s = 0.0
+        """Duration of the stream so far [s]."""
+        # The earliest estimate from the last 12 timestamps is used (about 0.1 s at one per tick),
+        # so that a delayed packet does not shift the times.
+        self._stamps: deque[tuple[int, float]] = deque(maxlen=12)
+        self._base: tuple[int, float] | None = None
+
+    def restart(self) -> None:
+        """Forget the timestamps but keep the rate, because the record numbers jumped, perhaps by
+        more than the elapsed time."""
+        self._stamps.clear()
+        self._base = None
+
+    def stamp(self, place: int, time: float) -> None:
+        """Register that the record at position `place` was received at `time` [s]."""
+        first, began = self._base = self._base or (place, time)
+        self.measured_s = time - began
+        if self.measured_s >= 0.3 and place > first:
+            self.rate_hz = (place - first) / self.measured_s
+        if self._stamps and time - self._stamps[-1][1] > 0.2:
+            # After a silence, earlier timestamps are outdated.
+            self._stamps.clear()
+        self._stamps.append((place, time))
+
+    def estimate_time(self, place: int) -> float:
+        """Return the monotonic time of a position near the latest ones [s]."""
+        # Every timestamp is late by an unknown delay, so the earliest estimate is the best.
+        return min(time + (place - stamped) / self.rate_hz for stamped, time in self._stamps)

@@ -1,0 +1,48 @@
+"""A whole day at an emulated rig whose force sensor sends lines."""
+
+import json
+
+import pytest
+import yaml
+
+from softfin.cli import main
+from softfin.rig.emulation.rig import rigs
+from softfin.rig.record import load_record
+from tests.control.folders import folder_option
+
+
+@pytest.fixture
+def rig(tmp_path):
+    file = tmp_path / "rig.yaml"
+    main(["rig", "emulate", "--rig", str(file), "--sensor", "lines"])
+    yield file
+    emulated = rigs.pop(file.resolve(), None)
+    if emulated is not None:
+        emulated.close()
+
+
+def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
+    told = ["--rig", str(rig)]
+    plant = ["--plant", f"rig:{rig}", "--arm", "--yes"]
+    assert yaml.safe_load(rig.read_text())["sensor"]["type"] == "lines"
+    main(["rig", "check", *told, "--prove", "--arm", "--yes"])
+    main(["rig", "zero", *told, "--arm", "--yes"])
+    zero = load_record(rig).force_zero
+    assert zero.wrench is not None
+    capsys.readouterr()
+    main(["rig", "check", *told, "--json"])
+    rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["force sensor"]["text"].startswith("lines, 320/s, delay ")
+    assert {row["state"] for row in rows.values()} <= {"well", "note"}
+    data = tmp_path / "data"
+    counts = ["--logs", "1", "--test-logs", "1", "--rows", "300"]
+    main(["collect", *plant, "--out", str(data), *counts])
+    described = json.loads((data / "dataset.json").read_text())
+    assert described["rig"]["sensor"]["type"] == "lines"
+    assert described["sensor_by_log"]["train-0000"]["force_delay_s"] > 0.01
+    assert described["sensor_by_log"]["train-0000"]["force_zero"]["wrench"] == list(zero.wrench)
+    controller = folder_option("single", tmp_path)
+    out = tmp_path / "evaluation"
+    shortest = ["--seconds", "3", "--repeats", "1", "--set", "references=[[1.0,-1.0]]"]
+    main(["evaluate", str(controller), *plant, "--out", str(out), *shortest])
+    assert (out / "evaluation.json").exists()
