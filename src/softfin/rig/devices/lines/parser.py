@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.rig.devices.lines.config import WRENCH_CHANNELS, COUNTERS, LinesConfig
+from softfin.rig.devices.lines.config import COUNTERS, WRENCH_CHANNELS, LinesConfig
 
 REORDERED_LINES = 64
 """Number of lines by which a counter may go back without a restart."""
