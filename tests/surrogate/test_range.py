@@ -73,7 +73,7 @@ def test_the_stages_hand_it_on_from_the_dataset_to_the_controllers(tmp_path, mon
         run_directory.log().close()
         return small.surrogate()
 
-    def train_in_process(plant, config, seeds, run_directory, progress, force_map, reachable):
+    def train_in_process(plant, config, seeds, run_directory, progress, forces):
         run_directory.log().close()
         return untrained(SINGLE)._replace(seeds=tuple(seeds))
 
