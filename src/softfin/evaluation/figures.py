@@ -19,6 +19,7 @@ from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
 from softfin.evaluation.moving_references import MovingScores
 from softfin.evaluation.range_errors import ErrorMap
+from softfin.gaits.figure import mark_paper_references
 from softfin.gaits.reachable import PAPER_REFERENCES, force_decimals
 from softfin.storage.figures import BLACK, BLUE, GREY, ORANGE, new_figure, styled, with_minus_signs
 
@@ -243,17 +244,7 @@ def error_map_figure(errors: ErrorMap) -> Figure:
                     )
             # Fins of other sizes may produce none of them.
             if any(errors.cell.distance(reference) == 0 for reference in PAPER_REFERENCES):
-                x, y = np.array(PAPER_REFERENCES, float).T
-                axes.plot(
-                    x,
-                    y,
-                    "o",
-                    fillstyle="none",
-                    color=BLACK,
-                    markersize=16,
-                    markeredgewidth=1.4,
-                    label="the paper's references",
-                )
+                mark_paper_references(axes, 16)
             if errors.reachable is not None:
                 outline = np.concatenate([errors.reachable, errors.reachable[:1]])
                 axes.plot(

@@ -2,6 +2,7 @@
 gaits."""
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
@@ -13,6 +14,12 @@ from softfin.storage.figures import BLACK, GREY, new_figure, styled
 
 MARGIN_N = 0.2
 """Margin around the nodes [N], for the paper's fin."""
+
+
+HALO = [withStroke(linewidth=3, foreground="white")]
+
+MIN_RANGE_N = 0.01
+"""Minimum range of the drawn Sobolev terms, for the paper's fin [N]."""
 
 
 def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
@@ -27,7 +34,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
     outline = np.concatenate([reachable.corners(), reachable.corners()[:1]])
     # Round numbers as levels; if all values are equal, the range is widened.
     levels = MaxNLocator(12).tick_values(
-        float(cost.min()), max(float(cost.max()), float(cost.min()) + 0.01)
+        float(cost.min()), max(float(cost.max()), float(cost.min()) + MIN_RANGE_N * reachable.size)
     )
     with styled():
         figure = new_figure(6.4, 5.2)
@@ -37,13 +44,12 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         # must not be shown.
         colours.set_clip_path(Polygon(outline, transform=axes.transData))
         axes.plot(*outline.T, color=BLACK, linewidth=1.6, label="edge of the reachable region")
-        halo = [withStroke(linewidth=3, foreground="white")]
         axes.plot(
             *nodes[held].T,
             "o",
             color=BLACK,
             markersize=2.5,
-            path_effects=halo,
+            path_effects=HALO,
             label="a gait produces this force",
         )
         if not held.all():
@@ -56,18 +62,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
             )
         # Fins of other sizes may produce none of them.
         if reachable.contains(PAPER_REFERENCES).any():
-            x, y = np.array(PAPER_REFERENCES, float).T
-            axes.plot(
-                x,
-                y,
-                "o",
-                fillstyle="none",
-                color=BLACK,
-                markersize=11,
-                markeredgewidth=1.4,
-                path_effects=halo,
-                label="the paper's references",
-            )
+            mark_paper_references(axes, 11)
         margin_n = MARGIN_N * reachable.size
         left, bottom = np.minimum(nodes[0, 0], outline.min(axis=0)) - margin_n
         right, top = np.maximum(nodes[-1, -1], outline.max(axis=0)) + margin_n
@@ -78,3 +73,19 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
         )
         figure.legend(loc="outside lower center", ncols=2)
     return figure
+
+
+def mark_paper_references(axes: Axes, markersize: float | int) -> None:
+    """Draw circles around the paper's references in a plane of forces."""
+    x, y = np.array(PAPER_REFERENCES, float).T
+    axes.plot(
+        x,
+        y,
+        "o",
+        fillstyle="none",
+        color=BLACK,
+        markersize=markersize,
+        markeredgewidth=1.4,
+        path_effects=HALO,
+        label="the paper's references",
+    )

@@ -25,9 +25,9 @@ from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import FinForces
 from softfin.installation import how_to_add
-from softfin.learning.configuration import TrainConfig, check
+from softfin.learning.configuration import TrainConfig
 from softfin.learning.run import BestPolicies, TrainingResult
-from softfin.learning.train import find_gaits, train
+from softfin.learning.train import checked_forces, train
 from softfin.storage.run_directory import RunDirectory
 
 STORE_BYTES = 256 * 2**20
@@ -98,10 +98,7 @@ def train_on_ray(
         ConfigurationError: `check` failed, or Ray or the cluster cannot be used.
         RunError: a task failed; the last valid checkpoints are kept.
     """
-    check(plant, config, seeds, forces)
-    if forces is None and config.begins_as_gaits:
-        forces = find_gaits(plant, config, run_directory, progress)
-        check(plant, config, seeds, forces)
+    forces = checked_forces(plant, config, seeds, run_directory, progress, forces)
     tasks = split_into_tasks(config, seeds)
     with _connected(cluster) as ray:
         results = _run_tasks(ray, (plant, forces), tasks, run_directory, progress or silent)

@@ -45,10 +45,7 @@ def train(
         ConfigurationError: `check` failed.
         RunError: a loss is not finite; the last valid checkpoint is kept in `run_directory`.
     """
-    check(plant, config, seeds, forces)
-    if forces is None and config.begins_as_gaits:
-        forces = find_gaits(plant, config, run_directory, progress)
-        check(plant, config, seeds, forces)
+    forces = checked_forces(plant, config, seeds, run_directory, progress, forces)
     run = TrainingRun(plant, config, tuple(seeds), forces)
     state = run.start()
     done = 0
@@ -83,6 +80,23 @@ def train(
     policies, evaluation = run.result(state)
     limits = Limits(*map(float, plant.limits))
     return TrainingResult(config, limits, tuple(seeds), policies, evaluation, run.reachable)
+
+
+def checked_forces(
+    plant: Plant,
+    config: TrainConfig,
+    seeds: Sequence[int],
+    run_directory: RunDirectory,
+    progress: Progress | None,
+    forces: FinForces | None,
+) -> FinForces | None:
+    """Check a run with `check`, and return the forces of the fin; find gaits for them if policies
+    start from gaits and there are none."""
+    check(plant, config, seeds, forces)
+    if forces is None and config.begins_as_gaits:
+        forces = find_gaits(plant, config, run_directory, progress)
+        check(plant, config, seeds, forces)
+    return forces
 
 
 def find_gaits(

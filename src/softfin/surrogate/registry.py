@@ -5,10 +5,11 @@ An architecture is imported on first use, so listing the names needs no JAX.
 """
 
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import TYPE_CHECKING
 
 from softfin.core.errors import ConfigurationError, one_line
+from softfin.storage.plugins import list_plugins
 
 if TYPE_CHECKING:
     from softfin.core.configuration import Configuration
@@ -33,12 +34,7 @@ ARCHITECTURES = {
 
 def list_architectures() -> dict[str, EntryPoint]:
     """Return all architectures by name, softfin's own first."""
-    found = {}
-    for name, value in ARCHITECTURES.items():
-        found[name] = EntryPoint(name, value, ENTRY_POINT_GROUP)
-    for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        found.setdefault(entry_point.name, entry_point)
-    return found
+    return list_plugins(ENTRY_POINT_GROUP, ARCHITECTURES)
 
 
 def find_architecture(name: str) -> "Architecture":

@@ -13,6 +13,7 @@ from softfin.rig.devices.axia80.device import AXIA80
 from softfin.rig.devices.axia80.sensor import Axia80
 from softfin.rig.devices.epos2.config import Epos2Config
 from softfin.rig.rig import Rig
+from softfin.storage import plugins
 from tests.rig.rigs import simulated
 
 
@@ -77,7 +78,7 @@ OTHER = ForceSensorType(OtherConfig, AXIA80.make, AXIA80.emulated_config, AXIA80
 
 def offer(monkeypatch, value):
     entry = EntryPoint("other", value, registry.GROUP)
-    monkeypatch.setattr(registry, "entry_points", lambda group: EntryPoints((entry,)))
+    monkeypatch.setattr(plugins, "entry_points", lambda group: EntryPoints((entry,)))
 
 
 def test_another_package_adds_a_sensor_through_its_entry_point(values, monkeypatch):

@@ -2,11 +2,11 @@
 through the entry point group `softfin.devices`."""
 
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
 from typing import Any, TypeVar
 
 from softfin.core.errors import RigError, one_line
 from softfin.rig.device import DriveConfig, DriveType, ForceSensorConfig, ForceSensorType
+from softfin.storage.plugins import list_plugins
 
 GROUP = "softfin.devices"
 """Entry point group; the name of an entry point is the `type` in a rig's file, and its object is a
@@ -59,9 +59,10 @@ def _choose(
 
 
 def _find(name: str, kind: type[Kind], what: str) -> Kind:
-    found = _entry_point(name)
+    devices = list_plugins(GROUP, DEVICES)
+    found = devices.get(name)
     if found is None:
-        available = ", ".join(sorted({*DEVICES, *entry_points(group=GROUP).names}))
+        available = ", ".join(sorted(devices))
         raise RigError(
             f"type {name!r}: unknown {what}; use one of {available}, or install the package of the "
             "device"
@@ -77,10 +78,3 @@ def _find(name: str, kind: type[Kind], what: str) -> Kind:
     if not isinstance(device, kind):
         raise RigError(f"type {name!r}: {found.value} is not a {what}; use another type")
     return device
-
-
-def _entry_point(name: str) -> EntryPoint | None:
-    # softfin's own devices come first: another package must not replace them by accident.
-    if name in DEVICES:
-        return EntryPoint(name, DEVICES[name], GROUP)
-    return next((entry for entry in entry_points(group=GROUP) if entry.name == name), None)

@@ -122,7 +122,7 @@ class _Pty:
         self._is_open = True
 
     def send(self, data: bytes) -> None:
-        """Send; bytes that nobody reads are lost, as on a real port."""
+        """Send bytes; unread ones are lost, as on a real port."""
         if self._is_open:
             os.write(self._own, data)
 

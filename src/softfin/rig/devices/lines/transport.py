@@ -20,7 +20,7 @@ WAIT_S = 0.05
 """Longest wait for data [s]."""
 
 KEPT_S = 2.0
-"""Time for which lines are kept if nobody takes them [s]; older ones are dropped."""
+"""Time after which unread lines are dropped [s]."""
 
 MAX_LINE_BYTES = 1000
 
