@@ -303,6 +303,14 @@ class Reachable(NamedTuple):
         x1, y1 = self.corners().max(axis=0).tolist()
         return (x0, y0), (x1, y1)
 
+    def describe(self) -> str:
+        """Describe the bounding box, with as many decimals as the size of the fin needs."""
+        decimals = force_decimals(self.reach_n)
+        low, high = (
+            tuple(round(force, decimals) + 0.0 for force in corner) for corner in self.bounds()
+        )
+        return str(Cell(low=low, high=high))
+
     def bounding_box(self) -> Cell:
         """Smallest cell that contains the region."""
         low, high = self.bounds()

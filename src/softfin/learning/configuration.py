@@ -304,6 +304,6 @@ def _check_reach(cells: Cells, reachable: Reachable) -> None:
         if not _can_make(reachable, cell):
             raise ConfigurationError(
                 f"range {cell}: this fin cannot produce any of these forces; its reach is "
-                f"{reachable.bounding_box()}; choose a range within it, or omit --range to train "
+                f"{reachable.describe()}; choose a range within it, or omit --range to train "
                 "for all of it"
             )

@@ -1,7 +1,9 @@
 """The known types of drives and force sensors: softfin's own, and those of other installed packages
 through the entry point group `softfin.devices`."""
 
+import contextlib
 from collections.abc import Mapping
+from importlib.metadata import EntryPoint
 from typing import Any, TypeVar
 
 from softfin.core.errors import RigError, one_line
@@ -62,7 +64,7 @@ def _find(name: str, kind: type[Kind], what: str) -> Kind:
     devices = list_plugins(GROUP, DEVICES)
     found = devices.get(name)
     if found is None:
-        available = ", ".join(sorted(devices))
+        available = ", ".join(_list_types(devices, kind))
         raise RigError(
             f"type {name!r}: unknown {what}; use one of {available}, or install the package of the "
             "device"
@@ -78,3 +80,14 @@ def _find(name: str, kind: type[Kind], what: str) -> Kind:
     if not isinstance(device, kind):
         raise RigError(f"type {name!r}: {found.value} is not a {what}; use another type")
     return device
+
+
+def _list_types(devices: Mapping[str, EntryPoint], kind: type[Kind]) -> list[str]:
+    """Return the names of all drives or of all force sensors."""
+    names = []
+    for name, entry_point in devices.items():
+        # A package that cannot be imported is reported when its device is chosen.
+        with contextlib.suppress(Exception):
+            if isinstance(entry_point.load(), kind):
+                names.append(name)
+    return sorted(names)
