@@ -47,7 +47,11 @@ def test_the_default_types_may_be_named(values):
 @pytest.mark.parametrize(
     ("part", "name", "words"),
     [
-        ("sensor", "axia8", r"sensor: type 'axia8': unknown force sensor; use one of axia80, lines, or"),
+        (
+            "sensor",
+            "axia8",
+            r"sensor: type 'axia8': unknown force sensor; use one of axia80, lines",
+        ),
         ("drive", "axia80", "drive: type 'axia80': .* is not a drive; use another type"),
     ],
 )
