@@ -68,7 +68,7 @@ def encode_bag(log: Log, source: str) -> bytes:
         )
     sink = io.BytesIO()
     bag = BagWriter(sink)
-    for seconds, row in zip(time.tolist(), np.stack(log.channels, axis=1).tolist(), strict=True):
+    for seconds, row in zip(time.tolist(), np.stack(log.columns, axis=1).tolist(), strict=True):
         stamp = round(seconds * SECOND_NS)
         bag.write(COMMAND, stamp, row[:2])
         bag.write(JOINT, stamp, row[2:4])

@@ -78,8 +78,8 @@ def known_lags(statistics: Sequence[LogStatistics], name: str) -> list[tuple[flo
 
 
 def to_columns(log: Log) -> LogColumns:
-    """Return the channels of a log in float64."""
-    return LogColumns(*np.stack(log.channels).astype(np.float64))
+    """Return the columns of a log in float64."""
+    return LogColumns(*np.stack(log.columns).astype(np.float64))
 
 
 def channels_in_counts(columns: LogColumns) -> list[str]:
