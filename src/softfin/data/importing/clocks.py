@@ -144,7 +144,8 @@ def _split_further(track: Track) -> tuple[Track, list[Track]]:
             needed[name] = values
             continue
         one = Track(track.time, {name: values})
-        one = one.take(np.isfinite(one.time) & np.isfinite(values))
+        # A log is in single precision.
+        one = one.take(np.isfinite(one.time) & (np.abs(values) <= np.finfo(np.float32).max))
         latest = np.maximum.accumulate(one.time)
         further.append(one.take(np.append(True, one.time[1:] > latest[:-1])[: len(one.time)]))
     return Track(track.time, needed), further

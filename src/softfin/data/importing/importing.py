@@ -29,7 +29,7 @@ FurtherKind = Literal["torque", "current", "voltage"]
 FURTHER_KINDS: tuple[FurtherKind, ...] = get_args(FurtherKind)
 """Quantities that only the further channels of a log have."""
 
-Topic = Literal["command", "joint", "wrench"]
+Topic = Literal["command", "joint", "wrench", "current"]
 
 FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
 """Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor's axes."""
@@ -43,7 +43,8 @@ class ImportConfig(Configuration):
     such column. Needed only for names that softfin does not recognize."""
     topics: dict[Topic, str] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin``; ``:fin`` selects one of several
-    joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench)."""
+    joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench,
+    current=/fin/current)."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
@@ -60,7 +61,7 @@ class ImportConfig(Configuration):
     """Units of further channels, e.g. ``torque=mNm,current=mA`` (default: from the column names;
     without a unit, these columns are not read)."""
     keep: dict[str, str] = pydantic.Field(default_factory=dict)
-    """Columns to keep as channels of the logs, e.g. ``temperature_c=Temp``, or only ``Temp``.
+    """Columns, or topics of numbers, to keep as channels, e.g. ``temperature_c=Temp`` or ``Temp``.
     Torque, force z, current and voltage are kept anyway if their units are known."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
     """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y.
