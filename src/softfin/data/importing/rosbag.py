@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from softfin.core.errors import LogError, one_line
@@ -100,7 +101,7 @@ def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
     return Track(first.time, merged), *separate
 
 
-def _numbers(reader: Reader, topic: str) -> list[Any]:
+def _numbers(reader: Reader, topic: str) -> list[Connection]:
     """Return the connections of a topic with messages of one number."""
     return [
         each
