@@ -63,7 +63,8 @@ def shortened(dataset: Path, minutes: float, out: Path) -> Path:
             rows = min(left, len(log.reading.time))
             left -= rows
             if rows:
-                command, reading = (type(part)(*(x[:rows] for x in part)) for part in log)
+                parts = (log.command, log.reading)
+                command, reading = (type(part)(*(x[:rows] for x in part)) for part in parts)
                 logs.append(type(log)(command, reading))
         write_dataset(out, logs, data.load(data.test), {"plant": data.description.get("plant")})
     return out

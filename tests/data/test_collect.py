@@ -7,6 +7,8 @@ from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Log
 from softfin.data.collect import CollectConfig, collect_logs
 from softfin.data.simulate import CHUNK_ROWS
+from softfin.tank import Tank
+from softfin.tank.drive import AMPERE_PER_NM
 from tests.plants import AnalyticFin, PlainFin
 
 ROWS = CHUNK_ROWS + 501
@@ -180,3 +182,28 @@ def test_the_kept_command_is_a_command(dataset):
     command: Command = build_logs(dataset)[0].command
     assert PAPER_LIMITS.velocity_min <= command.velocity.min()
     assert command.velocity.max() <= PAPER_LIMITS.velocity_max
+
+
+def test_the_tank_records_torque_and_current_on_request(tmp_path):
+    config = CollectConfig(logs=1, test_logs=0, rows=400, seed=1)
+    tank = Tank()
+    (plain,) = build_logs(collect_logs(tank, config, tmp_path / "plain"))
+    (log,) = build_logs(collect_logs(tank, config.changed(["channels=true"]), tmp_path / "more"))
+    assert plain.channels == {}
+    assert sorted(log.channels) == ["current_a", "torque_nm"]
+    np.testing.assert_allclose(log.reading.force, plain.reading.force, atol=0.05)
+    # Over whole strokes from rest to rest, the drive delivers power to the water.
+    torque, velocity = log.channels["torque_nm"], log.reading.velocity
+    assert np.mean(torque * velocity) > 0
+    # The current also accelerates the rotor: without that part it is the torque.
+    acceleration = np.gradient(velocity) / TICK_S
+    rotor = float(tank.drive.inertia) * acceleration
+    current = AMPERE_PER_NM * (torque + rotor)
+    assert np.corrcoef(current, log.channels["current_a"])[0, 1] > 0.9
+    assert np.abs(log.channels["current_a"]).max() < 2.5
+
+
+def test_a_plant_without_channels_cannot_record_them(tmp_path):
+    config = CollectConfig(logs=1, test_logs=0, rows=10, channels=True)
+    with pytest.raises(PlantError, match="AnalyticFin has no method measure"):
+        collect_logs(AnalyticFin(), config, tmp_path / "data")

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, ConfigurationError, LogError
+from softfin.core.log_channels import KNOWN_CHANNELS, LOAD_CHANNELS
 from softfin.data.convert import convert, encode_bag
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
-from softfin.storage.bag.messages import COMMAND, JOINT, WRENCH
+from softfin.storage.bag.messages import COMMAND, CURRENT, JOINT, WRENCH
 from softfin.storage.log_file import read_log, write_log
 from tests.data.faulty import cut, tank_logs
 from tests.data.recorded import by_mcap_ros2, by_rosbags, record
@@ -47,8 +48,52 @@ def test_a_recorded_bag_becomes_a_log(tmp_path):
     assert len(log.reading.time) == 400
     np.testing.assert_array_equal(log.reading.angle, np.float32(0.001 * np.arange(400)))
     np.testing.assert_array_equal(log.command.velocity, 2.0)
+    levels = {
+        "force_z_n": 0.1,
+        "torque_x_nm": 0.2,
+        "torque_y_nm": 0.3,
+        "torque_nm": 0.4,
+        "current_a": 0.25,
+    }
+    assert set(log.channels) == set(levels)
+    for name, level in levels.items():
+        np.testing.assert_array_equal(log.channels[name], np.float32(level))
     first = by_rosbags(path)[JOINT][0][0]
     assert log.reading.time[0] == pytest.approx(first / 1e9, abs=1e-6)
+
+
+def test_channels_come_back_from_a_bag_as_they_were(tmp_path, log):
+    random = np.random.default_rng(0).normal(size=(8, 1000)).astype(np.float32)
+    names = (*KNOWN_CHANNELS, "temperature_c", "flow rate [l/s]")
+    channels = dict(zip(names, random, strict=True))
+    write_log(tmp_path / "one.parquet", log._replace(channels=channels))
+    keep = ImportConfig.build({"keep": "temperature_c,flow rate [l/s]"})
+    convert(tmp_path / "one.parquet", tmp_path / "one.mcap", keep)
+    found = by_rosbags(tmp_path / "one.mcap")
+    assert found == by_mcap_ros2(tmp_path / "one.mcap")
+    assert found[CURRENT][10][1] == channels["current_a"][10]
+    np.testing.assert_array_equal(
+        [row[5:9] for row in found[WRENCH]],
+        np.stack([channels[name] for name in LOAD_CHANNELS], axis=1),
+    )
+    convert(tmp_path / "one.mcap", tmp_path / "back.parquet")
+    back = read_log(tmp_path / "back.parquet")
+    check_equal(back, log._replace(reading=back.reading._replace(force=log.reading.force)), 1e-6)
+    channels["flow_rate__l_s_"] = channels.pop("flow rate [l/s]")
+    assert set(back.channels) == set(channels)
+    for name, values in back.channels.items():
+        np.testing.assert_array_equal(values, channels[name])
+
+
+def test_a_log_with_some_loads_has_no_others_after_a_bag(tmp_path, log):
+    torque = np.linspace(-1, 1, 1000, dtype=np.float32)
+    (tmp_path / "one.mcap").write_bytes(
+        encode_bag(log._replace(channels={"torque_nm": torque}), "one")
+    )
+    convert(tmp_path / "one.mcap", tmp_path / "back.parquet")
+    channels = read_log(tmp_path / "back.parquet").channels
+    assert list(channels) == ["torque_nm"]
+    np.testing.assert_array_equal(channels["torque_nm"], torque)
 
 
 def test_several_logs_become_several_files(tmp_path, log):

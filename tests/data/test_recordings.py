@@ -52,6 +52,14 @@ def test_a_dataset_opens_as_it_is_and_keeps_its_hash(dataset, logs):
     assert len(opened.test) == 1
 
 
+def test_a_dataset_keeps_its_channels(tmp_path, logs):
+    torque = np.random.default_rng(0).normal(size=2000).astype(np.float32)
+    write_dataset(tmp_path / "d", [logs[0]._replace(channels={"torque_nm": torque})], [], {})
+    opened = open_logs(tmp_path / "d")
+    assert {issue.name for issue in opened.inspection.issues} == {"no test logs"}
+    np.testing.assert_array_equal(opened.train[0].channels["torque_nm"], torque)
+
+
 def test_a_dataset_that_was_changed_is_refused_as_ever(tmp_path, logs):
     write_dataset(tmp_path / "d", logs[:1], [], {})
     write_parquet(tmp_path / "d" / "train" / "0000.parquet", to_columns(logs[1]))

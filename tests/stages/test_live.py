@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from softfin.core.errors import ArtifactError, ConfigurationError, RigError, SafetyStop
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
 from softfin.data.collect import CollectConfig, collect_logs
@@ -93,6 +94,8 @@ def test_logs_are_recorded_one_by_one_and_a_stopped_collection_goes_on(tmp_path)
     log = next(iter(Dataset.open(out).load(data.train)))
     assert log.reading.time.shape == (60,)
     assert np.ptp(log.reading.angle) > 0.05
+    assert sorted(log.channels) == sorted((CURRENT_CHANNEL, *LOAD_CHANNELS))
+    assert (log.channels[CURRENT_CHANNEL] > 0).all()
 
 
 def test_nothing_moves_and_nothing_is_written_where_nobody_confirms(tmp_path):

@@ -92,3 +92,26 @@ def test_a_wider_gap_may_be_allowed():
     assert log_from_samples(with_gap, issued((49.9, 0.3)), ROWS, gap_s=0.2).reading.angle.shape == (
         ROWS,
     )
+
+
+def test_the_rest_of_the_wrench_and_the_current_become_channels():
+    def loaded(sample):
+        x, y, *_ = sample.wrench
+        level = sample.force_time - 50
+        return sample._replace(
+            wrench=(x, y, 1 + level, 2 + level, 0.0, 4 + level), current=sample.time - 49
+        )
+
+    log = log_from_samples(list(map(loaded, samples())), issued((49.9, 0.3)), ROWS)
+    grid = 0.01 * np.arange(ROWS)
+    # A sensor that does not measure a load reports it as zero.
+    assert sorted(log.channels) == ["current_a", "force_z_n", "torque_nm", "torque_x_nm"]
+    after = slice(4, None)
+    for name, start in (("force_z_n", 1), ("torque_x_nm", 2), ("torque_nm", 4), ("current_a", 1)):
+        assert log.channels[name].dtype == np.float32
+        np.testing.assert_allclose(log.channels[name][after], start + grid[after], atol=1e-4)
+
+
+def test_a_current_that_is_not_always_measured_is_left_out():
+    some = [one._replace(current=0.1 if k else None) for k, one in enumerate(samples())]
+    assert log_from_samples(some, issued((49.9, 0.3)), ROWS).channels == {}

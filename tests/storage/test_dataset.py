@@ -41,6 +41,15 @@ def test_a_dataset_names_its_logs_in_order(dataset):
         np.testing.assert_array_equal(log.reading.force, make_log(seed).reading.force)
 
 
+def test_logs_keep_their_channels(tmp_path):
+    torque = np.linspace(0, 1, 40, dtype=np.float32)
+    log = make_log(0)._replace(channels={"torque_nm": torque})
+    dataset = write_dataset(tmp_path / "data", [log, make_log(1)], [], {})
+    first, second = dataset.load(dataset.train)
+    np.testing.assert_array_equal(first.channels["torque_nm"], torque)
+    assert second.channels == {}
+
+
 def test_its_description_says_what_it_holds(dataset):
     written = json.loads((dataset.path / "dataset.json").read_text())
     assert written == dataset.description

@@ -120,6 +120,8 @@ def inspection_table(result: JsonObject) -> str:
         best = max(frames, key=frames.__getitem__)
         other = "" if best == "x,y" else f"; as {best} {frames[best]:.2f}"
         lines.append(f"force axes: correlation with a model fin {frames['x,y']:.2f}{other}")
+    for channel, (low, high) in summary["channels"].items():
+        lines.append(f"channel {channel}: {low:.3g} .. {high:.3g}")
     lines.append("")
     for issue in result["issues"]:
         lines += _issue_lines(issue)

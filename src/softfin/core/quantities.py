@@ -5,7 +5,7 @@ Axes: +x is the thrust that pushes the robot forward. At angle theta, the fin po
 theta, +sin theta) from its shaft. Forces act from the fin on its mount.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -80,6 +80,8 @@ class Log(NamedTuple):
 
     command: Command
     reading: Reading
+    channels: Mapping[str, Float[AnyArray, "rows"]] = {}
+    """Further measured channels, by column of a log file (`softfin.core.log_channels`)."""
 
     @property
     def rows(self) -> int:
@@ -87,9 +89,9 @@ class Log(NamedTuple):
         return len(self.reading.time)
 
     @property
-    def channels(self) -> tuple[AnyArray, ...]:
-        """All channels except time, ``(rows,)`` each, in the order of the columns of a log file:
-        command angle and velocity, angle, velocity, force x and y."""
+    def columns(self) -> tuple[AnyArray, ...]:
+        """Command angle and velocity, angle, velocity, force x and y, ``(rows,)`` each: the columns
+        that every log file has after the time."""
         _, angle, velocity, force = self.reading
         return (*self.command, angle, velocity, *np.moveaxis(np.asarray(force), -1, 0))
 

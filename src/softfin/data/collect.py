@@ -20,7 +20,7 @@ from softfin.core.progress import Progress
 from softfin.core.quantities import RATE_HZ, TICK_S, Log
 from softfin.core.randomness import named_key
 from softfin.data.excitation import ExcitationConfig
-from softfin.data.simulate import simulate
+from softfin.data.simulate import MeasuringPlant, simulate
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset, write_dataset
 from softfin.storage.paths import DATASET_PARTS
@@ -42,6 +42,9 @@ class CollectConfig(Configuration):
     of memory per row."""
     excitation: ExcitationConfig = ExcitationConfig()
     """Random commands."""
+    channels: bool = False
+    """Whether the logs of a simulated plant also contain its channels, such as torque and current
+    of the virtual tank. A real fin's logs always contain those that are measured."""
 
 
 def collect_logs(
@@ -59,6 +62,11 @@ def collect_logs(
     the plant's name, is added to ``dataset.json``.
     """
     plants = [plant] * config.logs + list(test_plants or [plant] * config.test_logs)
+    if config.channels and not all(isinstance(each, MeasuringPlant) for each in plants):
+        raise PlantError(
+            f"channels: the plant {type(plant).__name__} has no method measure, which returns "
+            "them; use --set channels=false"
+        )
     keys = []
     for part, count in (("train", config.logs), ("test", config.test_logs)):
         keys += [named_key(config.seed, f"collect/{part}/{index}") for index in range(count)]
@@ -73,7 +81,9 @@ def collect_logs(
                 "collect", finished_rows / total_rows, f"{finished_rows:,} of {total_rows:,} rows"
             )
 
-    logs = simulate(plants, keys, config.rows, config.excitation, config.batch, report)
+    logs = simulate(
+        plants, keys, config.rows, config.excitation, config.batch, report, config.channels
+    )
     description = {
         "configuration": config.model_dump(),
         "plant": type(plant).__name__,
@@ -105,4 +115,4 @@ def _with_exact_time(logs: Iterator[Log], part: str) -> Iterator[Log]:
                 f"log {name}, row {row}: the plant's time is {log.reading.time[row]:.4f} s, "
                 f"expected {time[row]:.2f} s; time must start at 0 and advance by 10 ms per tick"
             )
-        yield Log(log.command, log.reading._replace(time=time))
+        yield log._replace(reading=log.reading._replace(time=time))

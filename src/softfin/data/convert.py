@@ -1,21 +1,31 @@
 """Convert recordings of any kind to Parquet files or ROS 2 bags, one per log.
 
-Time stamps are kept. Only the seven columns of a log are converted; the other contents of a bag
-(torque, current, references, events) are not.
+Time stamps are kept. Only the columns and channels of a log are converted; the other contents of a
+bag (references, events) are not.
 """
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
 
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.quantities import Log
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
-from softfin.storage.bag.messages import COMMAND, JOINT, SECOND_NS, WRENCH, BagWriter
+from softfin.storage.bag.messages import (
+    CHANNEL_TOPICS,
+    COMMAND,
+    CURRENT,
+    JOINT,
+    SECOND_NS,
+    WRENCH,
+    BagWriter,
+)
 from softfin.storage.log_file import write_log
 
 
@@ -66,13 +76,26 @@ def encode_bag(log: Log, source: str) -> bytes:
             f"{source}: time_s starts at {time.min():g} s; a bag cannot store negative times; add "
             "a constant to time_s"
         )
+    channels = dict(log.channels)
+    # As from a sensor, a load that was not measured is zero.
+    loads = [channels.pop(name, np.zeros(len(time))) for name in LOAD_CHANNELS]
+    topics = {_channel_topic(name): values for name, values in channels.items()}
     sink = io.BytesIO()
-    bag = BagWriter(sink)
-    for seconds, row in zip(time.tolist(), np.stack(log.channels, axis=1).tolist(), strict=True):
+    bag = BagWriter(sink, [topic for topic in topics if topic != CURRENT])
+    rows = np.stack([*log.columns, *loads, *topics.values()], axis=1)
+    for seconds, row in zip(time.tolist(), rows.tolist(), strict=True):
         stamp = round(seconds * SECOND_NS)
         bag.write(COMMAND, stamp, row[:2])
         bag.write(JOINT, stamp, row[2:4])
-        # A log has no z force and no torques.
-        bag.write(WRENCH, stamp, (*row[4:], 0.0, 0.0, 0.0, 0.0))
+        bag.write(WRENCH, stamp, row[4:10])
+        for topic, value in zip(topics, row[10:], strict=True):
+            bag.write(topic, stamp, [value])
     bag.finish()
     return sink.getvalue()
+
+
+def _channel_topic(name: str) -> str:
+    if name == CURRENT_CHANNEL:
+        return CURRENT
+    # ROS allows no other characters in the name of a topic.
+    return CHANNEL_TOPICS + re.sub(r"[^A-Za-z0-9_]", "_", name)

@@ -5,16 +5,16 @@ One compiled program advances all plants by a chunk of rows at a time.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Key, PRNGKeyArray, PyTree
+from jaxtyping import Array, Float, Key, PRNGKeyArray, PyTree
 
 from softfin.core.compilation import jit
-from softfin.core.plant import Plant, State, roll
+from softfin.core.plant import Plant, State, check_commands, roll
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import Command, Limits, Log, Reading
 from softfin.data.excitation import Commands
@@ -27,6 +27,16 @@ ReportRows = Callable[[int], None]
 """Function that is called with the number of rows finished since the last call."""
 
 
+@runtime_checkable
+class MeasuringPlant(Plant, Protocol):
+    """A plant that also simulates channels of a log (`softfin.core.log_channels`)."""
+
+    def measure(
+        self, state: State, command: Command
+    ) -> tuple[State, Reading, dict[str, Float[Array, ""]]]:
+        """Hold the command for one tick; return the state, the reading and the channels."""
+
+
 def simulate(
     plants: Sequence[Plant],
     keys: Sequence[PRNGKeyArray],
@@ -34,8 +44,10 @@ def simulate(
     commands: Commands,
     batch: int,
     report: ReportRows,
+    channels: bool = False,
 ) -> Iterator[Log]:
     """Yield one log of `rows` rows per plant and key, as NumPy arrays; at most `batch` run at once.
+    With `channels`, the plants must be `MeasuringPlant`s.
 
     Plants whose pytrees differ only in array values run together, others one after another.
     """
@@ -50,7 +62,7 @@ def simulate(
         kinds.append(jax.tree.flatten((static, shapes)))
     if any(kind != kinds[0] for kind in kinds):
         for plant, key in zip(plants, keys, strict=True):
-            yield from simulate([plant], [key], rows, commands, 1, report)
+            yield from simulate([plant], [key], rows, commands, 1, report, channels)
         return
     count = len(plants)
     # Equal batches, so that as few logs as possible are padding.
@@ -65,7 +77,7 @@ def simulate(
             axis = 0
             members = [parts[i][0] for i in index]
             arrays = jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
-        fleet = _Fleet(arrays, static, axis)
+        fleet = _Fleet(arrays, static, axis, channels)
         batch_keys = jnp.stack([keys[i] for i in index])
         state, issued = _begin(fleet, batch_keys, rows + 1, commands)
         yield from _logs(fleet, state, issued, rows, min(batch, count - start), report)
@@ -80,6 +92,8 @@ class _Fleet(NamedTuple):
     arrays: PyTree
     static: PyTree
     axis: int | None
+    channels: bool
+    """Whether to return channels as well."""
 
 
 @jit("none")
@@ -97,17 +111,37 @@ def _begin(
     return begun
 
 
+Measured: TypeAlias = tuple[Reading, dict[str, Array]]
+"""Readings and channels."""
+
+
 @jit("low")
-def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Reading]:
+def _advance(fleet: _Fleet, state: State, issued: Command) -> tuple[State, Measured]:
     """Advance a batch through one chunk of commands."""
 
-    def one(arrays: PyTree, state: State, issued: Command) -> tuple[State, Reading]:
-        return roll(eqx.combine(arrays, fleet.static), state, issued)
+    def one(arrays: PyTree, state: State, issued: Command) -> tuple[State, Measured]:
+        plant = eqx.combine(arrays, fleet.static)
+        if fleet.channels:
+            return _roll_with_channels(plant, state, issued)
+        state, reading = roll(plant, state, issued)
+        return state, (reading, {})
 
-    rolled: tuple[State, Reading] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(
+    rolled: tuple[State, Measured] = jax.vmap(one, in_axes=(fleet.axis, 0, 0))(
         fleet.arrays, state, issued
     )
     return rolled
+
+
+def _roll_with_channels(
+    plant: MeasuringPlant, state: State, issued: Command
+) -> tuple[State, Measured]:
+    check_commands(plant.limits, issued)
+
+    def tick(state: State, command: Command) -> tuple[State, Measured]:
+        state, reading, channels = plant.measure(state, command)
+        return state, (reading, channels)
+
+    return jax.lax.scan(tick, state, issued)
 
 
 def _logs(
@@ -129,6 +163,6 @@ def _logs(
         )
         pieces.append(jax.tree.map(lambda x: np.asarray(x[:wanted]), piece))
         report(wanted * min(chunk, rows - start))
-    reading = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :rows], *pieces)
+    measured = jax.tree.map(lambda *parts: np.concatenate(parts, axis=1)[:, :rows], *pieces)
     command = jax.tree.map(lambda x: np.asarray(x[:, 1:]), commands)
-    return [Log(*jax.tree.map(lambda x, i=i: x[i], (command, reading))) for i in range(wanted)]
+    return [Log(*jax.tree.map(lambda x, i=i: x[i], (command, *measured))) for i in range(wanted)]

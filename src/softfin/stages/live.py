@@ -21,6 +21,7 @@ from softfin.control.store import load_controller
 from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Limits, Log, Reading
 from softfin.core.randomness import named_key
@@ -284,17 +285,21 @@ def log_from_samples(
     removes the loop's jitter.
 
     `issued` contains the time [s] and target of each command. The force filter delays its output,
-    so `samples` must extend a little beyond the last row. Raises DeviceError if the samples end
-    early or have a gap longer than `gap_s`.
+    so `samples` must extend a little beyond the last row. The log has channels for the motor's
+    current, if it is measured, and for the rest of the wrench. Raises DeviceError if the samples
+    end early or have a gap longer than `gap_s`.
     """
     # The force has its own times: the sensor's filter reports it later than the angle.
     grid = samples[0].time + TICK_S * np.arange(rows)
-    joint = _resample(
-        np.array([(s.time, s.angle, s.velocity) for s in samples]), grid, "angle", gap_s
-    )
-    force = _resample(
-        np.array([(s.force_time, *s.wrench[:2]) for s in samples]), grid, "force", gap_s
-    )
+    # NaN if the current is not measured.
+    drive = np.array([(s.time, s.angle, s.velocity, s.current) for s in samples], float)
+    angle, velocity, current = _resample(drive, grid, "angle", gap_s)
+    wrenches = np.array([(s.force_time, *s.wrench) for s in samples])
+    x, y, *loads = _resample(wrenches, grid, "force", gap_s)
+    # A sensor that does not measure a load reports it as zero.
+    channels = {name: load for name, load in zip(LOAD_CHANNELS, loads, strict=True) if load.any()}
+    if np.isfinite(current).all():
+        channels[CURRENT_CHANNEL] = current
     times = np.array([time for time, _ in issued])
     targets = np.array([target for _, target in issued], float)
     command = Command(
@@ -302,7 +307,8 @@ def log_from_samples(
     )
     return Log(
         command,
-        Reading(TICK_S * np.arange(1, rows + 1), joint[0], joint[1], np.stack(force, axis=1)),
+        Reading(TICK_S * np.arange(1, rows + 1), angle, velocity, np.stack([x, y], axis=1)),
+        channels,
     )
 
 
@@ -321,7 +327,7 @@ def _resample(points: np.ndarray, grid: np.ndarray, name: str, gap_s: float) -> 
             f"{gap_s * 1e3:.0f} ms); run softfin rig check, then record this log again with "
             "--resume"
         )
-    return [interpolated(time, points[:, i], grid).astype(np.float32) for i in (1, 2)]
+    return [interpolated(time, values, grid).astype(np.float32) for values in points.T[1:]]
 
 
 def _log_names(config: CollectConfig) -> list[str]:

@@ -1,4 +1,5 @@
-"""A log as a Parquet file: seven named columns, fully checked on writing and reading.
+"""A log as a Parquet file: seven named columns and any further channels, fully checked on writing
+and reading.
 
 A Log is read back exactly as written. A log that cannot be used for training raises a LogError with
 the place and the cause.
@@ -45,28 +46,35 @@ def write_log(path: Path, log: Log) -> None:
 def encode_log(log: Log, source: str) -> bytes:
     """Return a log as the bytes of a Parquet file; raises LogError, naming `source`, if `read_log`
     would reject it."""
+    # Transformations by JAX sort a dictionary, so the order is always alphabetical.
+    names = sorted(log.channels)
+    if taken := [name for name in names if name in SCHEMA.names]:
+        raise LogError(f"{source}: channel {taken[0]} is a column of every log; rename it")
+    schema = SCHEMA
+    for name in names:
+        schema = schema.append(pa.field(name, pa.float32()))
+    values = (log.reading.time, *log.columns, *(log.channels[name] for name in names))
     columns = {}
-    for field, values in zip(SCHEMA, (log.reading.time, *log.channels), strict=True):
-        columns[field.name] = np.asarray(values, field.type.to_pandas_dtype())
+    for field, column in zip(schema, values, strict=True):
+        columns[field.name] = np.asarray(column, field.type.to_pandas_dtype())
     check_columns(columns, source)
     sink = pa.BufferOutputStream()
     pq.write_table(
-        pa.table(columns, schema=SCHEMA), sink, compression="zstd", write_page_checksum=True
+        pa.table(columns, schema=schema), sink, compression="zstd", write_page_checksum=True
     )
     data: bytes = sink.getvalue().to_pybytes()
     return data
 
 
 def read_log(path: Path) -> Log:
-    """Read a log as NumPy arrays; raises LogError with the file, row, column, value and fix."""
+    """Read a log as NumPy arrays; raises LogError with the file, row, column, value and fix.
+
+    Columns that a log need not have become its channels.
+    """
     table = read_parquet(path)
     names = table.schema.names
     problems = [(name, "is missing") for name in SCHEMA.names if name not in names]
-    problems += [
-        (name, "is unexpected or repeated")
-        for name in names
-        if name not in SCHEMA.names or names.count(name) > 1
-    ]
+    problems += [(name, "is repeated") for name in names if names.count(name) > 1]
     if problems:
         column, problem = problems[0]
         raise LogError(
@@ -79,12 +87,26 @@ def read_log(path: Path) -> Log:
         if values.type != kind:
             raise LogError(f"{path}: column {name} is {values.type}, but must be {kind}; cast it")
         columns[name] = values.to_numpy()
-    check_columns(columns, str(path))
+    channels = {}
+    for name in sorted(set(names) - set(SCHEMA.names)):
+        channels[name] = _to_channel(table.column(name), name, path)
+    check_columns(columns | channels, str(path))
     time, command_angle, command_velocity, angle, velocity, *force = columns.values()
     return Log(
         Command(command_angle, command_velocity),
         Reading(time, angle, velocity, np.stack(force, axis=1)),
+        channels,
     )
+
+
+def _to_channel(column: pa.ChunkedArray, name: str, path: Path) -> NDArray[np.float32]:
+    try:
+        # Unlike the columns of every log, these may come from any program, in any numeric type.
+        return np.asarray(column.cast(pa.float32(), safe=False).to_numpy())
+    except pa.ArrowException:
+        raise LogError(
+            f"{path}: column {name} is {column.type}, but must be float; remove it"
+        ) from None
 
 
 def check_columns(columns: Columns, source: str) -> None:

@@ -122,8 +122,8 @@ def to_columns(logs: Sequence[Log]) -> dict[str, Float[np.ndarray, "rows"]]:
 
 
 def stack_channels(logs: Sequence[Log]) -> Float[np.ndarray, "channels rows"]:
-    """Concatenate `Log.channels` of all logs, as float32."""
-    return np.concatenate([np.stack(log.channels) for log in logs], axis=1, dtype=np.float32)
+    """Concatenate `Log.columns` of all logs, as float32."""
+    return np.concatenate([np.stack(log.columns) for log in logs], axis=1, dtype=np.float32)
 
 
 def ranges(logs: Sequence[Log], names: Sequence[str] = READINGS) -> dict[str, list[float]]:

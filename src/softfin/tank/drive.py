@@ -26,6 +26,10 @@ from softfin.tank.sensor import config_arrays, to_multiple
 DEAD_TICKS = 20
 """Maximum dead time [10 ms]."""
 
+AMPERE_PER_NM = 1 / (111 * 0.0259)
+"""Motor current per torque at the fin [A/(N m)], assuming a gear ratio of 111:1 and a torque
+constant of 25.9 mN m/A."""
+
 
 class DriveConfig(Configuration):
     """Motor, gearbox and positioning controller.

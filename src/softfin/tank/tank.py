@@ -13,10 +13,11 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
+from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import check_commands
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 from softfin.tank.chain import PlanarVector, Scalar
-from softfin.tank.drive import Drive, DriveConfig, DriveState
+from softfin.tank.drive import AMPERE_PER_NM, Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
@@ -112,6 +113,26 @@ class Tank(eqx.Module):
             return state, reading
 
         return jax.lax.scan(tick, state, length=ticks)
+
+    def measure(
+        self, state: TankState, command: Command
+    ) -> tuple[TankState, Reading, dict[str, Scalar]]:
+        """Hold a command for one tick like `advance`; also return torque and current as channels of
+        a log, without sensor errors."""
+        check_commands(self.limits, command)
+        after, reading, load = self.tick(state, command)
+        # The motor also accelerates the rotor, whose torque does not reach the fin. The load has
+        # the sign of the shaft's angle, which turns against the z axis.
+        rotor = self.drive.inertia * (after.drive.rate - state.drive.rate) / TICK_S
+        torque = -load.torque
+        return (
+            after,
+            reading,
+            {
+                LOAD_CHANNELS[-1]: torque,
+                CURRENT_CHANNEL: AMPERE_PER_NM * (torque + rotor),
+            },
+        )
 
     def true_force(self, state: TankState) -> PlanarVector:
         """Return the mean force on the mount over the last tick, without sensor errors [N]."""

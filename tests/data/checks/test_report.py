@@ -5,7 +5,7 @@ import numpy as np
 
 from softfin.data.checks.inspection import inspect
 from softfin.data.checks.report import inspection_figure, write_inspection
-from tests.data.faulty import log_of, named, tank_logs, to_columns
+from tests.data.faulty import cut, log_of, named, tank_logs, to_columns
 
 
 def faulty():
@@ -58,3 +58,22 @@ def test_the_folder_holds_json_and_both_figures(tmp_path):
     ElementTree.parse(tmp_path / "i" / "inspection.svg")
     assert (tmp_path / "i" / "inspection.png").stat().st_size > 10_000
     assert "0 errors, 0 warnings" in (tmp_path / "i" / "inspection.svg").read_text()
+
+
+def test_further_channels_have_plots_of_their_own_and_ranges_in_the_summary():
+    first, second = (cut(log, 0, 2000) for log in tank_logs(2))
+    ramp = np.linspace(-1, 3, 2000, dtype=np.float32)
+    first = first._replace(channels={"torque_nm": ramp, "price [$]": 0 * ramp})
+    second = second._replace(channels={"torque_nm": 2 * ramp})
+    logs = named(first, second)
+    inspection = inspect(logs)
+    assert inspection.summary()["channels"] == {
+        "torque_nm": (-2.0, 6.0),
+        "price [$]": (0.0, 0.0),
+    }
+    figure = inspection_figure(inspection, logs)
+    figure.canvas.draw()
+    _, _, torque, price, *_ = figure.get_axes()
+    np.testing.assert_array_equal(torque.get_lines()[0].get_ydata(), ramp[:1000])
+    assert torque.get_lines()[0].get_label() == "torque_nm"
+    assert price.get_xlabel() == "time [s]"

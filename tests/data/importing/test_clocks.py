@@ -268,3 +268,71 @@ def test_a_lag_that_is_given_is_taken_out(option, channel):
 def test_too_few_rows_are_refused():
     with pytest.raises(LogError, match="only 1 row with"):
         logs(track(1))
+
+
+def with_channel(one: Track, **channels) -> Track:
+    return Track(one.time, one.channels | channels)
+
+
+def test_further_channels_of_a_steady_clock_pass_bit_by_bit():
+    torque = np.random.default_rng(0).normal(size=1000).astype(np.float32)
+    (one,), issues = logs(with_channel(track(), torque_nm=torque.astype(float)))
+    assert not issues
+    assert one.log.channels["torque_nm"].dtype == np.float32
+    np.testing.assert_array_equal(one.log.channels["torque_nm"], torque)
+
+
+def test_missing_values_of_a_further_channel_cost_no_row():
+    ramp = np.arange(1000) / 100
+    holes = np.where(np.arange(1000) % 2, ramp, np.nan)
+    holes[300:400] = np.nan
+    (one,), issues = logs(with_channel(track(), temperature_c=holes))
+    (plain,), _ = logs(track())
+    np.testing.assert_array_equal(one.log.reading.force, plain.log.reading.force)
+    np.testing.assert_allclose(one.log.channels["temperature_c"][1:], ramp[1:], atol=1e-5)
+    (issue,) = issues
+    assert (issue.severity, issue.name, issue.column) == (
+        "warning",
+        "channel gap",
+        "temperature_c",
+    )
+    assert "no values for up to 1.02 s" in issue.message
+
+
+def test_a_channel_without_values_is_left_out_with_a_warning():
+    (one,), issues = logs(with_channel(track(), current_a=np.full(1000, np.nan)))
+    assert one.log.channels == {}
+    assert [(issue.name, issue.fix) for issue in issues] == [
+        ("channel gap", "the channel is left out")
+    ]
+
+
+def test_further_channels_are_filtered_resampled_and_split_like_the_log():
+    time = np.arange(0, 10, 0.001)
+    channels = {name: np.sin(time + i) for i, name in enumerate(NAMES)}
+    noise = np.sin(2 * np.pi * 200 * time)
+    fast = Track(time, channels | {"torque_nm": np.sin(3 * time) + noise})
+    keep = (time < 4) | (time > 5)
+    pieces, _ = logs(valid_rows(fast, keep))
+    assert len(pieces) == 2
+    for piece in pieces:
+        # At the ends, the filter has fewer samples.
+        found = piece.log.channels["torque_nm"][5:-5]
+        np.testing.assert_allclose(found, np.sin(3 * piece.log.reading.time[5:-5]), atol=0.01)
+
+
+def test_a_clock_of_its_own_is_taken_for_a_further_channel():
+    slow = np.arange(-0.5, 11, 0.04)
+    (one,), issues = logs(track(), Track(slow, {"current_a": 2 * slow}))
+    assert kinds(issues) == []
+    time = one.start_s + one.log.reading.time
+    np.testing.assert_allclose(one.log.channels["current_a"], 2 * time, atol=1e-5)
+
+
+def test_torque_is_shifted_with_the_force():
+    ramp = np.arange(1000) / 100
+    (one,), _ = logs(
+        with_channel(track(), torque_nm=ramp, current_a=ramp), force_lag_ms=50, gap_s=0.1
+    )
+    torque, current = one.log.channels["torque_nm"], one.log.channels["current_a"]
+    np.testing.assert_allclose(torque[10:900] - current[10:900], 0.05, atol=1e-4)

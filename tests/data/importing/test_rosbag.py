@@ -9,7 +9,7 @@ from softfin.data.importing.clocks import build_logs
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.rosbag import read_bag
 from softfin.storage.bag.zero import zero_event
-from tests.data.bags import START_S, array, joint, text, topics_of, wrench, write_bag
+from tests.data.bags import START_S, TYPES, array, joint, text, topics_of, wrench, write_bag
 from tests.data.faulty import tank_logs, to_columns
 
 
@@ -229,3 +229,35 @@ def test_a_bag_may_be_compressed_as_a_whole_or_message_by_message(tmp_path, colu
     write_bag(tmp_path / "packed", topics, StoragePlugin.SQLITE3, compression=mode)
     (plain,), (packed,) = (opened(tmp_path / name)[0] for name in ("plain", "packed"))
     np.testing.assert_array_equal(packed.log.reading.force, plain.log.reading.force)
+
+
+def number(value):
+    return TYPES.types["std_msgs/msg/Float64"](float(value))
+
+
+def test_numbers_become_channels_on_their_own_clock(tmp_path, columns):
+    topics = topics_of(columns)
+    topics["/motor/current"] = [(t, number(1000 * t)) for t in np.arange(0, 10.1, 0.04)]
+    topics["/pump"] = [(t, number(7)) for t in np.arange(0, 10.1, 0.5)]
+    write_bag(tmp_path / "run", topics)
+    (plain,), _ = opened(tmp_path / "run")
+    # The force of these bags has no z, and their sensor measures no torque.
+    assert plain.log.channels == {}
+    (one,), issues = opened(
+        tmp_path / "run",
+        topics="current=/motor/current",
+        units="current=mA",
+        keep="pump=/pump",
+        negate="current",
+    )
+    time = one.start_s + one.log.reading.time - START_S
+    np.testing.assert_allclose(one.log.channels["current_a"], -time, atol=1e-4)
+    assert set(one.log.channels["pump"]) == {7.0}
+    assert [issue.column for issue in issues if issue.name == "channel gap"] == ["pump"]
+    np.testing.assert_array_equal(one.log.reading.force, plain.log.reading.force)
+
+
+@pytest.mark.parametrize("option", [{"keep": "x=/y"}, {"topics": "current=/fin/wrench"}])
+def test_a_channel_without_such_a_topic_is_refused(bag, option):
+    with pytest.raises(LogError, match=r"no topic /\S+ with messages of type std_msgs/msg/Float64"):
+        opened(bag, **option)

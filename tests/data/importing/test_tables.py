@@ -1,10 +1,12 @@
+import re
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
 
-from softfin.core.errors import LogError
+from softfin.core.errors import LogError, SoftfinError
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.importing.tables import read_table
 from tests.data.faulty import tank_logs, to_columns
@@ -196,3 +198,112 @@ def test_other_files_are_refused(tmp_path):
     pq.write_table(pa.table({name: ["a", "b"] for name in AUTHORS}), tmp_path / "b.parquet")
     with pytest.raises(LogError, match="must be numeric"):
         read(tmp_path / "b.parquet", rate_hz=100)
+
+
+FURTHER = {
+    "Fz [N]": 2.0,
+    "Tx [mNm]": 100.0,
+    "Ty [mNm]": 200.0,
+    "Tz [mNm]": 300.0,
+    "motor current [mA]": 500.0,
+    "Temp": 21.5,
+    "valve": 1.0,
+    "torque": 7.0,
+}
+
+
+def with_further(columns) -> dict:
+    return columns | {name: np.full(6000, value) for name, value in FURTHER.items()}
+
+
+def means(recording) -> dict[str, float]:
+    """Further channels of a recording; each of them is constant."""
+    (track,) = recording.tracks
+    return {
+        name: round(float(values.mean()), 9)
+        for name, values in track.channels.items()
+        if name[-2:] in ("_n", "nm", "_a", "_c", "ve", "mp")
+    }
+
+
+WRENCH = {"force_z_n": 2.0, "torque_x_nm": 0.1, "torque_y_nm": 0.2, "torque_nm": 0.3}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_further_channels_are_recognized_by_name_and_unit(tmp_path, columns, suffix):
+    path = tmp_path / f"run{suffix}"
+    table = with_further(columns)
+    if suffix == ".csv":
+        write_csv(path, table)
+    else:
+        pq.write_table(pa.table(table), path)
+    (recording,) = read(path)
+    assert means(recording) == WRENCH | {"current_a": 0.5}
+    read_columns, unread = recording.issues
+    assert "torque='Tz [mNm]' in mNm, current='motor current [mA]' in mA" in read_columns.message
+    # Without a unit, a torque could be a register of counts.
+    assert unread.message == "columns not read: 'Temp', 'valve', 'torque'"
+
+
+def test_unknown_columns_are_kept_on_request(tmp_path, columns):
+    pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
+    (recording,) = read(tmp_path / "run.parquet", keep="temperature_c=Temp, valve")
+    assert means(recording) == WRENCH | {"current_a": 0.5, "temperature_c": 21.5, "valve": 1.0}
+    (recording,) = read(tmp_path / "run.parquet", keep="torque_nm=torque")
+    assert means(recording)["torque_nm"] == 7.0
+
+
+def test_further_channels_follow_the_axes_of_the_force(tmp_path, columns):
+    pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
+    (recording,) = read(tmp_path / "run.parquet", force="y,-x")
+    assert means(recording) == WRENCH | {
+        "torque_x_nm": 0.2,
+        "torque_y_nm": -0.1,
+        "current_a": 0.5,
+    }
+    # A mirrored sensor faces the other way.
+    (recording,) = read(tmp_path / "run.parquet", force="y,x", negate="current")
+    assert means(recording) == {
+        "force_z_n": -2.0,
+        "torque_x_nm": 0.2,
+        "torque_y_nm": 0.1,
+        "torque_nm": -0.3,
+        "current_a": -0.5,
+    }
+
+
+def test_one_torque_of_two_is_not_read(tmp_path, columns):
+    table = with_further(columns)
+    del table["Ty [mNm]"]
+    pq.write_table(pa.table(table), tmp_path / "run.parquet")
+    (recording,) = read(tmp_path / "run.parquet")
+    assert means(recording) == {"force_z_n": 2.0, "torque_nm": 0.3, "current_a": 0.5}
+
+
+def test_a_unit_may_be_given_and_a_column_of_text_is_not_a_channel(tmp_path, columns):
+    table = columns | {
+        "current": np.full(6000, 20.0),
+        "moment": np.full(6000, 5.0),
+        "voltage_v": ["low"] * 6000,
+    }
+    write_csv(tmp_path / "run.csv", table)
+    (recording,) = read(tmp_path / "run.csv")
+    assert means(recording) == {}
+    (recording,) = read(
+        tmp_path / "run.csv", units="current=mA,torque=Ncm", columns="torque=moment"
+    )
+    assert means(recording) == {"torque_nm": 0.05, "current_a": 0.02}
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "words"),
+    [
+        ("keep", "x=Tmp", "--keep x=Tmp: no such column; did you mean 'Temp'?"),
+        ("keep", "angle_rad=Temp", "'angle_rad' is a column of every log; use another name"),
+        ("units", "torque=lb", "'lb' is not a unit of torque; must be one of Nm, mNm, Ncm"),
+    ],
+)
+def test_wrong_options_for_further_channels_are_refused(tmp_path, columns, option, text, words):
+    pq.write_table(pa.table(with_further(columns)), tmp_path / "run.parquet")
+    with pytest.raises(SoftfinError, match=re.escape(words)):
+        read(tmp_path / "run.parquet", **{option: text})

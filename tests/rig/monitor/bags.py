@@ -39,7 +39,7 @@ class Recording:
                 self.bag.write(COMMAND, now, (0.5, 2.0))
             self.bag.write(JOINT, now, (0.001 * self.tick, 0.1))
             self.bag.write(CURRENT, now, (0.25,))
-            self.bag.write(WRENCH, now, (*force, 0.0, 0.0, 0.0, 0.0))
+            self.bag.write(WRENCH, now, (*force, 0.0, 0.0, 0.0, 0.25))
             self.tick += 1
         self.bag.flush()
         self.ends.append(len(self.stream.getvalue()))

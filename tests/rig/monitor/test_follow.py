@@ -89,9 +89,10 @@ def test_the_force_is_shown_less_the_zero_that_was_measured_last(bag):
     )
     followed.poll()
     assert followed.summary()["force_n"] == pytest.approx((3.0, -1.0))
+    assert followed.summary()["torque_nm"] == 0.25
     force = followed.traces["wrench"].array()
     np.testing.assert_allclose(
-        force[force[:, 0] < 4.995, 1:], np.tile([0.0, -0.25], (500, 1)), atol=1e-12
+        force[force[:, 0] < 4.995, 1:], np.tile([0.0, -0.25, 0.25], (500, 1)), atol=1e-12
     )
 
 
@@ -103,7 +104,7 @@ def test_a_zero_that_is_read_later_holds_for_the_rows_before_it(bag):
     followed.poll()
     assert followed.summary()["mean_force_n"] == pytest.approx((0.0, -0.25))
     force = followed.traces["wrench"].array()
-    np.testing.assert_allclose(force[:, 1:], np.tile([0.0, -0.25], (250, 1)), atol=1e-12)
+    np.testing.assert_allclose(force[:, 1:], np.tile([0.0, -0.25, 0.25], (250, 1)), atol=1e-12)
 
 
 def test_cut_at_every_byte_only_whole_records_count_and_the_rest_is_read_when_it_comes(bag):

@@ -42,6 +42,7 @@ def test_the_screen_fits_80_by_24_and_says_what_matters(followed):
         "force x [N]",
         "1.25",
         "-0.75",
+        "torque [N m]",
         "current [A]",
         "gaps: joint 1 (7 rows), force 1 (7 rows)",
         "event 11 [red]",

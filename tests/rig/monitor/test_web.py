@@ -78,7 +78,7 @@ def test_the_data_are_what_was_recorded_and_come_once(server):
     answer, body = ask(server, "/data?since=0")
     data = json.loads(body)
     assert answer.headers["Content-Type"] == "application/json"
-    assert data["rows"]["wrench"][-1] == [2.49, 1.0, -0.5]
+    assert data["rows"]["wrench"][-1] == [2.49, 1.0, -0.5, 0.25]
     assert len(data["rows"]["joint"]) == 250
     assert data["summary"]["events"] == [[0.0, "</script><b>armed</b>"]]
     again = json.loads(ask(server, f"/data?since={data['next']}")[1])

@@ -44,8 +44,8 @@ class Inspection:
     logs: list[LogStatistics]
 
     def summary(self) -> JsonObject:
-        """Return the amount of data, the columns that were read, the lags [ms] and frame
-        correlations over all logs, and the number of issues."""
+        """Return the amount of data, the columns that were read, the lags [ms], frame correlations
+        and ranges of further channels over all logs, and the number of issues."""
         frames = _mean_frames(self.logs)
         columns = {}
         for issue in self.issues:
@@ -53,9 +53,13 @@ class Inspection:
                 columns[issue.log] = issue.message
         parts = []
         rows = 0
+        channels: dict[str, tuple[float, float]] = {}
         for log in self.logs:
             parts.append(log.part)
             rows += log.rows
+            for channel, (low, high) in log.channels.items():
+                lowest, highest = channels.get(channel, (low, high))
+                channels[channel] = (min(low, lowest), max(high, highest))
         severities = [one.severity for one in self.issues]
         return {
             "logs": parts.count("train"),
@@ -65,6 +69,7 @@ class Inspection:
             "command_lag_ms": _spread(known_lags(self.logs, "command")),
             "force_lag_ms": _spread(known_lags(self.logs, "force")),
             "frames": frames,
+            "channels": channels,
             "counts": {kind: severities.count(kind) for kind in SEVERITIES},
         }
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -29,6 +30,9 @@ from softfin.storage.figures import (
 SHOWN_LOG_S = 10
 """Length of the log section in the figure, around the first row with an issue [s]."""
 
+CHANNEL_HEIGHT_IN = 1.4
+"""Height of the plot of a further channel [in]."""
+
 
 def write_inspection(
     inspection: Inspection,
@@ -52,14 +56,17 @@ def write_inspection(
 def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figure:
     """Draw the section of a log with the most severe issue that has a row, and the commands, clocks
     and force axes of all logs."""
+    section = _choose_section(inspection.issues, logs)
+    extra_in = CHANNEL_HEIGHT_IN * len(section.shown.log.channels)
     with styled():
-        figure = new_figure(13, 8.4)
-        above, below = np.asarray(figure.subfigures(2, 1, height_ratios=(1.35, 1)))
+        figure = new_figure(13, 8.4 + extra_in)
+        ratios = (1.35 + 2.35 * extra_in / 8.4, 1)
+        above, below = np.asarray(figure.subfigures(2, 1, height_ratios=ratios))
         counts = inspection.summary()["counts"]
         totals = [counted(count, kind) for kind, count in counts.items()]
         above.suptitle(", ".join(totals), weight="bold")
-        angle, force = above.subplots(2, 1, sharex=True)
-        _draw_log(angle, force, inspection.issues, logs)
+        count = 2 + len(section.shown.log.channels)
+        _draw_log(above.subplots(count, 1, sharex=True).tolist(), section)
         commands, lags, frames = below.subplots(1, 3)
         _draw_commands(commands, logs)
         _draw_lags(lags, inspection)
@@ -67,18 +74,30 @@ def inspection_figure(inspection: Inspection, logs: Sequence[NamedLog]) -> Figur
     return figure
 
 
-def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[NamedLog]) -> None:
+class _Section(NamedTuple):
+    """The rows of a log that the figure shows."""
+
+    shown: NamedLog
+    row: int
+    marked: Issue | None
+    """Most severe issue that has a row in a log."""
+
+
+def _choose_section(issues: Sequence[Issue], logs: Sequence[NamedLog]) -> _Section:
     by_name = {one.name: one for one in logs}
     marked = next(
         (issue for issue in issues if issue.log in by_name and issue.row is not None), None
     )
-    shown = logs[0]
-    row = 0
-    title_end = ""
-    if marked is not None:
-        shown = by_name[marked.log]
-        row = marked.row or 0
-        title_end = f" around row {row}: {marked.name}"
+    if marked is None:
+        return _Section(logs[0], 0, None)
+    return _Section(by_name[marked.log], marked.row or 0, marked)
+
+
+def _draw_log(plots: Sequence[Axes], section: _Section) -> None:
+    """Draw angle, force and each further channel below each other."""
+    shown, row, marked = section
+    above, below, *others = plots
+    title_end = "" if marked is None else f" around row {row}: {marked.name}"
     # A third of the section lies before the marked row, unless the log ends earlier.
     num_rows = SHOWN_LOG_S * RATE_HZ
     start = max(0, min(row - num_rows // 3, shown.log.rows - num_rows))
@@ -93,9 +112,14 @@ def _draw_log(above: Axes, below: Axes, issues: Sequence[Issue], logs: Sequence[
             time, reading.force[rows, index], color=colour, label=f"force {axis}", linewidth=0.9
         )
     above.set(ylabel="angle, read as rad")
-    below.set(ylabel="force [N]", xlabel="time [s]")
+    below.set(ylabel="force [N]")
+    for axes, (name, values) in zip(others, shown.log.channels.items(), strict=True):
+        # Dollar signs would start a formula.
+        label = name.replace("$", r"\$")
+        axes.plot(time, values[rows], color=BLUE, label=label, linewidth=0.9)
+    plots[-1].set(xlabel="time [s]")
     above.set_title(f"{shown.name}: {SHOWN_LOG_S} s{title_end}")
-    for axes in (above, below):
+    for axes in plots:
         if marked is not None and row < shown.log.rows:
             axes.axvline(float(reading.time[row]), color=GREY, linestyle=":", label=marked.name)
         axes.margins(y=0.25)

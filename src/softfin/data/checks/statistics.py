@@ -65,6 +65,8 @@ class LogStatistics:
     offset_n: tuple[float, ...] | None
     """Mean force while the fin is settled [N]; None if it never settles."""
     force_std_n: tuple[float, ...]
+    channels: dict[str, tuple[float, float]]
+    """Minimum and maximum of each further channel."""
 
 
 def known_lags(statistics: Sequence[LogStatistics], name: str) -> list[tuple[float, str]]:
@@ -78,8 +80,8 @@ def known_lags(statistics: Sequence[LogStatistics], name: str) -> list[tuple[flo
 
 
 def to_columns(log: Log) -> LogColumns:
-    """Return the channels of a log in float64."""
-    return LogColumns(*np.stack(log.channels).astype(np.float64))
+    """Return the columns of a log in float64."""
+    return LogColumns(*np.stack(log.columns).astype(np.float64))
 
 
 def channels_in_counts(columns: LogColumns) -> list[str]:
@@ -183,4 +185,8 @@ def measure(columns: LogColumns, named: NamedLog) -> LogStatistics:
         frames=frames,
         offset_n=offset,
         force_std_n=tuple(force.std(axis=0).tolist()),
+        channels={
+            channel: (float(np.min(values)), float(np.max(values)))
+            for channel, values in named.log.channels.items()
+        },
     )

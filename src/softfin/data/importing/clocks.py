@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from softfin.core.errors import LogError
 from softfin.core.quantities import RATE_HZ, TICK_S, Command, Log, Reading
 from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.names import CHANNELS
 from softfin.data.issues import Issue, counted
 from softfin.storage.log_file import RATE_TOLERANCE, check_columns
 
@@ -53,7 +54,8 @@ class Track(NamedTuple):
     time: Float[np.ndarray, "rows"]
     """Time as recorded [s]; it may repeat, jump or be NaN."""
     channels: Channels
-    """Values in SI units and softfin's axes; NaN where a value is missing."""
+    """Values in SI units and softfin's axes; NaN where a value is missing. Channels that not every
+    log has are under their names in a log."""
 
     def take(self, rows: slice | Bool[np.ndarray, "rows"]) -> "Track":
         """Return a track with the selected rows."""
@@ -94,15 +96,27 @@ def build_logs(recording: Recording, config: ImportConfig) -> tuple[list[NamedLo
                 starts.append(float(times[0]))
         start = min(starts, default=0.0)
         tracks = []
+        further = []
         for track in run:
-            valid, found = _valid_rows(track._replace(time=track.time - start), name, config)
-            issues += found
-            tracks += _shifted(valid, config)
+            from_start = track._replace(time=track.time - start)
+            needed, others = _split_further(from_start)
+            for other in others:
+                further += _shifted(other, config)
+            if needed.channels:
+                valid, found = _valid_rows(needed, name, config)
+                issues += found
+                tracks += _shifted(valid, config)
         spans, found = _split_at_gaps(tracks, name, config)
         issues += found
         for number, span in enumerate(spans):
             piece = f"{name}, piece {number + 1} of {len(spans)}" if len(spans) > 1 else name
-            logs.append(NamedLog(piece, recording.part, _at_100_hz(tracks, span), start))
+            log = _at_100_hz(tracks, span)
+            channels, found = _further_channels(
+                further, span, np.asarray(log.reading.time), piece, config
+            )
+            issues += found
+            log = log._replace(channels=channels)
+            logs.append(NamedLog(piece, recording.part, log, start))
     return logs, issues
 
 
@@ -118,6 +132,23 @@ def _split_at_restarts(recording: Recording) -> list[tuple[str, tuple[Track, ...
     for start, end in itertools.pairwise(edges):
         pieces.append((f"{name} rows {start}..{end - 1}", (track.take(slice(start, end)),)))
     return pieces
+
+
+def _split_further(track: Track) -> tuple[Track, list[Track]]:
+    """Split a track into the channels of every log, and a track with the valid rows of each other
+    channel: missing values there cost no rows of the log."""
+    needed = {}
+    further = []
+    for name, values in track.channels.items():
+        if name in CHANNELS:
+            needed[name] = values
+            continue
+        one = Track(track.time, {name: values})
+        # A log is in single precision.
+        one = one.take(np.isfinite(one.time) & (np.abs(values) <= np.finfo(np.float32).max))
+        latest = np.maximum.accumulate(one.time)
+        further.append(one.take(np.append(True, one.time[1:] > latest[:-1])[: len(one.time)]))
+    return Track(track.time, needed), further
 
 
 def _valid_rows(track: Track, name: str, config: ImportConfig) -> tuple[Track, list[Issue]]:
@@ -237,7 +268,9 @@ def unwrapped(angle: Float[np.ndarray, "rows"]) -> Float[np.ndarray, "rows"]:
 
 def _shifted(track: Track, config: ImportConfig) -> list[Track]:
     """Shift clocks by the configured lags; channels with different lags become separate tracks."""
-    lags = {"command": config.command_lag_ms / 1e3, "force": config.force_lag_ms / 1e3}
+    force_lag_s = config.force_lag_ms / 1e3
+    # Torque and force come from one sensor.
+    lags = {"command": config.command_lag_ms / 1e3, "force": force_lag_s, "torque": force_lag_s}
     groups: dict[float, Channels] = {}
     for channel, values in track.channels.items():
         groups.setdefault(lags.get(channel.split("_")[0], 0.0), {})[channel] = values
@@ -330,6 +363,39 @@ def _unchanged(tracks: list[Track], span: Span) -> Channels | None:
     return {"time": time, **channels} if len(tracks) == 1 else None
 
 
+def _further_channels(
+    tracks: list[Track],
+    span: Span,
+    grid: Float[np.ndarray, "ticks"],
+    name: str,
+    config: ImportConfig,
+) -> tuple[dict[str, Float[np.ndarray, "ticks"]], list[Issue]]:
+    """Return the further channels at the times of a log, and a warning for each that has gaps."""
+    channels = {}
+    issues = []
+    for track in tracks:
+        ((channel, _),) = track.channels.items()
+        within = _around(track, span)
+        inside = within.time[(within.time >= span[0]) & (within.time <= span[1])]
+        longest_s = float(np.diff(inside, prepend=span[0], append=span[1]).max())
+        if longest_s > config.gap_s + TICK_S:
+            text = f"no values for up to {longest_s:.3g} s"
+            fix = "values between are interpolated, the first and the last one are held"
+            if not inside.size:
+                fix = "the channel is left out"
+            issues.append(Issue("warning", "channel gap", name, text, fix, channel))
+        if inside.size:
+            values = interpolated(within.time, within.channels[channel], grid)
+            channels[channel] = values.astype(np.float32)
+    return channels, issues
+
+
+def _around(track: Track, span: Span) -> Track:
+    """Return the rows from the last one before a span to the first one after it."""
+    first = int(np.searchsorted(track.time, span[0], "right")) - 1
+    return track.take(slice(max(0, first), int(np.searchsorted(track.time, span[1])) + 1))
+
+
 def _resampled(tracks: list[Track], span: Span) -> Channels:
     start, end = span
     grid = start + np.arange(int((end - start + EARLY_S) * RATE_HZ) + 1) / RATE_HZ
@@ -338,8 +404,7 @@ def _resampled(tracks: list[Track], span: Span) -> Channels:
         # The low-pass filter must not see rows beyond a gap, so it gets only those from the last
         # row before the start to the first row after the end. A command holds no matter how long
         # ago it was issued, so commands need all rows.
-        first = int(np.searchsorted(track.time, start, "right")) - 1
-        within = track.take(slice(max(0, first), int(np.searchsorted(track.time, end)) + 1))
+        within = _around(track, span)
         for name, values in track.channels.items():
             if name in COMMAND_CHANNELS:
                 columns[name] = held_command(track.time, values, grid)

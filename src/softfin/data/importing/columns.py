@@ -14,11 +14,21 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.core.errors import LogError
-from softfin.data.importing.importing import NO_COLUMN, ImportConfig, turned
-from softfin.data.importing.names import CHANNELS, KINDS, SI, UNITS, read_name, split_unit
+from softfin.data.importing.importing import FURTHER_KINDS, NO_COLUMN, ImportConfig, turned
+from softfin.data.importing.names import (
+    CHANNELS,
+    FURTHER,
+    KINDS,
+    SI,
+    UNITS,
+    read_name,
+    split_unit,
+)
 from softfin.storage.log_file import SCHEMA
 
-OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True))
+OWN_NAMES = dict(zip(SCHEMA.names, CHANNELS, strict=True)) | {
+    name: channel for channel, name in FURTHER.items()
+}
 """Channels by softfin's own column names."""
 
 MAX_LISTED_COLUMNS = 12
@@ -37,21 +47,27 @@ class Column(NamedTuple):
 
 def choose_columns(names: Sequence[str], config: ImportConfig, source: str) -> dict[str, Column]:
     """Find the column of each channel; raises LogError, with the option to use, if the choice is
-    not unique."""
+    not unique for a channel of every log."""
     own = [name for name in OWN_NAMES if name in names and OWN_NAMES[name] not in config.columns]
     found = {OWN_NAMES[name]: name for name in own}
     found |= _mapped_columns(names, config, source)
+    for kept, name in config.keep.items():
+        _check_column(names, name, f"--keep {kept}={name}", source)
     # Channels with a fixed value for the entire file are not looked up by name.
     options = {"time": config.rate_hz, "command_velocity": config.velocity_rad_s}
     stated = [channel for channel, value in options.items() if value is not None]
     decided = {*found, *config.columns, *stated}
-    found |= _recognized_columns(names, found.values(), decided, source)
+    taken = [*found.values(), *config.keep.values()]
+    found |= _recognized_columns(names, taken, decided, config, source)
+    # A torque about one axis of the sensor is not enough to turn it into softfin's axes.
+    if len({"torque_x", "torque_y"} & found.keys()) == 1:
+        found = {channel: found[channel] for channel in found if channel[:-1] != "torque_"}
     settled = {*found, *stated, "velocity"}
     if missing := [channel for channel in CHANNELS if channel not in settled]:
         raise _missing_error(names, missing, source)
     columns = {}
-    for channel in CHANNELS:
-        if channel in found:
+    for channel in (*CHANNELS, *FURTHER):
+        if channel in found and FURTHER.get(channel) not in config.keep:
             unit = stated_unit(channel, config) or split_unit(found[channel], KINDS[channel])[1]
             columns[channel] = Column(found[channel], unit or SI[KINDS[channel]], unit is not None)
     return columns
@@ -61,31 +77,43 @@ def _mapped_columns(names: Sequence[str], config: ImportConfig, source: str) -> 
     """Return the columns that the option --columns assigns."""
     mapped: dict[str, str] = {}
     for channel, name in config.columns.items():
-        if name not in (NO_COLUMN, *names):
-            near = difflib.get_close_matches(name, names, n=1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise LogError(
-                f"{source}: --columns {channel}={name}: no such column; {hint}the file has "
-                f"{_listed(names)}"
-            )
         if name != NO_COLUMN:
+            _check_column(names, name, f"--columns {channel}={name}", source)
             mapped[channel] = name
     return mapped
 
 
+def _check_column(names: Sequence[str], name: str, option: str, source: str) -> None:
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise LogError(f"{source}: {option}: no such column; {hint}the file has {_listed(names)}")
+
+
 def _recognized_columns(
-    names: Sequence[str], taken: Collection[str], decided: Collection[str], source: str
+    names: Sequence[str],
+    taken: Collection[str],
+    decided: Collection[str],
+    config: ImportConfig,
+    source: str,
 ) -> dict[str, str]:
     """Return the columns recognized by name, for channels that are not yet decided."""
     candidates: dict[str, list[str]] = {}
     for name in names:
         read = read_name(name)
-        if read is not None and name not in taken and read[0] not in decided:
-            candidates.setdefault(read[0], []).append(name)
+        if read is None or name in taken or read[0] in decided:
+            continue
+        channel, unit = read
+        # A drive's register has the same name, but contains counts.
+        is_sure = KINDS[channel] not in FURTHER_KINDS or unit or stated_unit(channel, config)
+        if is_sure:
+            candidates.setdefault(channel, []).append(name)
     recognized = {}
     for channel, several in candidates.items():
         if channel == "command_velocity":
             several = _preferred_velocities(several)
+        if len(several) > 1 and channel in FURTHER:
+            continue
         if len(several) > 1:
             raise LogError(
                 f"{source}: {channel} could be {_listed(several, ' or ')}; choose one with "
@@ -126,6 +154,8 @@ def stated_unit(channel: str, config: ImportConfig) -> str | None:
         return config.time_unit
     if channel.startswith("force"):
         return config.force_unit
+    if channel in FURTHER:
+        return next((unit for kind, unit in config.units.items() if kind == KINDS[channel]), None)
     # Not config.angles.get(channel): the keys are literals, and `channel` may be any channel.
     unit = next((unit for angle, unit in config.angles.items() if angle == channel), None)
     if unit is None or unit in UNITS[KINDS[channel]]:
@@ -149,7 +179,8 @@ def converted(
     config: ImportConfig,
     units: Mapping[str, str] | None = None,
 ) -> dict[str, Float[np.ndarray, "rows"]]:
-    """Convert to SI units and to softfin's signs and axes.
+    """Convert to SI units and to softfin's signs and axes; further channels get their names in a
+    log.
 
     Units come from `units`, otherwise from the options; the default is SI.
     """
@@ -166,7 +197,16 @@ def converted(
         result["force_x"], result["force_y"] = turned(
             result["force_x"], result["force_y"], config.force
         )
-    return result
+    if "torque_x" in result:
+        result["torque_x"], result["torque_y"] = turned(
+            result["torque_x"], result["torque_y"], config.force
+        )
+    # A sensor with x and y mirrored faces the other way, so its z axis is reversed.
+    x, y = np.eye(2)
+    side = round(float(np.linalg.det(turned(x, y, config.force))))
+    for channel in {"force_z", "torque"} & result.keys():
+        result[channel] = side * result[channel]
+    return {FURTHER.get(channel, channel): values for channel, values in result.items()}
 
 
 def _listed(names: Sequence[str], between: str = ", ") -> str:

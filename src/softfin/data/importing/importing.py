@@ -7,7 +7,8 @@ import pydantic
 
 from softfin.core.choices import ForceUnit, TimeUnit
 from softfin.core.configuration import Configuration
-from softfin.data.importing.names import KINDS, UNITS, Channel
+from softfin.data.importing.names import CHANNELS, KINDS, UNITS, Channel, FurtherChannel
+from softfin.storage.log_file import SCHEMA
 
 NO_COLUMN = "-"
 """Value of --columns for a channel that is not in the file, even if one of the column names looks
@@ -23,7 +24,12 @@ SignedChannel = Literal["command_angle", "angle", "velocity"]
 SIGNED: tuple[SignedChannel, ...] = get_args(SignedChannel)
 """Channels whose sign can be wrong; a commanded velocity is a magnitude."""
 
-Topic = Literal["command", "joint", "wrench"]
+FurtherKind = Literal["torque", "current", "voltage"]
+
+FURTHER_KINDS: tuple[FurtherKind, ...] = get_args(FurtherKind)
+"""Quantities that only the further channels of a log have."""
+
+Topic = Literal["command", "joint", "wrench", "current"]
 
 FORCE_FRAMES = ("x,y", "x,-y", "-x,y", "-x,-y", "y,x", "y,-x", "-y,x", "-y,-x")
 """Possible orientations of a force sensor: softfin's +x and +y in terms of the sensor's axes."""
@@ -37,7 +43,8 @@ class ImportConfig(Configuration):
     such column. Needed only for names that softfin does not recognize."""
     topics: dict[Topic, str] = pydantic.Field(default_factory=dict)
     """Topics of a ROS 2 bag, e.g. ``joint=/joint_states:fin``; ``:fin`` selects one of several
-    joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench)."""
+    joints (default: command=/fin/command, joint=/fin/joint_states, wrench=/fin/wrench,
+    current=/fin/current)."""
     rate_hz: float | None = pydantic.Field(default=None, gt=0)
     """Rows per second of files without a time column [Hz]."""
     velocity_rad_s: float | None = pydantic.Field(default=None, gt=0, le=40)
@@ -50,11 +57,17 @@ class ImportConfig(Configuration):
     column names, or rad)."""
     force_unit: ForceUnit | None = None
     """Unit of the force columns (default: from the column names, or N)."""
+    units: dict[FurtherKind, str] = pydantic.Field(default_factory=dict)
+    """Units of further channels, e.g. ``torque=mNm,current=mA`` (default: from the column names;
+    without a unit, these columns are not read)."""
+    keep: dict[str, str] = pydantic.Field(default_factory=dict)
+    """Columns, or topics of numbers, to keep as channels, e.g. ``temperature_c=Temp`` or ``Temp``.
+    Torque, force z, current and voltage are kept anyway if their units are known."""
     force: Literal[FORCE_FRAMES] = "x,y"  # type: ignore[valid-type]
-    """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y."""
-    negate: tuple[SignedChannel, ...] = ()
-    """Angle channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates
-    ``velocity``."""
+    """Recorded axes that correspond to softfin's +x (thrust, drives the robot forward) and +y.
+    Torque and force z follow."""
+    negate: tuple[SignedChannel | FurtherChannel, ...] = ()
+    """Channels to negate, e.g. ``command_angle``. Negating ``angle`` also negates ``velocity``."""
     command_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
     """Delay of the command time stamps relative to the angle [ms]; softfin removes it."""
     force_lag_ms: float = pydantic.Field(default=0.0, ge=-1000, le=1000)
@@ -70,7 +83,9 @@ class ImportConfig(Configuration):
     shortest_s: float = pydantic.Field(default=2.0, gt=0)
     """Shortest piece to keep as a log [s]; the paper's networks need a window of 1 s."""
 
-    @pydantic.field_validator("columns", "topics", "angles", "negate", mode="before")
+    @pydantic.field_validator(
+        "columns", "topics", "angles", "units", "keep", "negate", mode="before"
+    )
     @classmethod
     def _parsed(cls, value: Any, info: Any) -> Any:
         if info.field_name == "negate":
@@ -85,6 +100,8 @@ class ImportConfig(Configuration):
         for part in next(csv.reader([value], skipinitialspace=True), []):
             if part.strip():
                 name, _, text = map(str.strip, part.partition("="))
+                if info.field_name == "keep":
+                    text = text or name
                 if not text:
                     raise ValueError(f"{name!r} has no value; use NAME=VALUE,NAME=VALUE")
                 pairs[name] = text
@@ -102,6 +119,24 @@ class ImportConfig(Configuration):
                     f"{unit!r} is not a unit of {channel}; must be one of {', '.join(units)}; for "
                     "different units, use e.g. angle=deg,velocity=rpm"
                 )
+        return value
+
+    @pydantic.field_validator("units")
+    @classmethod
+    def _of_kind(cls, value: dict[FurtherKind, str]) -> dict[FurtherKind, str]:
+        for kind, unit in value.items():
+            if unit not in UNITS[kind]:
+                raise ValueError(
+                    f"{unit!r} is not a unit of {kind}; must be one of {', '.join(UNITS[kind])}"
+                )
+        return value
+
+    @pydantic.field_validator("keep")
+    @classmethod
+    def _of_other_names(cls, value: dict[str, str]) -> dict[str, str]:
+        for name in value:
+            if name in (*SCHEMA.names, *CHANNELS):
+                raise ValueError(f"{name!r} is a column of every log; use another name for it")
         return value
 
 

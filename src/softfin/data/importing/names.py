@@ -9,15 +9,26 @@ import math
 import re
 from typing import Literal, get_args
 
-Channel = Literal[
+from softfin.core.log_channels import KNOWN_CHANNELS
+
+LogChannel = Literal[
     "time", "command_angle", "command_velocity", "angle", "velocity", "force_x", "force_y"
 ]
 
-CHANNELS: tuple[str, ...] = get_args(Channel)
-"""Channels of a log. A recording may lack the velocity; it may also lack the time and the commanded
-velocity if options set them."""
+FurtherChannel = Literal["force_z", "torque_x", "torque_y", "torque", "current", "voltage"]
 
-KINDS: dict[str, str] = {channel: re.sub("command_|_x|_y", "", channel) for channel in CHANNELS}
+Channel = Literal[LogChannel, FurtherChannel]
+
+CHANNELS: tuple[str, ...] = get_args(LogChannel)
+"""Channels of every log. A recording may lack the velocity; it may also lack the time and the
+commanded velocity if options set them."""
+
+FURTHER: dict[str, str] = dict(zip(get_args(FurtherChannel), KNOWN_CHANNELS, strict=True))
+"""Names in a log of the channels that it may also contain."""
+
+KINDS: dict[str, str] = {
+    channel: re.sub("command_|_[xyz]$", "", channel) for channel in (*CHANNELS, *FURTHER)
+}
 """Physical quantity of each channel."""
 
 UNITS: dict[str, dict[str, float]] = {
@@ -38,6 +49,9 @@ UNITS: dict[str, dict[str, float]] = {
         "kgf": 9.80665,
         "lbf": 4.4482216152605,
     },
+    "torque": {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2},
+    "current": {"A": 1.0, "mA": 1e-3},
+    "voltage": {"V": 1.0, "mV": 1e-3},
 }
 """Conversion factors to the SI unit, by quantity and unit; the SI unit comes first."""
 
@@ -60,6 +74,14 @@ SPELLINGS = {
     "gf": "gf",
     "kgf": "kgf",
     "lbf": "lbf",
+    # The words of a unit are joined by slashes, so n/m is N m, N.m or N·m.
+    "Nm": "nm n/m newtonmeter newtonmeters newton/meter newton/meters",
+    "mNm": "mnm mn/m",
+    "Ncm": "ncm n/cm",
+    "A": "a amp amps ampere amperes",
+    "mA": "ma milliamp milliamps milliampere milliamperes",
+    "V": "v volt volts",
+    "mV": "mv millivolt millivolts",
 }
 """Spellings of each unit in lower case. Spellings of velocity units are generated from those of an
 angle, a slash and those of a second."""
@@ -106,6 +128,13 @@ PHRASES = {
     "command_velocity": ["profile velocity", "profile vel", "profile speed", "moving speed"],
     "force_x": ["force x", "fx", "f x"],
     "force_y": ["force y", "fy", "f y"],
+    "force_z": ["force z", "fz", "f z"],
+    "torque_x": ["torque x", "moment x", "tx", "mx"],
+    "torque_y": ["torque y", "moment y", "ty", "my"],
+    # The z axis is the shaft.
+    "torque": ["torque", "torque z", "moment z", "tz", "mz"],
+    "current": ["current"],
+    "voltage": ["voltage", "supply voltage", "bus voltage", "battery voltage"],
 }
 """Names of each channel; their words may have any order. With one of `COMMAND_WORDS`, a name means
 the commanded channel."""

@@ -1,4 +1,5 @@
-"""Read ROS 2 bags (MCAP or SQLite) without ROS, from the topics of command, joint and force.
+"""Read ROS 2 bags (MCAP or SQLite) without ROS, from the topics of command, joint and force, and of
+further channels if there are any.
 
 Times are the header stamps if every message of a topic has one, otherwise the logging times.
 """
@@ -7,19 +8,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from softfin.core.errors import LogError, one_line
+from softfin.core.log_channels import CURRENT_CHANNEL
 from softfin.core.printable import printable
 from softfin.data.importing.clocks import Channels, Part, Recording, Track
 from softfin.data.importing.columns import converted
 from softfin.data.importing.importing import NO_COLUMN, ImportConfig, Topic
-from softfin.data.importing.names import Channel
+from softfin.data.importing.names import CHANNELS, Channel
 from softfin.data.importing.tables import derived_velocity
 from softfin.data.issues import Issue, Severity, counted
 from softfin.storage.bag.messages import (
+    CHANNEL_TOPICS,
+    CURRENT,
     DEFAULT_TOPICS,
     EVENTS,
+    FLOAT,
     JOINT_STATE,
     STRING,
     WRENCH,
@@ -28,6 +34,7 @@ from softfin.storage.bag.messages import (
 )
 from softfin.storage.bag.recovery import check_bag
 from softfin.storage.bag.zero import RestForce, parse_zero, zeros_at
+from softfin.storage.log_file import SCHEMA
 
 ARRAY = "std_msgs/msg/Float64MultiArray"
 
@@ -37,10 +44,10 @@ READABLE_TYPES: dict[Topic, tuple[str, ...]] = {
     "wrench": (WRENCH_STAMPED, "geometry_msgs/msg/Wrench"),
 }
 
-TOPIC_CHANNELS: dict[Topic, tuple[Channel, Channel]] = {
+TOPIC_CHANNELS: dict[Topic, tuple[Channel, ...]] = {
     "command": ("command_angle", "command_velocity"),
     "joint": ("angle", "velocity"),
-    "wrench": ("force_x", "force_y"),
+    "wrench": ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque"),
 }
 
 MAX_LISTED_TOPICS = 12
@@ -62,6 +69,8 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
                     track, found = _less_zero(track, _read_zeros(reader), config, name)
                     issues += found
                 tracks.append(track)
+            for channel, topic in _channel_topics(reader, config).items():
+                tracks.append(_read_channel(reader, channel, topic, config, path))
     except LogError:
         raise
     except Exception as error:
@@ -74,13 +83,67 @@ def read_bag(path: Path, name: str, part: Part, config: ImportConfig) -> Recordi
         ) from None
     if not any("velocity" in track.channels for track in tracks):
         issues.append(derived_velocity(name))
-    if all(np.array_equal(tracks[0].time, track.time) for track in tracks):
-        # Topics with identical stamps form one track, so that they need not be resampled.
-        channels: Channels = {}
-        for track in tracks:
-            channels |= track.channels
-        tracks = [Track(tracks[0].time, channels)]
-    return Recording(name, part, tuple(tracks), tuple(issues))
+    return Recording(name, part, _merge_tracks(tracks), tuple(issues))
+
+
+def _merge_tracks(tracks: list[Track]) -> tuple[Track, ...]:
+    """Merge topics with identical stamps into one track, so that they need not be resampled."""
+    first, *others = tracks
+    merged: Channels = dict(first.channels)
+    separate = []
+    for track in others:
+        if np.array_equal(first.time, track.time):
+            merged |= track.channels
+        else:
+            separate.append(track)
+    if any(channel in CHANNELS for track in separate for channel in track.channels):
+        return tuple(tracks)
+    return Track(first.time, merged), *separate
+
+
+def _numbers(reader: Reader, topic: str) -> list[Connection]:
+    """Return the connections of a topic with messages of one number."""
+    return [
+        each
+        for each in reader.connections
+        if each.topic == topic and each.msgtype == FLOAT and each.msgcount
+    ]
+
+
+def _channel_topics(reader: Reader, config: ImportConfig) -> dict[str, str]:
+    """Return the topics of other channels: the current and those of softfin's own bags, if there
+    are any, and those to keep."""
+    topics = {}
+    # Every recording has a topic for the current, but not every drive measures it.
+    if "current" in config.topics or _numbers(reader, CURRENT):
+        topics[CURRENT_CHANNEL] = config.topics.get("current", CURRENT)
+    for connection in reader.connections:
+        channel = connection.topic.removeprefix(CHANNEL_TOPICS)
+        is_own = channel not in (connection.topic, *CHANNELS, *SCHEMA.names)
+        if is_own and _numbers(reader, connection.topic):
+            topics[channel] = connection.topic
+    return topics | config.keep
+
+
+def _read_channel(
+    reader: Reader, channel: str, topic: str, config: ImportConfig, path: Path
+) -> Track:
+    connections = _numbers(reader, topic)
+    if not connections:
+        raise LogError(
+            f"{path}: no topic {topic} with messages of type {FLOAT} for the channel {channel}; "
+            "set another one with --keep or --topics"
+        )
+    logged = []
+    values = []
+    for _, stamp, data in reader.messages(connections):
+        message: Any = type_store().deserialize_cdr(data, FLOAT)
+        logged.append(stamp)
+        values.append(float(message.data))
+    channels = {channel: np.array(values)}
+    if channel == CURRENT_CHANNEL:
+        channels = converted({"current": channels[channel]}, config)
+    return Track(np.array(logged, np.int64) / 1e9, channels)
 
 
 def _plain(text: str) -> str:
@@ -129,13 +192,18 @@ def _read_topic(
         stamped = logged
     # In double precision, nanoseconds since 1970 are exact to a quarter of a microsecond.
     time = np.array(stamped, np.int64) / 1e9
-    pairs = np.array(rows, np.float64)
+    values = np.array(rows, np.float64)
     # A value too large for a float32 log is treated as missing; `build_logs` reports it.
-    pairs[np.abs(pairs) > np.finfo(np.float32).max] = np.inf
-    first, second = TOPIC_CHANNELS[role]
-    channels = converted({first: pairs[:, 0], second: pairs[:, 1]}, config)
-    if role != "wrench" and (
-        np.isnan(pairs[:, 1]).all() or config.columns.get(second) == NO_COLUMN
+    values[np.abs(values) > np.finfo(np.float32).max] = np.inf
+    channels = converted(dict(zip(TOPIC_CHANNELS[role], values.T, strict=True)), config)
+    if role == "wrench":
+        # A sensor that does not measure a load reports it as zero.
+        channels = {
+            channel: load for channel, load in channels.items() if channel in CHANNELS or load.any()
+        }
+    second = TOPIC_CHANNELS[role][-1]
+    if role in ("command", "joint") and (
+        np.isnan(values[:, 1]).all() or config.columns.get(second) == NO_COLUMN
     ):
         del channels[second]
     if role == "command" and second not in channels:
@@ -186,7 +254,9 @@ def _less_zero(
         return force, []
     x, y = zeros_at(zeros, force.time).T
     zero = converted({"force_x": x, "force_y": y}, config)
-    channels = {channel: values - zero[channel] for channel, values in force.channels.items()}
+    channels = dict(force.channels)
+    for channel, value in zero.items():
+        channels[channel] = channels[channel] - value
     text = (
         f"{WRENCH}: the rest force recorded in {EVENTS} ({counted(len(zeros), 'measurement')}) is "
         "subtracted"
@@ -194,8 +264,8 @@ def _less_zero(
     return Track(force.time, channels), [Issue("note", "zeroed", name, text)]
 
 
-def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, float]:
-    """Return (angle, velocity) or (force x, force y) of a message."""
+def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, ...]:
+    """Return (angle, velocity), or the force and torque in a message."""
     if kind == ARRAY:
         if len(message.data) != 2:
             raise LogError(
@@ -215,5 +285,6 @@ def _values(message: Any, kind: str, joint: str, where: str) -> tuple[float, flo
         index = names.index(joint) if joint in names else 0
         velocity = float(message.velocity[index]) if len(message.velocity) > index else float("nan")
         return float(message.position[index]), velocity
-    force = getattr(message, "wrench", message).force
-    return float(force.x), float(force.y)
+    wrench = getattr(message, "wrench", message)
+    parts = (wrench.force, wrench.torque)
+    return tuple(float(getattr(part, axis)) for part in parts for axis in "xyz")

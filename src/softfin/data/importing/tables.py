@@ -13,6 +13,7 @@ from softfin.core.errors import LogError, one_line
 from softfin.data.importing.clocks import Part, Recording, Track
 from softfin.data.importing.columns import Column, choose_columns, converted, describe_columns
 from softfin.data.importing.importing import ImportConfig
+from softfin.data.importing.names import FURTHER
 from softfin.data.issues import Issue
 from softfin.storage.log_file import read_parquet
 from softfin.storage.paths import CSV
@@ -24,7 +25,9 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     if path.suffix.lower() in CSV:
         names, delimiter = _read_header(path)
         found = choose_columns(names, config, str(path))
-        table = _read_csv(path, names, delimiter, [column.name for column in found.values()])
+        needed = [column.name for channel, column in found.items() if channel not in FURTHER]
+        further = [column.name for channel, column in found.items() if channel in FURTHER]
+        table = _read_csv(path, names, delimiter, needed, [*further, *config.keep.values()])
     else:
         table = read_parquet(path)
         names = table.schema.names
@@ -32,6 +35,10 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     rows = table.num_rows
     if not rows:
         raise LogError(f"{path}: the table has no rows; record again")
+    for channel in FURTHER:
+        # A column of text with the name of a further channel is some other thing.
+        if channel in found and not _is_numeric(table.column(found[channel].name).type):
+            del found[channel]
     numbers = {}
     units = {}
     for channel, column in found.items():
@@ -41,6 +48,8 @@ def read_table(path: Path, name: str, part: Part, config: ImportConfig) -> list[
     time = values.pop("time") if "time" in found else np.arange(rows) / (config.rate_hz or 1)
     if "command_velocity" not in values and config.velocity_rad_s is not None:
         values["command_velocity"] = np.full(rows, config.velocity_rad_s)
+    for kept, column_name in config.keep.items():
+        values[kept] = _numbers(table.column(column_name), column_name, path)
     whole = Track(time, values)
     issues = tuple(_notes(name, names, found, config))
     length = config.rows_per_log or rows
@@ -81,7 +90,7 @@ def _notes(
             f"command_velocity = {config.velocity_rad_s:g} rad/s everywhere, from --velocity"
         )
     notes = [Issue("note", "columns", name, "; ".join(texts), fix)] if texts else []
-    read = {column.name for column in found.values()}
+    read = {*(column.name for column in found.values()), *config.keep.values()}
     if unused := [column for column in names if column not in read]:
         text = f"columns not read: {', '.join(map(repr, unused[:12]))}"
         notes.append(Issue("note", "unread columns", name, text))
@@ -116,15 +125,18 @@ def _read_header(path: Path) -> tuple[list[str], str]:
     return names, delimiter
 
 
-def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) -> pa.Table:
+def _read_csv(
+    path: Path, names: list[str], delimiter: str, needed: list[str], further: list[str]
+) -> pa.Table:
+    """Read the columns; those in `needed` must contain numbers."""
     try:
         return pyarrow.csv.read_csv(
             path,
             read_options=pyarrow.csv.ReadOptions(column_names=names, skip_rows=1),
             parse_options=pyarrow.csv.ParseOptions(delimiter=delimiter),
             convert_options=pyarrow.csv.ConvertOptions(
-                include_columns=columns,
-                column_types=dict.fromkeys(columns, pa.float64()),
+                include_columns=list(dict.fromkeys([*needed, *further])),
+                column_types=dict.fromkeys(needed, pa.float64()),
                 null_values=["", "nan", "NaN", "NAN", "NA", "N/A", "null", "None", "-"],
             ),
         )
@@ -133,6 +145,10 @@ def _read_csv(path: Path, names: list[str], delimiter: str, columns: list[str]) 
         raise LogError(
             f"{path}: not a table of numbers ({reason}); correct that value or leave it empty"
         ) from None
+
+
+def _is_numeric(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
 def _numbers(column: pa.ChunkedArray, name: str, path: Path) -> Float[np.ndarray, "rows"]:

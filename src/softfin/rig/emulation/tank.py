@@ -18,10 +18,7 @@ from softfin.core.plant import rest_command
 from softfin.core.quantities import TICK_S, Command, Reading
 from softfin.rig.emulated_fin import COAST_RAD_S2, FinMotion
 from softfin.tank import Tank
-
-AMPERE_PER_NM = 1 / (111 * 0.0259)
-"""Motor current per torque at the fin [A/(N m)], assuming a gear ratio of 111:1 and a torque
-constant of 25.9 mN m/A."""
+from softfin.tank.drive import AMPERE_PER_NM
 
 
 class TankFin:

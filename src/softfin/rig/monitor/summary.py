@@ -52,8 +52,8 @@ Summary: TypeAlias = JsonObject
 """State of a recording at one time, for JSON; unknown values are None."""
 
 Values: TypeAlias = tuple[float | str, ...]
-"""Angle [rad] and velocity [rad/s] of a joint or command; force (x, y) [N]; current [A]; or
-text."""
+"""Angle [rad] and velocity [rad/s] of a joint or command; reference force (x, y) [N]; force (x, y)
+[N] and torque about the shaft [N m] of a wrench; current [A]; or text."""
 
 
 def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
@@ -67,7 +67,8 @@ def decode_message(role: str, type_name: str, data: bytes) -> Values | None:
             velocity = float(message.velocity[0]) if len(message.velocity) else float("nan")
             return float(message.position[0]), velocity
         if type_name == WRENCH_STAMPED:
-            return float(message.wrench.force.x), float(message.wrench.force.y)
+            force = float(message.wrench.force.x), float(message.wrench.force.y)
+            return (*force, float(message.wrench.torque.z)) if role == "wrench" else force
         return (
             printable(message.data, most=MAX_CHARACTERS)
             if role == "event"
@@ -142,23 +143,24 @@ class Trace:
         be read after them."""
         if not self.zeros:
             return row
-        zero = zeros_at(self.zeros, np.array([row.time]))[0].tolist()
+        # The torque has no zero.
+        zero = (*zeros_at(self.zeros, np.array([row.time]))[0].tolist(), 0.0)
         return row._replace(
             values=tuple(value - offset for value, offset in zip(row.values, zero, strict=True))
         )
 
     def newest(self) -> list[float | None]:
-        """Return the latest two values, padded with None."""
+        """Return the latest values, padded with None."""
         values = self.less_zero(self.rows[-1]).values if self.rows else ()
-        return [finite(value) for value in values] + [None] * 2
+        return [finite(value) for value in values] + [None] * 3
 
     def array(self) -> Float64[np.ndarray, "rows columns"]:
         """Return the time [s] and values of the stored rows."""
         rows = np.array(
-            [(row.time, *row.values) for row in self.rows] or np.zeros((0, 3)), np.float64
+            [(row.time, *row.values) for row in self.rows] or np.zeros((0, 4)), np.float64
         )
         if self.zeros:
-            rows[:, 1:] -= zeros_at(self.zeros, rows[:, 0])
+            rows[:, 1:3] -= zeros_at(self.zeros, rows[:, 0])
         return rows
 
 
@@ -175,7 +177,7 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
     span = recent[-1, 0] - recent[0, 0] if len(recent) else 0.0
     # A full window of rows spans one tick less than WINDOW_S; half a tick is tolerance.
     is_whole = len(forces) > 0 and wrench.rows[0].time <= forces[-1, 0] - WINDOW_S + 1.5 * TICK_S
-    has_mean = is_whole and bool((np.abs(forces[:, 1:]) < MAX_NUMBER).all())
+    has_mean = is_whole and bool((np.abs(forces[:, 1:3]) < MAX_NUMBER).all())
     return {
         **about_the_file,
         # For the joint: the rate is over the last 2 s, and gaps are relative to 100 Hz.
@@ -193,6 +195,7 @@ def summarize(traces: Mapping[str, Trace], **about_the_file: object) -> Summary:
         "command_velocity_rad_s": command_velocity,
         "current_a": traces["current"].newest()[0],
         "force_n": _pair(wrench.newest()),
+        "torque_nm": wrench.newest()[2],
         # Over the last 2 s; None if these are incomplete or contain an invalid force.
         "mean_force_n": _pair(forces[:, 1:].mean(axis=0).tolist()) if has_mean else None,
         "reference_n": _pair(traces["reference"].newest()),

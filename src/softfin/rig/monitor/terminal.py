@@ -74,6 +74,7 @@ def _table(summary: Summary, traces: Mapping[str, Trace]) -> Table:
         ("velocity [rad/s]", "joint", 2, (summary["velocity_rad_s"], None, None)),
         ("force x [N]", "wrench", 1, [x for x, _ in pairs]),
         ("force y [N]", "wrench", 2, [y for _, y in pairs]),
+        ("torque [N m]", "wrench", 3, (summary["torque_nm"], None, None)),
         ("current [A]", "current", 1, (summary["current_a"], None, None)),
     ]
     for name, role, column, numbers in rows:

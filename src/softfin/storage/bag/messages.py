@@ -27,6 +27,9 @@ REFERENCE = "/fin/reference"
 CURRENT = "/fin/current"
 EVENTS = "/fin/events"
 
+CHANNEL_TOPICS = "/fin/channels/"
+"""Start of the topics of a log's other channels; the rest is the channel's name."""
+
 DEFAULT_TOPICS = {"command": COMMAND, "joint": JOINT, "wrench": WRENCH}
 """Topics that become a log, by their role in `softfin.data.importing`."""
 
@@ -174,7 +177,9 @@ class BagWriter:
     still be read.
     """
 
-    def __init__(self, stream: object) -> None:
+    def __init__(self, stream: object, channel_topics: Sequence[str] = ()) -> None:
+        """`channel_topics` are further topics, with one number in each message."""
+        self._types = TYPES | dict.fromkeys(channel_topics, FLOAT)
         self._writer = start_writer(stream)
         store = type_store()
         schemas = {
@@ -188,7 +193,7 @@ class BagWriter:
         quality = {"offered_qos_profiles": "", IN_FILE: str(FILES["recording"].number)}
         self._channels = {
             topic: self._writer.register_channel(topic, "cdr", schemas[kind], quality)
-            for topic, kind in TYPES.items()
+            for topic, kind in self._types.items()
         }
         self.flush = self._writer.flush
         self.finish = self._writer.finish
@@ -196,7 +201,7 @@ class BagWriter:
 
     def write(self, topic: str, stamp_ns: int, values: Sequence[float] | str) -> None:
         """Add a message with the given values or text to the chunk."""
-        data = cdr(TYPES[topic], stamp_ns, values)
+        data = cdr(self._types[topic], stamp_ns, values)
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
 
 

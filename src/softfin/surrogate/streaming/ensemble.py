@@ -140,7 +140,10 @@ def predict_motion(drives: FollowingNet, logs: Sequence[Log]) -> list[Motion]:
     def predict(some: Sequence[Log]) -> Motion:
         # The commands before a log were not recorded. The first command is assumed to have been
         # held for longer than MAX_DELAY.
-        command, reading = jax.tree.map(lambda *x: np.stack(x).astype(np.float32), *some)
+        command, reading = jax.tree.map(
+            lambda *x: np.stack(x).astype(np.float32),
+            *((log.command, log.reading) for log in some),
+        )
         waiting = jax.tree.map(lambda x: np.repeat(x[:, :1], MAX_DELAY, axis=1), command)
         before = Motion(reading.angle[:, 0], reading.velocity[:, 0])
         return _motions(drives, before, waiting, jax.tree.map(lambda x: x[:, :-1], command))

@@ -106,7 +106,8 @@ class StreamingSurrogate(eqx.Module):
                 f"history: {history.rows} rows; this surrogate needs {self.memory} rows to warm up"
             )
         command, reading = jax.tree.map(
-            lambda part: jnp.asarray(part[-self.memory :], jnp.float32), history
+            lambda part: jnp.asarray(part[-self.memory :], jnp.float32),
+            (history.command, history.reading),
         )
         # The first MAX_DELAY rows only fill the queue of commands; the free run starts after them.
         motion = Motion(reading.angle[MAX_DELAY], reading.velocity[MAX_DELAY])

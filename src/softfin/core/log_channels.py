@@ -1,0 +1,22 @@
+"""Further channels that a log may contain besides command, angle, velocity and force (x, y).
+
+A channel's name is its column in log files and ends in its unit. These names have a meaning
+everywhere: on the rig, in bags and on import. A log may also contain channels with other names.
+Nothing is learned from further channels.
+
+The z axis is x cross y, along the shaft. A positive velocity turns the fin against it, from +y to
++x. The load of the fin on its mount opposes the drive, so torque about z times velocity is the
+power that the drive delivers to the fin.
+"""
+
+LOAD_CHANNELS = ("force_z_n", "torque_x_nm", "torque_y_nm", "torque_nm")
+"""Load of the fin on its mount, in the order of a wrench: force along z [N] and torque about x, y
+and z [N m]. The last one is the torque about the shaft."""
+
+CURRENT_CHANNEL = "current_a"
+"""Current of the drive's motor [A]."""
+
+VOLTAGE_CHANNEL = "voltage_v"
+"""Supply voltage of the drive [V]."""
+
+KNOWN_CHANNELS = (*LOAD_CHANNELS, CURRENT_CHANNEL, VOLTAGE_CHANNEL)
