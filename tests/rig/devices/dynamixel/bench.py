@@ -41,7 +41,7 @@ class Bench(NamedTuple):
 def bench(**changes: Any) -> Iterator[Bench]:
     clock = SimulatedClock()
     config = servo_config(**changes)
-    fin = BrakingFin(QUICK_STOP_RAD_S2, clock)
+    fin = BrakingFin(config.quick_stop_rad_s2, clock)
     with closing(EmulatedServo(config, fin, clock)) as servo:
         drive = Dynamixel(config, clock)
         try:

@@ -51,7 +51,7 @@ def test_what_does_not_fit_is_refused_with_its_reason(changes, words):
         DynamixelConfig.build(VALUES | changes)
 
 
-@pytest.mark.parametrize(("heartbeat_s", "units"), [(0.1, 5), (0.119, 5), (0.12, 6), (1.0, 50)])
+@pytest.mark.parametrize(("heartbeat_s", "units"), [(0.1, 4), (0.119, 4), (0.12, 5), (1.0, 49)])
 def test_the_watchdog_acts_in_time(heartbeat_s, units):
     assert servo_config(heartbeat_s=heartbeat_s).watchdog == units
 

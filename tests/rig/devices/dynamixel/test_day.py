@@ -39,7 +39,7 @@ def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
     assert rows["drive"]["text"].startswith("XM430-W350, simulated, ID 1: limits read, supply 12")
     assert rows["zero"]["text"] == "known"
     assert rows["own stop"]["state"] == "well"
-    assert "Bus Watchdog (98) is 5" in rows["own stop"]["text"]
+    assert "Bus Watchdog (98) is 4" in rows["own stop"]["text"]
     assert {row["state"] for row in rows.values()} <= {"well", "note"}
     data = tmp_path / "data"
     counts = ["--logs", "1", "--test-logs", "1", "--rows", "300"]

@@ -140,13 +140,15 @@ def test_a_fin_outside_its_range_is_not_powered():
 
 @pytest.mark.parametrize("heartbeat_s", [0.1, 0.15, 1.0])
 def test_a_servo_whose_host_dies_stops_by_itself(heartbeat_s):
-    with enabled(heartbeat_s=heartbeat_s) as made:
-        made.drive.command(Target(1.5, 1.0))
+    with enabled(heartbeat_s=heartbeat_s, quick_stop_rad_s2=80.0, angle_max_rad=2.5) as made:
+        made.drive.command(Target(2.5, 1.0 if heartbeat_s > 0.5 else math.pi))
         made.loop(0.1)
         died = made.clock()
         while made.fin.now().velocity:
             made.clock.sleep(0.001)
-        assert made.clock() - died <= heartbeat_s + 0.05
+        # The servo's own stop at the latest after `heartbeat_s`, and v / a.
+        assert made.clock() - died <= heartbeat_s + math.pi / 80.0
+        assert made.fin.now().angle < 2.4
         assert made.servo.get(WATCHDOG) == protocol.WATCHDOG_TRIPPED
         # It holds its position: only a new program switches it off.
         assert made.servo.get(TORQUE) == 1
@@ -181,7 +183,7 @@ def test_its_own_stop_is_proved_without_motion():
         assert made.fin.now().angle == pytest.approx(0.0, abs=0.002)
         assert made.servo.get(TORQUE) == 0
         assert made.drive.complaints() == ()
-        assert "Bus Watchdog (98) is 5" in made.drive.own_stop()
+        assert "Bus Watchdog (98) is 4" in made.drive.own_stop()
 
 
 def test_a_servo_without_a_watchdog_is_found_and_stopped():
@@ -429,6 +431,16 @@ def test_a_servo_that_is_set_up_differently_is_refused(entry, value, words):
         with pytest.raises(RigError, match=words):
             made.drive.open()
         assert made.servo.get(entry) == value
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_a_servo_that_does_not_answer_everything_is_made_to(level):
+    with bench() as made:
+        made.servo.set(protocol.STATUS_RETURN_LEVEL, level)
+        made.drive.open()
+        made.drive.zero()
+        made.drive.enable()
+        assert made.servo.get(protocol.STATUS_RETURN_LEVEL) == 2
 
 
 def test_a_slow_adapter_is_refused():

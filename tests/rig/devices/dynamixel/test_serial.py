@@ -1,10 +1,8 @@
 """The same over a pseudo-terminal, in real time and with ROBOTIS's own library."""
 
-import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import closing, contextmanager
 
 import pytest
@@ -93,23 +91,63 @@ def test_a_port_that_is_unplugged_is_told_and_its_stop_is_unconfirmed():
             drive.close()
 
 
+class Watch:
+    """Notes the servo's looks at its bus watchdog, which are late on a busy computer."""
+
+    def __init__(self, servo):
+        self.longest_s = 0.0
+        self.tripped_after_s = None
+        self._latest = None
+        self._servo = servo
+        self._watch = servo._watch
+        servo._watch = self.look
+
+    def look(self, now):
+        self._watch(now)
+        if self._latest is not None:
+            self.longest_s = max(self.longest_s, now - self._latest)
+        self._latest = now
+        is_tripped = self._servo.get(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED
+        if is_tripped and self.tripped_after_s is None:
+            self.tripped_after_s = now - self._servo._instruction_time
+
+
+def died(command, death, servo):
+    """Return whether the host has moved the fin before it died by the signal; on a busy computer
+    it may be too slow for its own servo's watchdog."""
+    host = subprocess.Popen(command)
+    try:
+        wait_until(
+            lambda: (
+                servo._fin.now().velocity > 0
+                or servo.get(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED
+                or host.poll() is not None
+            )
+        )
+        if not servo._fin.now().velocity:
+            return False
+        host.send_signal(death)
+        wait_until(lambda: servo._fin.now().velocity == 0)
+        return True
+    finally:
+        host.kill()
+        host.wait()
+
+
 @pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_servo_stands_soon_after_its_host_is_killed_or_hangs(death):
-    with real_servo(zero_needed=False, angle_max_rad=1.5) as servo:
-        command = [sys.executable, "-c", SHUTTLE, servo.address()["port"]]
-        host = subprocess.Popen(command, env=os.environ)
-        try:
-            wait_until(lambda: servo._fin.now().velocity > 0 or host.poll() is not None)
-            os.kill(host.pid, death)
-            # Not the time of the kill: what has been sent before is still on its way.
-            wait_until(lambda: servo._fin.now().velocity == 0)
-            rest = time.monotonic()
+    for _ in range(20):
+        with real_servo(zero_needed=False, angle_max_rad=1.5) as servo:
+            watch = Watch(servo)
+            command = [sys.executable, "-c", SHUTTLE, servo.address()["port"]]
+            if not died(command, death, servo):
+                continue
             assert servo.get(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED
             assert servo._fin.now().angle < 1.4
-            assert rest - servo._instruction_time <= 0.15
-        finally:
-            host.kill()
-            host.wait()
+            # The braking from 1 rad/s follows; together 0.11 s on a computer that is not busy.
+            assert 0.08 <= watch.tripped_after_s <= 0.08 + watch.longest_s
+            return
+    pytest.skip("the computer is too busy to move a servo in real time")
 
 
 def test_the_emulator_is_understood_by_the_library_of_robotis():

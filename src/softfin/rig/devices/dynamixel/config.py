@@ -58,8 +58,9 @@ class DynamixelConfig(DriveConfig):
 
     @property
     def watchdog(self) -> int:
-        """Value of the bus watchdog, rounded down, so that the servo stops in time."""
-        return math.floor(self.heartbeat_s / WATCHDOG_UNIT_S + 1e-6)
+        """Value of the bus watchdog; one unit less than `heartbeat_s`, because we do not know
+        whether the servo notices the end of a unit only at that of the next."""
+        return math.floor(self.heartbeat_s / WATCHDOG_UNIT_S + 1e-6) - 1
 
     @model_validator(mode="after")
     def _fits(self) -> "DynamixelConfig":

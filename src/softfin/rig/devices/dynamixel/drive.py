@@ -19,7 +19,7 @@ from softfin.core.quantities import TICK_S
 from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
 from softfin.rig.devices.dynamixel import protocol, setup
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
-from softfin.rig.devices.dynamixel.link import NoAnswer, RefusedError, ServoLink
+from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
 from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, Status, error_line
 from softfin.rig.devices.dynamixel.sample_clock import SampleClock
 from softfin.rig.lock import DeviceLock
@@ -113,7 +113,6 @@ class Dynamixel:
         try:
             self.link.open()
             setup.identify_servo(self.link, self.config)
-            self._homing_offset = self.link.read(protocol.HOMING_OFFSET)
         except BaseException:
             self.link.close()
             self.device_lock.release()
@@ -124,7 +123,9 @@ class Dynamixel:
         again."""
         self.connect()
         try:
+            setup.answer_everything(self.link)
             setup.check_settings(self.link, self.config)
+            self._homing_offset = self.link.read(protocol.HOMING_OFFSET)
             self.powered = False
             self._owned = True
             setup.configure(self.link)
@@ -556,8 +557,10 @@ class Dynamixel:
         for _ in range(REFUSED if self._stop_failed else round(DISABLE_TIMEOUT_S / TICK_S)):
             with suppress(DeviceError):
                 self.link.write(protocol.TORQUE_ENABLE, 0, ANSWER_S)
-            if self._poll() and not self._known_status().torque:
-                self.powered = False
+            # Not from a status, which a servo that has restarted does not send.
+            with suppress(DeviceError):
+                self.powered = self._is_powered(ANSWER_S)
+            if not self.powered:
                 # The end of this program should not put a stopped servo into fault.
                 with suppress(DeviceError):
                     self.link.write(protocol.BUS_WATCHDOG, 0, ANSWER_S)
@@ -593,8 +596,8 @@ class Dynamixel:
             return False
         return True
 
-    def _is_powered(self) -> bool:
-        return self.link.read(protocol.TORQUE_ENABLE) != 0
+    def _is_powered(self, answer_s: float = SETUP_ANSWER_S) -> bool:
+        return self.link.read(protocol.TORQUE_ENABLE, answer_s) != 0
 
     def _brake_now(self) -> bool:
         """Brake a servo that another program has powered; return whether it has this goal."""

@@ -11,6 +11,7 @@ import os
 import select
 import struct
 import tty
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
@@ -72,6 +73,8 @@ class EmulatedServo:
         self._parser = PacketParser()
         self._silent_until = 0.0
         self._closing = clock.event()
+        self._due: deque[tuple[float, bytes]] = deque()
+        """Answers and the times at which they are sent [s]."""
         self._set_eeprom()
         self.power_up()
         self._line: _Line = _Socket(clock) if isinstance(clock, SimulatedClock) else _Pty()
@@ -150,13 +153,19 @@ class EmulatedServo:
 
     def _run(self) -> None:
         while not self._closing.is_set():
-            data = self._line.receive()
+            if not self._line.is_open:
+                # Without a line there is nothing to wait for.
+                self._clock.sleep(SERVO_STEP_S)
+            wait_s = SERVO_STEP_S
+            if self._due:
+                wait_s = min(max(self._due[0][0] - self._clock(), 0.0), SERVO_STEP_S)
+            data = self._line.receive(wait_s)
             with self._lock:
                 answers = self._take(data)
-            for answer in answers:
-                if self.delay_s:
-                    self._clock.sleep(self.delay_s)
-                for part in self.transmit(answer):
+            now = self._clock()
+            self._due += [(now + self.delay_s, answer) for answer in answers]
+            while self._due and self._due[0][0] <= now:
+                for part in self.transmit(self._due.popleft()[1]):
                     self._line.send(part)
 
     def _take(self, data: bytes) -> list[bytes]:
@@ -326,9 +335,10 @@ class _Line(Protocol):
     """The servo's end of a line."""
 
     name: str
+    is_open: bool
 
-    def receive(self) -> bytes:
-        """Wait up to `SERVO_STEP_S` for bytes."""
+    def receive(self, wait_s: float) -> bytes:
+        """Wait for bytes for up to `wait_s` [s]."""
 
     def send(self, data: bytes) -> None:
         """Send; bytes that nobody reads are lost, as on a real port."""
@@ -345,22 +355,22 @@ class _Pty(_Line):
         tty.setraw(self._other)
         os.set_blocking(self._own, False)
         self.name = os.ttyname(self._other)
-        self._is_open = True
+        self.is_open = True
 
-    def receive(self) -> bytes:
+    def receive(self, wait_s: float) -> bytes:
         with contextlib.suppress(OSError, ValueError):
-            if self._is_open and select.select([self._own], [], [], SERVO_STEP_S)[0]:
+            if self.is_open and select.select([self._own], [], [], wait_s)[0]:
                 return os.read(self._own, 4096)
         return b""
 
     def send(self, data: bytes) -> None:
         with contextlib.suppress(OSError):
-            if self._is_open:
+            if self.is_open:
                 os.write(self._own, data)
 
     def close(self) -> None:
-        if self._is_open:
-            self._is_open = False
+        if self.is_open:
+            self.is_open = False
             os.close(self._own)
             os.close(self._other)
 
@@ -369,11 +379,13 @@ class _Socket(_Line):
     """A socket in simulated time; the answer goes to whoever has sent last."""
 
     def __init__(self, clock: SimulatedClock) -> None:
-        self._socket = SimulatedSocket(clock, LOOPBACK, SERVO_PORT, SERVO_STEP_S)
+        self._socket = SimulatedSocket(clock, LOOPBACK, SERVO_PORT)
         self._host = (LOOPBACK, 0)
         self.name = "simulated"
+        self.is_open = True
 
-    def receive(self) -> bytes:
+    def receive(self, wait_s: float) -> bytes:
+        self._socket.timeout = wait_s
         try:
             data, self._host = self._socket.recvfrom(4096)
         except (BlockingIOError, OSError):
@@ -385,4 +397,5 @@ class _Socket(_Line):
             self._socket.sendto(data, self._host)
 
     def close(self) -> None:
+        self.is_open = False
         self._socket.close()

@@ -173,9 +173,9 @@ class ServoLink:
         data = self._transact(Instruction.PING, b"", 3, SETUP_ANSWER_S, "a ping")
         return int.from_bytes(data[:2], "little"), data[2]
 
-    def read(self, entry: Entry) -> int:
+    def read(self, entry: Entry, answer_s: float = SETUP_ANSWER_S) -> int:
         """Read an entry; raises DeviceError."""
-        data = self.read_bytes(entry.address, entry.layout.size, SETUP_ANSWER_S, str(entry))
+        data = self.read_bytes(entry.address, entry.layout.size, answer_s, str(entry))
         value: int = entry.layout.unpack(data)[0]
         return value
 

@@ -2,8 +2,10 @@
 
 Sources: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0" for packets and errors, "XM430-W350" for the
 control table, and its pages on single entries (Bus Watchdog, Drive Mode, Homing Offset, Shutdown,
-Indirect Data). The CRC is checked against the packets printed there. Facts that we did not find
-there are marked "not verified". Nothing has been tested with a real servo yet.
+Indirect Data). The CRC is checked against the packets printed there. Nothing has been tested with a
+real servo yet. We did not find these facts there, so check them first: the torque stays on after
+the bus watchdog has tripped, position limits apply to positions that include the homing offset, the
+indirect addresses may be written at any time, and a restart sets them back.
 
 softfin does not use ROBOTIS's `dynamixel-sdk`: it waits in busy loops on the computer's clock, so
 it cannot run in simulated time, and it rejects an instruction while another thread waits for an

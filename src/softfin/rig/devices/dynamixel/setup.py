@@ -3,12 +3,13 @@ zero."""
 
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple
 
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.devices.dynamixel import protocol
 from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
-from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, ServoLink
+from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, ServoLink
 from softfin.rig.devices.dynamixel.protocol import Entry, error_line
 from softfin.rig.safety import OVERSHOOT_RAD
 
@@ -41,6 +42,12 @@ def identify_servo(link: ServoLink, config: DynamixelConfig) -> None:
             f"{link.name}: firmware {firmware} has no bus watchdog; update it to "
             f"{protocol.FIRST_FIRMWARE} or later with DYNAMIXEL Wizard"
         )
+
+
+def answer_everything(link: ServoLink) -> None:
+    """Make the servo answer every instruction, which another program may have changed."""
+    with suppress(NoAnswer):
+        link.write(protocol.STATUS_RETURN_LEVEL, protocol.ALL_STATUS_PACKETS)
 
 
 class Setting(NamedTuple):
@@ -122,7 +129,7 @@ def read_fault(link: ServoLink) -> str | None:
 
 
 def configure(link: ServoLink) -> None:
-    """Make the servo answer every instruction, and select the bytes of a status."""
+    """Select the bytes of a status."""
     write(link, protocol.BUS_WATCHDOG, 0)
     addresses = struct.pack(f"<{len(protocol.STATUS_ADDRESSES)}H", *protocol.STATUS_ADDRESSES)
     what = "the indirect addresses"
