@@ -266,6 +266,21 @@ def test_a_silent_servo_is_told_and_its_stop_is_unconfirmed():
         assert made.servo.get(TORQUE) == 0
 
 
+def test_a_servo_that_ignores_a_stop_is_left_to_its_watchdog(monkeypatch):
+    with enabled() as made:
+        made.drive.command(Target(1.5, 1.0))
+        made.loop(0.1)
+        monkeypatch.setattr(made.servo, "_write", lambda request: None)
+        made.drive.stop()
+        assert made.drive.stop_unconfirmed
+        assert made.fin.now().velocity > 0
+        # The loop may go on.
+        made.loop(0.15)
+        assert made.servo.get(WATCHDOG) == protocol.WATCHDOG_TRIPPED
+        assert made.fin.now().velocity == 0
+        assert made.fin.now().angle < 1.4
+
+
 def test_a_lost_answer_is_counted_and_nothing_else():
     with enabled() as made:
         lost = iter([()])
@@ -469,8 +484,9 @@ def test_a_servo_that_is_powered_again_or_silent_is_not_off():
         ended = made.clock.event()
 
         def insist():
-            while not ended.wait(0.02):
+            while not ended.is_set():
                 made.servo.set(TORQUE, 1)
+                made.clock.sleep(0.02)
 
         thread = made.clock.spawn(insist, "another program")
         with pytest.raises(DeviceError, match="end other programs that drive it"):
@@ -480,6 +496,20 @@ def test_a_servo_that_is_powered_again_or_silent_is_not_off():
         made.servo.silence()
         with pytest.raises(DeviceError, match="press the emergency stop"):
             made.drive.switch_off()
+
+
+def test_a_servo_whose_stop_was_not_confirmed_is_switched_off_when_it_is_opened_again():
+    with enabled() as made:
+        made.servo.silence()
+        made.drive.close()
+        assert made.drive.stop_unconfirmed
+        made.servo.silence(0.0)
+        assert made.servo.get(TORQUE) == 1
+        with pytest.raises(RigError, match="bus watchdog has stopped it"):
+            made.drive.open()
+        assert made.servo.get(TORQUE) == 0
+        assert made.drive.stop_unconfirmed is None
+        made.drive.open()
 
 
 def test_a_stop_from_another_thread_ends_an_enabling():

@@ -143,7 +143,9 @@ class Dynamixel:
 
     def read(self) -> DriveReading:
         """Read the servo now, which also keeps it from stopping by itself."""
-        if self._poll():
+        # A servo that does not obey a stop must stop by itself, so it is sent nothing more.
+        is_disobedient = self.stopped and self.powered
+        if not is_disobedient and self._poll():
             self._repeat_target()
         status = self._known_status()
         angle = self.units.angle(status.position)
@@ -544,7 +546,10 @@ class Dynamixel:
         is_braking = False
         ticks_at_rest = 0
         for _ in range(attempts):
-            status = self._known_status()
+            status = self.status
+            if status is None:
+                # Opened again after a stop that was not confirmed: the watchdog has stopped it.
+                break
             if not is_braking:
                 is_braking = self._brake(status.position, status.velocity)
             is_new = self._poll()
