@@ -355,7 +355,7 @@ def test_yaml_is_a_rig_or_a_fin_of_topics_that_softfin_takes(tmp_path):
         if block.kind == "yaml":
             values = yaml.safe_load(block.text)
             if "as above" in block.text:
-                # Topics and limits are added to those above; another sensor replaces the one above.
+                # Topics and limits are added to those above; another device replaces the one above.
                 for name in ("topics", "safety"):
                     if name in before:
                         values[name] = before[name] | values.get(name, {})
@@ -363,7 +363,7 @@ def test_yaml_is_a_rig_or_a_fin_of_topics_that_softfin_takes(tmp_path):
             file.write_text(yaml.safe_dump(values))
             found.append((load_rig if "drive" in values else load_ros2)(file))
             before = values
-    assert len(found) == 4
+    assert len(found) == 5
 
 
 def test_json_is_json():

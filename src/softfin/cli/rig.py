@@ -167,6 +167,8 @@ class RigEmulateArguments(Common):
     """Tank configuration file (default: softfin's own tank)."""
     seed: int = 0
     """Seed for the tank's noise."""
+    drive: str = "epos2"
+    """Type of the emulated drive: epos2 or dynamixel."""
     sensor: str = "axia80"
     """Type of the emulated force sensor: axia80 or lines."""
     real_time: bool = False
@@ -186,7 +188,9 @@ class RigEmulateArguments(Common):
             # The user may press Ctrl-C as soon as the message mentions it.
             with (
                 contextlib.suppress(KeyboardInterrupt),
-                EmulatedRig(tank, self.seed, clock=REAL, sensor=self.sensor) as emulated,
+                EmulatedRig(
+                    tank, self.seed, clock=REAL, drive=self.drive, sensor=self.sensor
+                ) as emulated,
             ):
                 write_rig(
                     self.rig,
@@ -204,7 +208,7 @@ class RigEmulateArguments(Common):
             return
         # A new rig must not inherit the state of the rig that it replaces.
         state_file(self.rig).unlink(missing_ok=True)
-        write_simulated(self.rig, tank, values, self.seed, sensor=self.sensor)
+        write_simulated(self.rig, tank, values, self.seed, self.drive, self.sensor)
         plant, option = (
             ("rig", "") if self.rig == RIG_FILE else (f"rig:{self.rig}", f" --rig {self.rig}")
         )

@@ -15,6 +15,7 @@ GROUP = "softfin.devices"
 `DriveType` or a `ForceSensorType`."""
 
 DEVICES = {
+    "dynamixel": "softfin.rig.devices.dynamixel.device:DYNAMIXEL",
     "epos2": "softfin.rig.devices.epos2.device:EPOS2",
     "axia80": "softfin.rig.devices.axia80.device:AXIA80",
     "lines": "softfin.rig.devices.lines.device:LINES",

@@ -78,8 +78,10 @@ class EmulatedRig(contextlib.ExitStack):
 
     def description(self) -> str:
         """Return a description of the rig's addresses."""
-        bus = f"socketcand {HOST}:{self.server.port}" if self.server else "in this process"
-        return f"drive: {bus}, {self.drive.description()}; sensor: {self.sensor.description()}"
+        place = "in this process, " if self.server is None else ""
+        if self.server is not None and self._drive.NEEDS_BUS:
+            place = f"socketcand {HOST}:{self.server.port}, "
+        return f"drive: {place}{self.drive.description()}; sensor: {self.sensor.description()}"
 
     def values(self, **changes: object) -> JsonObject:
         """Return the contents of the rig's file, with `changes`."""

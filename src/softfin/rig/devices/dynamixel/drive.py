@@ -1,0 +1,639 @@
+"""Driver for a Dynamixel in position mode, from a safe start to a safe stop.
+
+The control loop's thread makes all calls except `stop`, which any thread may call. Tested with our
+emulator, not yet with a real servo.
+
+The servo has no command for a quick stop. To stop, softfin sends it to the position at which it
+comes to rest with `quick_stop_rad_s2`, and then switches its torque off. If softfin dies, the bus
+watchdog stops the servo, which then holds its position with its torque on.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+from softfin.core.clock import REAL, Clock
+from softfin.core.errors import CommandError, DeviceError, RigError, SafetyStop, SoftfinError
+from softfin.core.quantities import TICK_S
+from softfin.rig.device import CheckResult, CurrentLimits, DriveReading
+from softfin.rig.devices.dynamixel import protocol, setup
+from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
+from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, RefusedError, ServoLink
+from softfin.rig.devices.dynamixel.protocol import WATCHDOG_TRIPPED, Refusal, Status, error_line
+from softfin.rig.devices.dynamixel.sample_clock import SampleClock
+from softfin.rig.lock import DeviceLock
+from softfin.rig.machine import Target
+from softfin.rig.safety import OVERSHOOT_RAD, check_target
+
+ANSWER_S = 0.006
+"""Longest wait for an answer per tick [s]; it takes 2 ms on a real port, and longer on a busy
+computer."""
+
+STANDSTILL_RAD_S = 0.1
+"""Velocity below which the shaft counts as at rest [rad/s]: four units of the servo."""
+
+MEASURED_READINGS = 20
+"""Readings for which `open` measures the delay."""
+
+SLOWEST_ANSWER_S = 0.005
+"""Longest median delay of an answer [s]; more would not leave time for the rest of a tick."""
+
+STOP_TIMEOUT_S = 3.0
+"""Longest wait for another stop in progress [s]."""
+DISABLE_TIMEOUT_S = 0.3
+STOP_CONFIRMED_S = 0.3
+"""Time for which the motor must stay off [s]; a program that still drives it would power it again
+within this time."""
+LOSS_MARGIN_S = 0.3
+"""Time in which a servo must stop after `heartbeat_s` without instructions [s]."""
+RESET_TIMEOUT_S = 1.0
+REFUSED = 3
+"""Number of attempts of a stop after one that was not confirmed, so that it is brief."""
+UNANSWERED = 3
+"""Number of consecutive ticks without a target that counts as a problem."""
+ZERO_TOLERANCE = 8
+"""Largest position after zeroing, in counts from the center: the fin may sway."""
+UNCONFIRMED = "drive did not confirm that its motor is off; press the emergency stop in its supply"
+
+_MOTION = struct.Struct("<iii")
+"""Profile acceleration, profile velocity and goal position, which are next to each other."""
+
+
+class Dynamixel:
+    """A Dynamixel: open, enable, command, stop."""
+
+    def __init__(self, config: DynamixelConfig, clock: Clock = REAL) -> None:
+        self.config = config
+        self.clock = clock
+        self.link = ServoLink(config, clock)
+        self.units = Units.of(config)
+        self.where = f"{config.port}, ID {config.id}"
+        # A lock for the port, because the watchdog of a servo does not distinguish between servos.
+        self.device_lock = DeviceLock(self.link.name, "serial", config.port)
+        self.serial: int | None = None
+        """None, because a Dynamixel has no serial number."""
+        self.powered = False
+        """Whether the motor may be powered; False only after the servo has confirmed that it is
+        off."""
+        self._stopping = clock.lock()
+        """Held while a stop brings the motor to rest."""
+        self._stop_failed = False
+        """Whether a stop since the last power-up was not confirmed; later stops are then brief."""
+        self._reset()
+
+    def _reset(self) -> None:
+        self.notes: tuple[str, ...] = ()
+        """Notes on the servo's setup since it was opened, one line each."""
+        self.counted: Counter[str] = Counter()
+        self.status: Status | None = None
+        self._time = 0.0
+        """Time of the latest status [s]."""
+        self._samples = SampleClock()
+        self._trouble: str | None = None
+        """Latest problem with the port or a stop, kept until the drive is connected again."""
+        self._restarted = False
+        self._owned = False
+        """Whether this program has set up the servo."""
+        self.armed = False
+        """Whether targets may be sent."""
+        self.stopped = False
+        """Whether the drive has been stopped since enabling started."""
+        self._motion: bytes | None = None
+        """Latest target, repeated until the servo has it."""
+        self._goal = 0
+        self._unanswered = 0
+        self._homing_offset: int | None = None
+
+    def connect(self) -> None:
+        """Connect to the servo in any state without changing anything; raises RigError or
+        DeviceError."""
+        self.device_lock.acquire(self.clock)
+        self._reset()
+        try:
+            self.link.open()
+            setup.identify_servo(self.link, self.config)
+        except BaseException:
+            self.link.close()
+            self.device_lock.release()
+            raise
+
+    def open(self) -> None:
+        """Connect, check, and select what is read; the motor stays off. On failure, close
+        again."""
+        self.connect()
+        try:
+            setup.answer_everything(self.link)
+            setup.check_settings(self.link, self.config)
+            self._homing_offset = self.link.read(protocol.HOMING_OFFSET)
+            self.powered = False
+            self._owned = True
+            setup.configure(self.link)
+            self._check_delay()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Stop the servo and close the port; may be called repeatedly and never raises."""
+        self.stop()
+        self._owned = False
+        self.link.close()
+        self.device_lock.release()
+
+    def read(self) -> DriveReading:
+        """Read the servo now, which also keeps it from stopping by itself."""
+        # A servo that does not obey a stop must stop by itself, so it is sent nothing more.
+        is_disobedient = self.stopped and self.powered
+        if not is_disobedient and self._poll():
+            self._repeat_target()
+        status = self._known_status()
+        angle = self.units.angle(status.position)
+        return DriveReading(
+            time=self._time,
+            angle=angle,
+            velocity=self.units.velocity(status.velocity),
+            current=self.units.current(status.current),
+            following_error=self.units.angle(status.trajectory) - angle,
+        )
+
+    def read_angle(self) -> float:
+        """Return the shaft's angle now [rad]."""
+        self._poll(0.02)
+        return self.units.angle(self._known_status().position)
+
+    def enable(self, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Power the motor, which holds its position; if this raises RigError or DeviceError, the
+        motor is off again."""
+        angle = self.units.angle(self._new_status().position)
+        low = self.config.angle_min_rad
+        high = self.config.angle_max_rad
+        if self.config.zero_needed and not self.referenced:
+            raise RigError(
+                "fin has never been zeroed; turn the fin to zero and run: softfin rig zero --arm"
+            )
+        if not low - OVERSHOOT_RAD <= angle <= high + OVERSHOOT_RAD:
+            raise RigError(
+                f"fin is at {angle:.3f} rad, outside {low:g} .. {high:g}; turn it back by "
+                "hand, or turn it to zero and run: softfin rig zero --arm"
+            )
+        self._power_up(then_arm=True, meanwhile=meanwhile)
+
+    def command(self, target: Target) -> None:
+        """Move to the target, replacing the previous one; raises CommandError if it is outside the
+        limits and DeviceError if the drive is not enabled."""
+        low_angle, high_angle, slowest, fastest = limits = self.config.limits
+        if trip := check_target(target, limits):
+            raise CommandError(trip.reason)
+        # `check_target` tolerates rounding errors, but the servo enforces its limits exactly.
+        goal = self.units.position(min(max(target.angle, low_angle), high_angle))
+        speed = self.units.speed(min(max(target.velocity, slowest), fastest))
+        acceleration = self.units.acceleration(self.config.acceleration_rad_s2)
+        with self.link.lock:
+            if not self.armed:
+                raise DeviceError("drive is not enabled; enable it before you command it")
+            self._goal = goal
+            self._motion = _MOTION.pack(acceleration, speed, goal)
+            self._unanswered = 0
+            self._send_target()
+
+    def stop(self) -> None:
+        """Brake immediately, then switch the torque off; may be called repeatedly from any thread
+        and never raises."""
+        self.armed = False
+        self.stopped = True
+        try:
+            if not self._stopping.acquire(timeout=STOP_TIMEOUT_S):
+                return
+            try:
+                if self.powered:
+                    self._come_to_rest()
+            finally:
+                self._stopping.release()
+        except Exception as error:
+            self._trouble = f"stopping the drive failed ({error}); press the emergency stop"
+
+    def zero(self) -> None:
+        """Make the present angle the fin's zero, by the servo's homing offset; the motor stays
+        off."""
+        status = self._new_status()
+        before = self.link.read(protocol.HOMING_OFFSET)
+        # An offset of 0 means that the fin has never been zeroed; 1 is an error of 0.09 degrees.
+        offset = protocol.CENTER - (status.position - before) or 1
+        if abs(offset) > protocol.MAX_HOMING_OFFSET:
+            degrees = 360 * (status.position - before) / protocol.TICKS_PER_TURN
+            raise RigError(
+                f"the servo's horn is at {degrees:.0f} degrees; mount the fin so that it is within "
+                "90 degrees of the middle, 180, when the fin is at zero"
+            )
+        setup.write(self.link, protocol.HOMING_OFFSET, offset)
+        self._homing_offset = offset
+        position = self._new_status().position
+        if abs(position - protocol.CENTER) > ZERO_TOLERANCE:
+            raise DeviceError(
+                f"servo is at {position} after zeroing instead of {protocol.CENTER}; hold the fin "
+                "still and try again"
+            )
+
+    def reset_fault(self) -> str | None:
+        """Acknowledge the servo's fault and return its description; None if there was none. Raises
+        DeviceError if the fault persists.
+
+        The motor stays off. The drive must be reopened before it can be enabled.
+        """
+        fault = setup.read_fault(self.link)
+        if fault is None:
+            return None
+        self.armed = False
+        self.stopped = True
+        self._owned = False
+        self.link.write(protocol.TORQUE_ENABLE, 0)
+        self.link.write(protocol.BUS_WATCHDOG, 0)
+        if self.link.read(protocol.HARDWARE_ERROR):
+            # Only a restart clears a hardware error (e-Manual, Shutdown).
+            self.link.reboot()
+        end = self.clock() + RESET_TIMEOUT_S
+        while self.clock() < end:
+            self.clock.sleep(TICK_S)
+            with suppress(NoAnswer):
+                if setup.read_fault(self.link) is None and not self._is_powered():
+                    return fault
+        raise DeviceError(f"drive is still in fault: {fault}; the cause is still present")
+
+    def switch_off(self) -> None:
+        """Stop the motor unconditionally, no matter which program powered it; raises DeviceError if
+        it is not confirmed to be off."""
+        self._reset()
+        try:
+            # Not exclusively, because the program that powered it may hang.
+            self.link.open(exclusive=False)
+            # A goal is sent only if the motor is on: depending on the servo's drive mode, it would
+            # power the motor.
+            self._try_until(lambda: not self._is_powered() or self._brake_now(), self._brake_time())
+            self._try_until(self._is_at_rest, self._brake_time())
+            is_off = self._try_until(self._goes_off, DISABLE_TIMEOUT_S) and self._stays_off()
+        except DeviceError as error:
+            raise DeviceError(f"{UNCONFIRMED} ({error})") from None
+        finally:
+            self.link.close()
+        if not is_off:
+            raise DeviceError(f"{UNCONFIRMED}, and end other programs that drive it")
+
+    def prove_stop(self) -> float:
+        """Power the motor at rest and send nothing; return the time until the servo stops by itself
+        [s]. Raises DeviceError if it does not.
+
+        Every instruction restarts the bus watchdog, even one that reads it. So softfin is silent
+        for longer each time, until the watchdog has tripped; the real time is up to 20 ms shorter.
+        """
+        self._new_status()
+        with self._stopped_afterwards():
+            self._power_up(then_arm=False)
+            silence_s = self.config.heartbeat_s
+            while silence_s <= self.config.heartbeat_s + LOSS_MARGIN_S:
+                began = self.clock()
+                self.clock.sleep(silence_s)
+                silent_s = self.clock() - began
+                if self._poll(0.02) and self._known_status().watchdog == WATCHDOG_TRIPPED:
+                    return silent_s
+                if line := self._fault():
+                    raise DeviceError(f"servo stopped for another reason: {line}")
+                silence_s += protocol.WATCHDOG_UNIT_S
+        raise DeviceError(
+            f"servo ignores the loss of softfin's instructions: it did not stop within "
+            f"{silence_s:.2f} s, so the fin would keep moving if softfin died; update its "
+            "firmware, and do not move the fin until this test passes"
+        )
+
+    def checks(self) -> Iterator[CheckResult]:
+        """Describe the open drive."""
+        voltage_v = self._known_status().voltage * protocol.VOLTAGE_UNIT_V
+        text = f"{self.config.model}, {self.where}: limits read, supply {voltage_v:.1f} V"
+        yield CheckResult("drive", "well", text)
+
+    def current_limits(self) -> CurrentLimits:
+        """Return None: in position mode, the servo does not limit its current (e-Manual, Current
+        Limit)."""
+        return CurrentLimits(None, None)
+
+    def own_stop(self) -> str:
+        """Return the open drive's reaction to a missing host."""
+        return (
+            f"{protocol.BUS_WATCHDOG} is {self.config.watchdog} while the motor is on; the servo "
+            "then holds its position"
+        )
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return one line per problem, with its fix; empty if there are no problems."""
+        if not self._owned:
+            return () if self._trouble is None else (self._trouble,)
+        lines = []
+        if self._trouble is not None:
+            lines.append(self._trouble)
+        if fault := self._fault():
+            lines.append(fault)
+        status = self.status
+        if self.armed and not fault and status is not None and not status.torque:
+            lines.append(
+                "servo's motor is off although it was enabled; check its supply and end other "
+                "programs that use it"
+            )
+        silent_s = self.clock() - self._time
+        if silent_s > self.config.heartbeat_s:
+            lines.append(
+                f"{self.link.name}: no usable answer for {silent_s:.2f} s; check its supply and "
+                "cable, and that no second servo has its ID"
+            )
+        if self._unanswered >= UNANSWERED:
+            lines.append(
+                f"servo did not take a target {self._unanswered} times in a row; check its cable "
+                "and end other programs that use it"
+            )
+        return tuple(lines)
+
+    def counters(self) -> dict[str, int]:
+        """Return the counters since `open`, by name."""
+        return dict(self.counted + self.link.counters)
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the fin has ever been zeroed; the servo keeps the zero when it is switched
+        off."""
+        return bool(self._homing_offset)
+
+    @property
+    def stop_unconfirmed(self) -> str | None:
+        """Warning that the motor may still be on after a stop; None if the servo confirmed that it
+        is off."""
+        return UNCONFIRMED if self.powered else None
+
+    def _poll(self, answer_s: float = ANSWER_S) -> bool:
+        """Read a status; return whether it is new."""
+        sent = self.clock()
+        size = protocol.STATUS_LAYOUT.size
+        try:
+            data = self.link.read_bytes(protocol.INDIRECT_DATA, size, answer_s, "its status")
+        except NoAnswer:
+            return False
+        except DeviceError as error:
+            self._trouble = str(error)
+            return False
+        if not any(data):
+            # The indirect addresses are back at their defaults, which select themselves.
+            self._restarted = True
+            return False
+        status = Status._make(protocol.STATUS_LAYOUT.unpack(data))
+        if self._samples.is_late(sent, status.tick):
+            self.counted["late answers"] += 1
+            return False
+        self.status = status
+        # The values are from after `sent`: reported ages are never too short.
+        self._time = sent
+        return True
+
+    def _known_status(self) -> Status:
+        if self.status is None:
+            raise DeviceError("drive is not open; open it first")
+        return self.status
+
+    def _new_status(self) -> Status:
+        """Return a new status before the servo is changed; a stop from then on is remembered."""
+        if not self._owned:
+            raise DeviceError("drive is not open; open it first")
+        self.stopped = False
+        is_new = any(self._poll(0.02) for _ in range(MEASURED_READINGS))
+        if lines := self.complaints():
+            raise DeviceError(lines[0])
+        if not is_new:
+            raise DeviceError("drive does not respond; check its supply and cable")
+        return self._known_status()
+
+    def _check_delay(self) -> None:
+        """Measure how fast and how reliably the servo answers."""
+        delays = []
+        for _ in range(MEASURED_READINGS):
+            began = self.clock()
+            if self._poll(0.05):
+                delays.append(self.clock() - began)
+        if len(delays) < 0.9 * MEASURED_READINGS:
+            raise DeviceError(
+                f"{self.link.name}: only {len(delays)} of {MEASURED_READINGS} answers are usable; "
+                "check its cable, termination and baud, and that no second servo has its ID"
+            )
+        median_s = sorted(delays)[len(delays) // 2]
+        if median_s > SLOWEST_ANSWER_S:
+            raise RigError(
+                f"{self.link.name}: answers take {1e3 * median_s:.0f} ms, which is too long for "
+                "100 Hz; set the latency timer of the USB adapter to 1 ms"
+            )
+
+    def _fault(self) -> str | None:
+        """Return the servo's fault as of the latest status; None if there is none."""
+        if self._restarted:
+            return "servo restarted; check its supply and cable, then start again"
+        status = self.status
+        if status is None:
+            return None
+        if status.hardware_error:
+            return f"{error_line(status.hardware_error)}; {setup.RESET}"
+        if status.watchdog == WATCHDOG_TRIPPED:
+            return f"{setup.WATCHDOG_STOPPED}; {setup.RESET}"
+        return None
+
+    def _send_target(self) -> None:
+        """Send the latest target; the caller holds the link's lock."""
+        if self._motion is None or not self.armed:
+            return
+        try:
+            self.link.write_bytes(
+                protocol.PROFILE_ACCELERATION.address, self._motion, ANSWER_S, "a target"
+            )
+        except NoAnswer:
+            # The next status shows whether the servo has it.
+            pass
+        except DeviceError as error:
+            self._trouble = str(error)
+
+    def _repeat_target(self) -> None:
+        with self.link.lock:
+            if not self.armed or self._motion is None:
+                return
+            if self._known_status().goal == self._goal:
+                self._unanswered = 0
+                return
+            self._unanswered += 1
+            self.counted["targets repeated"] += 1
+            self._send_target()
+
+    def _power_up(self, then_arm: bool, meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Switch the torque on with the present position as goal and the bus watchdog running; on
+        failure, the motor is off again."""
+        setup.write(self.link, protocol.BUS_WATCHDOG, 0)
+        meanwhile()
+        self._motion = None
+        self._unanswered = 0
+        if not self._poll(0.02):
+            raise DeviceError("drive does not respond; check its supply and cable")
+        config = self.config
+        hold = _MOTION.pack(
+            self.units.acceleration(config.acceleration_rad_s2),
+            self.units.speed(config.slowest_rad_s),
+            self._known_status().position,
+        )
+        address = protocol.PROFILE_ACCELERATION.address
+        self.link.write_bytes(address, hold, 0.02, "its present position as goal")
+        meanwhile()
+        try:
+            with self.link.lock:
+                # In this order, because a stop sets `stopped` before it looks at `powered`.
+                self.powered = True
+                self._stop_failed = False
+                self._check_not_stopped()
+                # Before the torque, which is never on without it.
+                self.link.write(protocol.BUS_WATCHDOG, config.watchdog)
+                self.link.write(protocol.TORQUE_ENABLE, 1)
+            meanwhile()
+            is_new = self._poll(0.02)
+            status = self._known_status()
+            if not is_new or not status.torque or status.watchdog != config.watchdog:
+                fault = self._fault() or "servo does not switch its torque and bus watchdog on"
+                raise DeviceError(f"{fault}; check its supply and cable")
+            with self.link.lock:
+                self._check_not_stopped()
+                self.armed = then_arm
+        except BaseException:
+            self.stop()
+            raise
+
+    def _check_not_stopped(self) -> None:
+        if self.stopped:
+            raise DeviceError("drive was stopped while it was being enabled; enable it again")
+
+    @contextmanager
+    def _stopped_afterwards(self) -> Iterator[None]:
+        """Stop the motor when the block ends, even with an exception; raises SafetyStop if the
+        motor may still be on."""
+        reason = "the drive was stopped"
+        try:
+            yield
+        except BaseException as error:
+            reason = str(error) if isinstance(error, SoftfinError) else "interrupted"
+            raise
+        finally:
+            try:
+                self.stop()
+            finally:
+                # Once more, in case Ctrl-C interrupted the first stop.
+                self.stop()
+                if self.stop_unconfirmed:
+                    # This outranks any other error: the operator is next to a powered motor.
+                    raise SafetyStop(f"{reason}; BUT {self.stop_unconfirmed}")
+
+    def _brake_time(self) -> float:
+        """Return the longest time for braking [s]: twice that from the highest velocity, plus ten
+        ticks."""
+        return 2 * self.config.fastest_rad_s / self.config.quick_stop_rad_s2 + 10 * TICK_S
+
+    def _come_to_rest(self) -> None:
+        """Brake, then switch the torque off; the caller holds `_stopping`.
+
+        The time is counted in ticks, so that a stop ends even if the clock stops.
+        """
+        if self.clock() - self._time > 2 * TICK_S:
+            # The fin has moved on since the latest status.
+            self._poll()
+        attempts = REFUSED if self._stop_failed else round(self._brake_time() / TICK_S)
+        is_braking = False
+        ticks_at_rest = 0
+        for _ in range(attempts):
+            status = self.status
+            if status is None:
+                # Opened again after a stop that was not confirmed: the watchdog has stopped it.
+                break
+            if not is_braking:
+                is_braking = self._brake(status.position, status.velocity)
+            is_new = self._poll()
+            status = self._known_status()
+            is_still = abs(self.units.velocity(status.velocity)) <= STANDSTILL_RAD_S
+            ticks_at_rest = ticks_at_rest + 1 if is_new and is_still else 0
+            if ticks_at_rest >= 2 or (is_new and not status.torque):
+                break
+            self.clock.sleep(TICK_S)
+        for _ in range(REFUSED if self._stop_failed else round(DISABLE_TIMEOUT_S / TICK_S)):
+            with suppress(DeviceError):
+                self.link.write(protocol.TORQUE_ENABLE, 0, ANSWER_S)
+            # Not from a status, which a servo that has restarted does not send.
+            with suppress(DeviceError):
+                self.powered = self._is_powered(ANSWER_S)
+            if not self.powered:
+                # The end of this program should not put a stopped servo into fault.
+                with suppress(DeviceError):
+                    self.link.write(protocol.BUS_WATCHDOG, 0, ANSWER_S)
+                self._poll()
+                return
+            self.clock.sleep(TICK_S)
+        self._stop_failed = True
+        self._trouble = UNCONFIRMED
+
+    def _brake(self, position: int, velocity: int) -> bool:
+        """Send the servo to the position at which it comes to rest; return whether it has this
+        goal."""
+        config = self.config
+        velocity_rad_s = self.units.velocity(velocity)
+        # Braking distance: v^2 / (2 a).
+        way_rad = velocity_rad_s * abs(velocity_rad_s) / (2 * config.quick_stop_rad_s2)
+        # The servo refuses goals outside its limits, which a braking fin does not reach.
+        lowest, highest = position_range(config)
+        goal = self.units.position(self.units.angle(position) + way_rad)
+        goal = min(max(goal, min(lowest, position)), max(highest, position))
+        motion = _MOTION.pack(
+            self.units.acceleration(config.quick_stop_rad_s2),
+            self.units.speed(config.fastest_rad_s),
+            goal,
+        )
+        address = protocol.PROFILE_ACCELERATION.address
+        try:
+            self.link.write_bytes(address, motion, ANSWER_S, "a stop")
+        except RefusedError as error:
+            # The bus watchdog has stopped it already.
+            return error.code == Refusal.DATA_RANGE
+        except DeviceError:
+            return False
+        return True
+
+    def _is_powered(self, answer_s: float = SETUP_ANSWER_S) -> bool:
+        return self.link.read(protocol.TORQUE_ENABLE, answer_s) != 0
+
+    def _brake_now(self) -> bool:
+        """Brake a servo that another program has powered; return whether it has this goal."""
+        velocity = self.link.read(protocol.PRESENT_VELOCITY)
+        return self._brake(self.link.read(protocol.PRESENT_POSITION), velocity)
+
+    def _is_at_rest(self) -> bool:
+        velocity = self.link.read(protocol.PRESENT_VELOCITY)
+        return abs(self.units.velocity(velocity)) <= STANDSTILL_RAD_S
+
+    def _goes_off(self) -> bool:
+        self.link.write(protocol.TORQUE_ENABLE, 0)
+        return not self._is_powered()
+
+    def _stays_off(self) -> bool:
+        """Return whether the motor stays off: a program that still drives it would power it
+        again."""
+        for _ in range(round(STOP_CONFIRMED_S / TICK_S)):
+            if self._is_powered():
+                return False
+            self.clock.sleep(TICK_S)
+        return True
+
+    def _try_until(self, done: Callable[[], bool], seconds: float) -> bool:
+        """Retry until `done()` or for `seconds`, but at least three times."""
+        end = self.clock() + seconds
+        attempts = 0
+        while attempts < REFUSED or self.clock() <= end:
+            attempts += 1
+            with suppress(DeviceError):
+                if done():
+                    return True
+            self.clock.sleep(TICK_S)
+        return False

@@ -1,0 +1,258 @@
+"""Instructions to one servo and its answers, over a serial port or, in simulated time, a socket.
+
+The port is half-duplex: an instruction is sent only after the answer to the one before, or after
+its time is over. Any thread may send; the lock keeps instructions apart.
+"""
+
+import contextlib
+import struct
+from collections import Counter
+from typing import Protocol
+
+from softfin.core.choices import LOOPBACK
+from softfin.core.clock import Clock
+from softfin.core.errors import DeviceError, one_line
+from softfin.rig.devices.dynamixel.config import DynamixelConfig
+from softfin.rig.devices.dynamixel.protocol import (
+    ALERT,
+    Entry,
+    Instruction,
+    Packet,
+    PacketParser,
+    Refusal,
+    encode_packet,
+)
+from softfin.rig.simulated_clock import SimulatedClock
+from softfin.rig.simulated_network import SimulatedSocket
+
+SERVO_PORT = 47_471
+"""Port of the socket of an emulated servo in simulated time."""
+
+READ_STEP_S = 0.002
+"""Longest wait of one read [s]."""
+
+WRITE_TIMEOUT_S = 0.05
+LINK_TIMEOUT_S = 0.15
+"""Longest wait for another thread's instruction [s]: a thread that hangs must not block a stop."""
+
+SETUP_ANSWER_S = 0.1
+"""Longest wait for an answer outside the loop [s]; a write to the EEPROM takes longer."""
+
+
+class NoAnswer(DeviceError):
+    """The servo did not answer in time."""
+
+
+class RefusedError(DeviceError):
+    """The servo refused an instruction; `code` is its error number."""
+
+    def __init__(self, message: str, code: int) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Port(Protocol):
+    """A port with bytes in both directions; its methods raise OSError if it is gone."""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+
+    def read(self) -> bytes:
+        """Wait up to `READ_STEP_S` for bytes and return them."""
+
+    def discard(self) -> None:
+        """Drop the bytes that have arrived."""
+
+    def close(self) -> None:
+        """Close; may be called repeatedly."""
+
+
+class SerialPort:
+    """A serial port."""
+
+    def __init__(self, port: str, baud: int, exclusive: bool) -> None:
+        # Imported here because it belongs to the extra `serial`, and simulated time does not need
+        # it.
+        import serial
+
+        try:
+            self._serial = serial.Serial(
+                port, baud, timeout=READ_STEP_S, write_timeout=WRITE_TIMEOUT_S, exclusive=exclusive
+            )
+        except (OSError, ValueError) as error:
+            raise DeviceError(
+                f"serial port {port}: cannot be opened ({one_line(error)}); check the cable, port "
+                "and your permission to use it, and end other programs that use it"
+            ) from None
+        # USB adapters from FTDI, e.g. the U2D2, otherwise keep an answer for 16 ms. Other ports
+        # do not have this setting; `open` of the drive measures the delay in any case.
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            self._serial.set_low_latency_mode(True)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        self._serial.write(data)
+
+    def read(self) -> bytes:
+        """Return the bytes that have arrived, at least one unless none arrives in time."""
+        data: bytes = self._serial.read(max(1, self._serial.in_waiting))
+        return data
+
+    def discard(self) -> None:
+        """Drop the bytes that have arrived."""
+        self._serial.reset_input_buffer()
+
+    def close(self) -> None:
+        """Close the port."""
+        with contextlib.suppress(OSError):
+            self._serial.close()
+
+
+class SimulatedPort:
+    """A connection to an emulated servo in simulated time."""
+
+    def __init__(self, clock: SimulatedClock) -> None:
+        self._socket = SimulatedSocket(clock, LOOPBACK, timeout=READ_STEP_S)
+        self._socket.connect((LOOPBACK, SERVO_PORT))
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        self._socket.send(data)
+
+    def read(self) -> bytes:
+        """Return the next bytes; empty if none arrive in time."""
+        try:
+            return self._socket.recvfrom(65_535)[0]
+        except BlockingIOError:
+            return b""
+
+    def discard(self) -> None:
+        """Drop the bytes that have arrived."""
+        self._socket.timeout = 0.0
+        while self.read():
+            pass
+        self._socket.timeout = READ_STEP_S
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class ServoLink:
+    """Link to the servo of a configuration."""
+
+    def __init__(self, config: DynamixelConfig, clock: Clock) -> None:
+        self.name = f"servo {config.id} on {config.port}"
+        self.counters: Counter[str] = Counter()
+        self.lock = clock.lock()
+        """Held during each instruction; re-entrant, because a signal handler that stops the drive
+        may interrupt one."""
+        self._config = config
+        self._clock = clock
+        self._parser = PacketParser()
+        self._port: Port | None = None
+
+    def open(self, exclusive: bool = True) -> None:
+        """Open the port; raises DeviceError."""
+        self.close()
+        self.counters.clear()
+        if isinstance(self._clock, SimulatedClock):
+            self._port = SimulatedPort(self._clock)
+        else:
+            self._port = SerialPort(self._config.port, self._config.baud, exclusive)
+
+    def close(self) -> None:
+        """Close the port; may be called repeatedly and never raises."""
+        port = self._port
+        self._port = None
+        if port is not None:
+            port.close()
+
+    def ping(self) -> tuple[int, int]:
+        """Return model number and firmware version; raises DeviceError."""
+        data = self._transact(Instruction.PING, b"", 3, SETUP_ANSWER_S, "a ping")
+        return int.from_bytes(data[:2], "little"), data[2]
+
+    def read(self, entry: Entry, answer_s: float = SETUP_ANSWER_S) -> int:
+        """Read an entry; raises DeviceError."""
+        data = self.read_bytes(entry.address, entry.layout.size, answer_s, str(entry))
+        value: int = entry.layout.unpack(data)[0]
+        return value
+
+    def write(self, entry: Entry, value: int, answer_s: float = SETUP_ANSWER_S) -> None:
+        """Write an entry; raises DeviceError."""
+        self.write_bytes(entry.address, entry.layout.pack(value), answer_s, str(entry))
+
+    def read_bytes(self, address: int, size: int, answer_s: float, what: str) -> bytes:
+        """Read bytes; raises DeviceError, which mentions `what`."""
+        request = struct.pack("<HH", address, size)
+        return self._transact(Instruction.READ, request, size, answer_s, what)
+
+    def write_bytes(self, address: int, data: bytes, answer_s: float, what: str) -> None:
+        """Write bytes; raises DeviceError, which mentions `what`."""
+        request = struct.pack("<H", address) + data
+        self._transact(Instruction.WRITE, request, 0, answer_s, what)
+
+    def reboot(self) -> None:
+        """Restart the servo; raises DeviceError."""
+        self._transact(Instruction.REBOOT, b"", 0, SETUP_ANSWER_S, "a reboot")
+
+    def _transact(
+        self, instruction: Instruction, request: bytes, size: int, answer_s: float, what: str
+    ) -> bytes:
+        """Send an instruction and return the data of its answer, which has `size` bytes."""
+        packet = encode_packet(Packet(self._config.id, instruction, request))
+        if not self.lock.acquire(timeout=LINK_TIMEOUT_S):
+            raise DeviceError(f"{self.name}: another request is still unanswered; try again")
+        try:
+            port = self._port
+            if port is None:
+                raise DeviceError(f"{self.name}: not open; open it first")
+            try:
+                # Late answers must not be taken for the next one.
+                port.discard()
+                self._parser.clear()
+                port.write(packet)
+                answer = self._await_answer(port, size, self._clock() + answer_s)
+            except (OSError, TypeError) as error:
+                # pyserial raises TypeError if its port is closed meanwhile.
+                raise DeviceError(
+                    f"{self.name}: port cannot be used ({one_line(error)}); check its cable and "
+                    "adapter, then start again"
+                ) from None
+        finally:
+            self.lock.release()
+        if answer is None:
+            self.counters["answers missing"] += 1
+            raise NoAnswer(
+                f"{self.name}: no answer to {what} within {1e3 * answer_s:.0f} ms; check its "
+                "supply, cable, ID and baud"
+            )
+        code = answer[0] & ~ALERT
+        if code:
+            name = Refusal(code).name.lower().replace("_", " ") if code in set(Refusal) else "?"
+            raise RefusedError(
+                f"{self.name}: refused {what} (error {code}, {name}); end other programs that use "
+                "it, and switch it off and on",
+                code,
+            )
+        return answer[1:]
+
+    def _await_answer(self, port: Port, size: int, end: float) -> bytes | None:
+        """Return the error byte and data of the answer; None if none arrives in time."""
+        while True:
+            errors = self._parser.crc_errors
+            packets = self._parser.feed(port.read())
+            self.counters["crc errors"] += self._parser.crc_errors - errors
+            for packet in packets:
+                is_ours = packet.servo_id == self._config.id
+                # A refusal has no data. Adapters may echo what we send: not a status packet.
+                if (
+                    is_ours
+                    and packet.instruction == Instruction.STATUS
+                    and packet.data
+                    and (len(packet.data) == 1 + size or packet.data[0] & ~ALERT)
+                ):
+                    return packet.data
+            if self._clock() >= end:
+                return None

@@ -1,0 +1,150 @@
+"""Checks of a servo before it is used, and its setup: nothing is stored permanently, apart from the
+zero."""
+
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NamedTuple
+
+from softfin.core.errors import DeviceError, RigError
+from softfin.rig.devices.dynamixel import protocol
+from softfin.rig.devices.dynamixel.config import DynamixelConfig, Units, position_range
+from softfin.rig.devices.dynamixel.link import SETUP_ANSWER_S, NoAnswer, ServoLink
+from softfin.rig.devices.dynamixel.protocol import Entry, error_line
+from softfin.rig.safety import OVERSHOOT_RAD
+
+WATCHDOG_STOPPED = (
+    "servo's bus watchdog has stopped it: the program that moved it died or hung, or its cable was "
+    "cut; find out why"
+)
+RESET = "then run: softfin rig check --reset-fault"
+
+
+def identify_servo(link: ServoLink, config: DynamixelConfig) -> None:
+    """Raise RigError if the servo does not answer, or is another model."""
+    try:
+        number, firmware = link.ping()
+    except DeviceError as error:
+        raise RigError(
+            f"no servo answers as ID {config.id} on {config.port} ({error}); check that no other "
+            "device or second servo has this ID"
+        ) from None
+    expected = protocol.MODELS[config.model].number
+    if number != expected:
+        names = [name for name, model in protocol.MODELS.items() if model.number == number]
+        found = names[0] if names else "unsupported"
+        raise RigError(
+            f"{link.name}: model number is {number} ({found}), but {config.model} has {expected}; "
+            "correct drive.model, drive.id or drive.port"
+        )
+    if firmware < protocol.FIRST_FIRMWARE:
+        raise RigError(
+            f"{link.name}: firmware {firmware} has no bus watchdog; update it to "
+            f"{protocol.FIRST_FIRMWARE} or later with DYNAMIXEL Wizard"
+        )
+
+
+def answer_everything(link: ServoLink) -> None:
+    """Make the servo answer every instruction, which another program may have changed."""
+    with suppress(NoAnswer):
+        link.write(protocol.STATUS_RETURN_LEVEL, protocol.ALL_STATUS_PACKETS)
+
+
+class Setting(NamedTuple):
+    """An entry of the EEPROM, a test for its value, and the fix for other values."""
+
+    entry: Entry
+    fits: Callable[[int], bool]
+    fix: str
+
+
+def settings(config: DynamixelConfig) -> tuple[Setting, ...]:
+    """Return the settings to check before anything is written."""
+    lowest, highest = position_range(config)
+    outer_lowest, outer_highest = position_range(config, OVERSHOOT_RAD)
+    fastest = Units.of(config).speed(config.fastest_rad_s)
+    return (
+        Setting(
+            protocol.OPERATING_MODE,
+            lambda value: value == protocol.POSITION_MODE,
+            f"the servo enforces the fin's limits in position mode only; set it to "
+            f"{protocol.POSITION_MODE}",
+        ),
+        Setting(
+            protocol.DRIVE_MODE,
+            # Bit 0 reverses the direction, bit 2 makes a velocity a duration, and with bit 3 a
+            # target would power a motor that has been stopped.
+            lambda value: value == 0,
+            "set it to 0, and use drive.direction to reverse the fin",
+        ),
+        Setting(
+            protocol.SHUTDOWN_ERRORS,
+            lambda value: value & protocol.SHUTDOWN_DEFAULT == protocol.SHUTDOWN_DEFAULT,
+            "the servo would not protect itself from overload, shock and heat; set it to "
+            f"{int(protocol.SHUTDOWN_DEFAULT)}",
+        ),
+        Setting(
+            protocol.MIN_POSITION_LIMIT,
+            lambda value: outer_lowest <= value <= lowest,
+            f"the rig's file needs {outer_lowest} to {lowest}; set it to {outer_lowest}",
+        ),
+        Setting(
+            protocol.MAX_POSITION_LIMIT,
+            lambda value: highest <= value <= outer_highest,
+            f"the rig's file needs {highest} to {outer_highest}; set it to {outer_highest}",
+        ),
+        Setting(
+            protocol.VELOCITY_LIMIT,
+            lambda value: value == fastest,
+            f"fastest_rad_s is {fastest} in the servo's unit; set it to {fastest}",
+        ),
+    )
+
+
+def check_settings(link: ServoLink, config: DynamixelConfig) -> None:
+    """Raise RigError if the servo is in fault, already powered, or set up differently from the
+    rig's file."""
+    if fault := read_fault(link):
+        raise RigError(f"{fault}; {RESET}")
+    if link.read(protocol.TORQUE_ENABLE):
+        raise RigError(
+            "servo is already powered; end the program that drives it, or run: softfin rig stop"
+        )
+    for setting in settings(config):
+        value = link.read(setting.entry)
+        if not setting.fits(value):
+            raise RigError(
+                f"servo's {setting.entry} is {value}: {setting.fix} in DYNAMIXEL Wizard, or "
+                "correct the rig's file"
+            )
+
+
+def read_fault(link: ServoLink) -> str | None:
+    """Read the servo's fault; None if there is none."""
+    if status := link.read(protocol.HARDWARE_ERROR):
+        return error_line(status)
+    if link.read(protocol.BUS_WATCHDOG) == protocol.WATCHDOG_TRIPPED:
+        return WATCHDOG_STOPPED
+    return None
+
+
+def configure(link: ServoLink) -> None:
+    """Select the bytes of a status."""
+    write(link, protocol.BUS_WATCHDOG, 0)
+    addresses = struct.pack(f"<{len(protocol.STATUS_ADDRESSES)}H", *protocol.STATUS_ADDRESSES)
+    what = "the indirect addresses"
+    link.write_bytes(protocol.INDIRECT_ADDRESS, addresses, SETUP_ANSWER_S, what)
+    size = len(addresses)
+    if link.read_bytes(protocol.INDIRECT_ADDRESS, size, SETUP_ANSWER_S, what) != addresses:
+        raise RigError(f"{link.name}: did not keep {what}; end other programs that use it")
+
+
+def write(link: ServoLink, entry: Entry, value: int) -> None:
+    """Write an entry and read it back; raises RigError if the servo does not keep it."""
+    link.write(entry, value)
+    kept = link.read(entry)
+    if kept != value:
+        raise RigError(
+            f"servo's {entry} stayed {kept} when {value} was written; end other programs that use "
+            "the port"
+        )

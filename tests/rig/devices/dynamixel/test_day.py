@@ -1,0 +1,54 @@
+"""A whole day at an emulated rig with a Dynamixel and a force sensor that sends lines."""
+
+import json
+
+import pytest
+import yaml
+
+from softfin.cli import main
+from softfin.rig.emulation.rig import rigs
+from softfin.rig.record import load_record
+from tests.control.folders import folder_option
+
+
+@pytest.fixture
+def rig(tmp_path):
+    file = tmp_path / "rig.yaml"
+    main(["rig", "emulate", "--rig", str(file), "--drive", "dynamixel", "--sensor", "lines"])
+    yield file
+    emulated = rigs.pop(file.resolve(), None)
+    if emulated is not None:
+        emulated.close()
+
+
+def test_check_zero_collect_and_evaluate_pass(rig, tmp_path, capsys):
+    options = ["--rig", str(rig)]
+    plant = ["--plant", f"rig:{rig}", "--arm", "--yes"]
+    values = yaml.safe_load(rig.read_text())
+    assert values["drive"]["type"] == "dynamixel"
+    assert "bus" not in values
+    main(["rig", "check", *options, "--prove", "--arm", "--yes"])
+    proof = load_record(rig).stop_proof
+    assert 0.1 <= proof.faulted_after_s <= 0.15
+    main(["rig", "zero", *options, "--arm", "--yes"])
+    capsys.readouterr()
+    # The next command starts from the state file: the servo has kept its zero.
+    rigs.pop(rig.resolve()).close()
+    main(["rig", "check", *options, "--json"])
+    rows = {row["what"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["drive"]["text"].startswith("XM430-W350, simulated, ID 1: limits read, supply 12")
+    assert rows["zero"]["text"] == "known"
+    assert rows["own stop"]["state"] == "well"
+    assert "Bus Watchdog (98) is 4" in rows["own stop"]["text"]
+    assert {row["state"] for row in rows.values()} <= {"well", "note"}
+    data = tmp_path / "data"
+    counts = ["--logs", "1", "--test-logs", "1", "--rows", "300"]
+    main(["collect", *plant, "--out", str(data), *counts])
+    described = json.loads((data / "dataset.json").read_text())
+    assert described["rig"]["drive"]["type"] == "dynamixel"
+    controller = folder_option("single", tmp_path)
+    out = tmp_path / "evaluation"
+    shortest = ["--seconds", "3", "--repeats", "1", "--set", "references=[[1.0,-1.0]]"]
+    main(["evaluate", str(controller), *plant, "--out", str(out), *shortest])
+    assert (out / "evaluation.json").exists()
+    main(["rig", "stop", *options])
