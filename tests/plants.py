@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.action_clock import MAX_ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import Ticks
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 
@@ -130,7 +130,7 @@ class StrokeFin(eqx.Module):
         self, state: tuple[Float[Array, ""], Float[Array, ""]], command: Command, ticks: Ticks
     ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Reading]:
         """A stroke is one whole, which many ticks one by one are not."""
-        (_, angle), reading = self.advance(state, command, MAX_ACTION_TICKS)
+        (_, angle), reading = self.advance(state, command, PAPER_CLOCK.max_ticks)
         return (jnp.asarray(reading.time)[ticks - 1], angle), reading
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.policy import ANGLE_SCALE_RAD
-from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant
@@ -46,7 +46,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     size.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
+    metadata = {"render_modes": ["rgb_array"], "render_fps": round(PAPER_CLOCK.rate_hz)}  # noqa: RUF012
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
             # Imported here, because Matplotlib imports slowly and is needed only for rendering.
             from softfin.evaluation.view.picture import EpisodeFilm
 
-            seconds = self.task.config.episode_actions / ACTION_RATE_HZ
+            seconds = self.task.config.episode_actions / PAPER_CLOCK.rate_hz
             self._film = EpisodeFilm(self.task.plant, seconds, float(np.linalg.norm(greatest)))
         self._state: TaskState | None = None
         self._actions = 0
@@ -119,7 +119,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
                 f"{ID}: action {action} must be two numbers in [-1, 1]; clip it or squash it"
             )
         reference = np.array(self._state.reference)
-        ticks = ACTION_TICKS[self._actions % len(ACTION_TICKS)]
+        ticks = PAPER_CLOCK.ticks[self._actions % len(PAPER_CLOCK.ticks)]
         held = jnp.asarray(action, jnp.float32)
         if self._film is not None:
             self._film.add(

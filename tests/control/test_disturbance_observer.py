@@ -15,7 +15,7 @@ from softfin.control.disturbance_observer import (
     DisturbanceObserverConfig,
     ObserverForces,
 )
-from softfin.core.action_clock import ACTION_TICKS, WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.core.quantities import Command
 from softfin.gaits.reachable import Cell, Reachable
@@ -23,7 +23,9 @@ from softfin.gaits.reachable import Cell, Reachable
 BIAS = (0.3, -0.2)
 RIPPLE = jnp.array([0.4, -0.9, 0.6, 0.1, -0.5, 0.3])
 """Of the force, within the window of six actions."""
-RIPPLE -= (RIPPLE * jnp.array([*ACTION_TICKS, *ACTION_TICKS]) / WINDOW).sum()
+RIPPLE -= (
+    RIPPLE * jnp.array([*PAPER_CLOCK.ticks, *PAPER_CLOCK.ticks]) / PAPER_CLOCK.window_ticks
+).sum()
 
 
 class Carrier(eqx.Module):
@@ -75,8 +77,8 @@ def forces(
 
 def window(force: np.ndarray, end: int) -> np.ndarray:
     """Mean over the six actions before `end`, by their ticks."""
-    held = np.array([ACTION_TICKS[k % 3] for k in range(end - 6, end)])
-    return np.asarray((held[:, None] * force[end - 6 : end]).sum(axis=0) / WINDOW)
+    held = np.array([PAPER_CLOCK.ticks[k % 3] for k in range(end - 6, end)])
+    return np.asarray((held[:, None] * force[end - 6 : end]).sum(axis=0) / PAPER_CLOCK.window_ticks)
 
 
 def still(count: int, force: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softfin.core.action_clock import MAX_ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
 from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
@@ -36,7 +36,7 @@ class Probe:
     def hold_action(
         self, state: ProbeState, command: Command, ticks: Any
     ) -> tuple[ProbeState, Reading]:
-        return self.advance(state, command, MAX_ACTION_TICKS)
+        return self.advance(state, command, PAPER_CLOCK.max_ticks)
 
     def advance(
         self, state: ProbeState, command: Command, ticks: int

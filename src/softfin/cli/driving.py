@@ -24,7 +24,7 @@ from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
-from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
@@ -192,9 +192,9 @@ def _follow(
     decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
     window: list[ActionResult] = []
     ticks = printed = 0
-    actions = None if seconds is None else seconds * len(ACTION_TICKS)
+    actions = None if seconds is None else seconds * len(PAPER_CLOCK.ticks)
     for result in run_controller(session, controller, references, actions, zero):
-        window = [*window[-CYCLE_ACTIONS + 1 :], result]
+        window = [*window[-PAPER_CLOCK.window_actions + 1 :], result]
         x, y = mean_force([sample for each in window for sample in each.samples])
         x = x - zero[0]
         y = y - zero[1]

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from pydantic import Field, NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.control.grid import SwitchingConfig
-from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, PolicyLayout
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -263,11 +262,17 @@ def check(
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
             f"({learning.num_envs} environments x {learning.num_steps} actions); use more steps"
         )
-    samples = task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
-    if samples < task.window_samples:
+    cycle = len(task.clock.ticks)
+    if learning.num_steps % cycle:
+        raise ConfigurationError(
+            f"{config.algorithm}.num_steps = {learning.num_steps}: must be a whole number of cycles "
+            f"of the clock; use a multiple of {cycle}"
+        )
+    samples = sum(task.clock.action_ticks(task.episode_actions))
+    if samples < task.window_ticks:
         raise ConfigurationError(
             f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples is "
-            f"shorter than the window of {task.window_samples} samples to evaluate; use longer "
+            f"shorter than the window of {task.window_ticks} samples to evaluate; use longer "
             "episodes or a smaller task.window_samples"
         )
     members = plant.size if isinstance(plant, EnsemblePlant) else 1

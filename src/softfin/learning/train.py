@@ -102,7 +102,8 @@ def find_gaits(
     if surveyed is not None:
         region = surveyed.reachable
         box = box.clipped(*map(np.array, region.bounds()))
-    settings = config.gradient.map.merged({"box": box.model_dump()}, "cells")
+    values = {"box": box.model_dump(), "clock": config.task.clock.model_dump()}
+    settings = config.gradient.map.merged(values, "task")
     part = run_directory.part("map")
     coarse = settings.empty_table(region)
     like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)

@@ -12,7 +12,7 @@ from itertools import count
 from typing import TypeAlias
 
 from softfin.control.controller import Controller, Measured
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
@@ -60,7 +60,7 @@ def run_controller(
         except Exception as error:
             session.abort(Trip("controller", in_one_line(error, "the controller failed")))
         session.record_reference(reference)
-        samples = session.hold(target, ACTION_TICKS[index % len(ACTION_TICKS)])
+        samples = session.hold(target, PAPER_CLOCK.ticks[index % len(PAPER_CLOCK.ticks)])
         ticks += len(samples)
         angle = samples[-1].angle
         x, y = mean_force(samples)

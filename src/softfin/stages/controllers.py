@@ -105,6 +105,7 @@ def find_gaits(
         found,
         config,
         Limits(*map(float, moving.limits)),
+        config.clock,
         origin,
         None,
         learnt_from(plant),
@@ -230,7 +231,7 @@ def _find_forces(
     settings = proposal.gradient.map.survey
     if missing_gradient(plant) is not None:
         settings = settings.model_copy(update={"pushes": 0})
-    surveyed = survey(plant, settings, partial(progress, "survey"))
+    surveyed = survey(plant, settings, partial(progress, "survey"), proposal.task.clock)
     forces = FinForces(surveyed.reachable)
     if not forces.reachable.radius.any():
         raise PlantError(

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from softfin.control.controller import Controller
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.progress import Progress, silent
@@ -240,7 +240,9 @@ class LiveFin:
             return x, y
 
         results = list(
-            run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero)
+            run_controller(
+                session, self._controller, reference, seconds * len(PAPER_CLOCK.ticks), zero
+            )
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(extra_ticks(self._robot))]

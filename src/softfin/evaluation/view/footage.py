@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, TrueForcePlant
 from softfin.core.quantities import AnyArray, Command, Reading
@@ -126,7 +126,9 @@ def develop(
         command=command,
         reading=reading,
         true_force=None if true_force is None else np.asarray(true_force),
-        average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
+        average=moving_average(force)
+        if len(force) >= PAPER_CLOCK.window_ticks
+        else np.zeros((0, 2)),
         shape=points,
         length_m=length,
         shape_known=shape is not None,

@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from scipy.interpolate import CubicHermiteSpline
 
-from softfin.core.action_clock import MAX_ACTION_TICKS, WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, AnyArray, Command, Limits
 from softfin.evaluation.view.footage import (
@@ -127,8 +127,12 @@ class Picture:
             return fin_outline(self.footage.shape[max(tick - ago, 0)], self.footage.thickness)
 
         def mean(tick: int) -> ForceArrow:
-            # The first window ends at tick WINDOW - 1.
-            return self.footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
+            # The first window ends at tick PAPER_CLOCK.window_ticks - 1.
+            return (
+                self.footage.average[tick + 1 - PAPER_CLOCK.window_ticks]
+                if tick + 1 >= PAPER_CLOCK.window_ticks
+                else np.zeros(2)
+            )
 
         def add_arrow(
             colour: str,
@@ -223,7 +227,9 @@ class Picture:
             if self.footage.reference is not None:
                 self._trace(axes, ORANGE, 1.6, partial(_reference, axis=i), style="steps-pre")
             self._trace(axes, BLUE, 0.9, partial(_force, axis=i))
-            self._trace(axes, BLACK, 1.8, partial(_average, axis=i), start=WINDOW - 1)
+            self._trace(
+                axes, BLACK, 1.8, partial(_average, axis=i), start=PAPER_CLOCK.window_ticks - 1
+            )
             axes.set(ylabel=f"{force} {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, self._seconds)
@@ -331,8 +337,8 @@ class EpisodeFilm:
     ) -> EpisodePart:
         # Always simulate the longest action, so that one compiled program suffices; a tick does not
         # depend on later ones, which are cut off.
-        angle = jnp.full(MAX_ACTION_TICKS, command.angle, jnp.float32)
-        velocity = jnp.full(MAX_ACTION_TICKS, command.velocity, jnp.float32)
+        angle = jnp.full(PAPER_CLOCK.max_ticks, command.angle, jnp.float32)
+        velocity = jnp.full(PAPER_CLOCK.max_ticks, command.velocity, jnp.float32)
         commands = Command(angle, velocity)
         recorded = (commands, self._shoot(state, commands))
         command, shots = jax.tree.map(lambda x: np.asarray(x)[:ticks], recorded)
