@@ -3,9 +3,10 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from softfin.core.action_clock import PAPER_CLOCK
-from softfin.gaits.simulate import AMPLITUDES, FAMILIES, VELOCITIES, WAVEFORMS, strokes
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.gaits.simulate import AMPLITUDES, VELOCITIES, gait_families, strokes
 from tests.learning.mapped import simulate_gait, steady_state_force
 from tests.plants import AnalyticFin, StrokeFin
 
@@ -67,20 +68,37 @@ def test_in_the_steady_state_the_moving_average_has_no_ripple():
     assert np.ptp(averages, axis=0).max() < 1e-4
 
 
+FAMILIES = gait_families(PAPER_CLOCK)
+WAVEFORMS = [waveform for waveform, _ in FAMILIES[:: len(VELOCITIES)]]
+
+
 def stroke(waveform: int, velocity: float, centre: float, amplitude: float) -> np.ndarray:
     return strokes(WAVEFORMS[waveform], velocity, np.array([centre]), np.array([amplitude]))[0]
 
 
 def test_strokes_beat_about_their_centres_at_one_velocity_within_the_limits():
     middle = stroke(0, 0.3, 0.0, AMPLITUDES[0])
-    np.testing.assert_allclose(middle[:, 0], AMPLITUDES[0] * WAVEFORMS[0], atol=1e-6)
+    np.testing.assert_allclose(
+        middle[:, 0], AMPLITUDES[0] * np.array([1, -1, 1, -1, 1, -1]), atol=1e-6
+    )
     np.testing.assert_array_equal(middle[:, 1], np.float32(0.3))
     assert np.abs(stroke(1, 1.0, 1.0, 0.9)).max() == 1
 
 
 def test_every_waveform_is_tried_at_every_velocity():
-    assert len(FAMILIES) == len(WAVEFORMS) * len(VELOCITIES)
+    assert len(FAMILIES) == len(WAVEFORMS) * len(VELOCITIES) == 9
     assert {velocity for _, velocity in FAMILIES} == set(VELOCITIES)
+
+
+@pytest.mark.parametrize("actions", [3, 4, 5, 12])
+def test_the_strokes_of_another_clock_fill_its_window(actions: int):
+    clock = ActionClock(ticks=(10,), window_actions=actions)
+    families = gait_families(clock)
+    assert len(families) >= len(VELOCITIES)
+    for waveform, _ in families:
+        assert len(waveform) == actions
+        assert np.abs(waveform).max() == 1
+        assert np.ptp(waveform) > 1
 
 
 def test_the_slope_of_the_mean_force_is_that_of_finite_differences():

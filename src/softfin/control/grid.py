@@ -36,7 +36,7 @@ class SwitchingConfig(Configuration):
     """Movement of the reference between two actions above which it counts as a step [N]. After a
     step nothing is blended; after smaller movements, blending is partial."""
     replay: bool = True
-    """Whether the new policy replays the actions of the last window to fill its memory; otherwise, it
+    """Whether the new policy replays the last window's actions to fill its memory; otherwise, it
     starts with an empty memory."""
 
 

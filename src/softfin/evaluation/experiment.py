@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from softfin.control.controller import Controller, ControllerState, Measured
+from softfin.control.controller import Controller, ControllerState, Measured, controller_clock
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit
 from softfin.core.errors import PlantError
@@ -63,7 +63,7 @@ class ExperimentRecording(NamedTuple):
         series = jax.tree.map(
             lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
         )
-        return ExperimentRecording(np.asarray(self.reference), *series, self.clock)
+        return ExperimentRecording(np.asarray(self.reference), *series, clock=self.clock)
 
 
 @runtime_checkable
@@ -135,7 +135,7 @@ def run_together(
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
         own = jax.tree.map(lambda x, part=part: x[part], recorded)
-        recordings.append(ExperimentRecording(references, *own, clock))
+        recordings.append(ExperimentRecording(references, *own, clock=clock))
         first += len(references)
     return recordings
 

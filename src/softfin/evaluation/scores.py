@@ -29,7 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.action_clock import ActionClock
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command
@@ -114,7 +114,7 @@ def judged_force(recording: ExperimentRecording) -> str:
 
 
 def travel(
-    angle: Float[np.ndarray, "*batch ticks"], clock: ActionClock
+    angle: Float[np.ndarray, "*batch ticks"], clock: ActionClock = PAPER_CLOCK
 ) -> Float[np.ndarray, "*batch"]:
     """Return the path length per second [rad/s].
 
@@ -128,7 +128,7 @@ def travel(
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
 
 
-def list_steps(reference: ForceSeries, window: int) -> list[tuple[int, int]]:
+def list_steps(reference: ForceSeries, window: int = PAPER_WINDOW) -> list[tuple[int, int]]:
     """Return (first tick, one past the last tick) after each step between two forces that are both
     held for at least a window [ticks]."""
     # Both forces must be held for a full window, so that the moving average starts and ends at the

@@ -2,8 +2,8 @@
 with their forces. This module does not import JAX.
 
 A gait is a sequence of actions that fills one window of the action clock and is repeated, so that
-in steady state it causes no ripple in the window's mean; on the paper's clock these are six. Actions
-``(actions, 2)`` are (angle, velocity), scaled so that the limits of the plant are -1 and 1.
+in steady state it causes no ripple in the window's mean; on the paper's clock these are six.
+Actions ``(actions, 2)`` are (angle, velocity), scaled so that the limits of the plant are -1 and 1.
 """
 
 from collections.abc import Mapping
@@ -33,14 +33,14 @@ class GaitTable(NamedTuple):
 
     @classmethod
     def empty(
-        cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int], gait_actions: int
+        cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int], gait_actions: int = 6
     ) -> "GaitTable":
         """Return a table with all actions set to 0; `nodes` in x and y are at least 2."""
         actions = np.zeros((*nodes, gait_actions, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
 
     @classmethod
-    def over(cls, cell: Cell, spacing_n: float, gait_actions: int) -> "GaitTable":
+    def over(cls, cell: Cell, spacing_n: float, gait_actions: int = 6) -> "GaitTable":
         """Return an empty table over a cell, including its corners, with nodes at most `spacing_n`
         apart."""
         size = np.subtract(cell.high, cell.low)

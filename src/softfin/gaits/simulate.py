@@ -78,7 +78,9 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
     similar forces."""
     count = clock.window_actions
     waveforms = [
-        np.tile(stroke, count // len(stroke)) for stroke in STROKES if count % len(stroke) == 0
+        np.tile(np.array(stroke, float), count // len(stroke))
+        for stroke in STROKES
+        if count % len(stroke) == 0
     ]
     if not waveforms:
         # One stroke per window.
@@ -87,7 +89,7 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
 
 
 def simulate_gait(
-    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
 ) -> GaitResponse:
     """Repeat a gait from rest for `cycles` windows and return the forces of the last window."""
     window = clock.window_ticks
@@ -96,7 +98,7 @@ def simulate_gait(
 
 
 def steady_state_force(
-    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
 ) -> Float[Array, "ticks 2"]:
     """Return the force at each tick of a gait that is repeated from rest for `cycles` windows
     [N]."""

@@ -265,8 +265,8 @@ def check(
     cycle = len(task.clock.ticks)
     if learning.num_steps % cycle:
         raise ConfigurationError(
-            f"{config.algorithm}.num_steps = {learning.num_steps}: must be a whole number of cycles "
-            f"of the clock; use a multiple of {cycle}"
+            f"{config.algorithm}.num_steps = {learning.num_steps}: must be a whole number of "
+            f"cycles of the clock; use a multiple of {cycle}"
         )
     samples = sum(task.clock.action_ticks(task.episode_actions))
     if samples < task.window_ticks:

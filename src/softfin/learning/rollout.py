@@ -107,8 +107,8 @@ def start_episodes(
 def collect_rollout(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
 ) -> tuple[EnvState, Rollout]:
-    """Take the actions of `cycles` cycles of the clock in each environment; environments are reset at the end of their
-    episodes."""
+    """Take the actions of `cycles` cycles of the clock in each environment; environments are reset
+    at the end of their episodes."""
 
     clock = task.config.clock
 

@@ -105,11 +105,11 @@ def find_gaits(
         found,
         config,
         Limits(*map(float, moving.limits)),
-        config.clock,
         origin,
         None,
         learnt_from(plant),
         overwrite,
+        config.clock,
     )
 
 

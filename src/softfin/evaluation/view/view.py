@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from pydantic import Field
 
-from softfin.control.controller import Controller
+from softfin.control.controller import Controller, controller_clock
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -104,7 +104,7 @@ def record_footage(
         # The recording has no shapes of the fin, so simulate again: the plant is pure and moves in
         # exactly the same way under the same commands and key.
         held: Command = jax.tree.map(lambda x: x[0, 0, :ticks], recording.command)
-        return film(plant, key, held, asked[:ticks])
+        return film(plant, key, held, asked[:ticks], controller_clock(controller))
     if config.next_references:
         raise ConfigurationError(
             "later references are set without a first one; set a controller and a reference"

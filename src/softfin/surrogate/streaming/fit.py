@@ -323,8 +323,8 @@ def split_streaming(
     if not holding:
         raise LogError(
             f"held-out logs: none of {len(held_out)} has {needed} rows, which intervals for the "
-            f"mean over {PAPER_CLOCK.window_ticks} samples after burn_in = {config.burn_in} require; record longer "
-            "logs"
+            f"mean over {PAPER_CLOCK.window_ticks} samples after burn_in = {config.burn_in} "
+            "require; record longer logs"
         )
     return training, holding, measure_scales(training), Table.of(training, config.ticks)
 
