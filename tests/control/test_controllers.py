@@ -201,13 +201,13 @@ def test_the_folder_describes_itself(run: TrainingResult, tmp_path: Path) -> Non
         ),
         (
             lambda f: _drop(f, "action_rate_hz"),
-            "action_rate_hz is .missing., must be 3.0 for this",
+            "action_rate_hz is missing",
         ),
         (
             lambda f: _drop(f, "cells"),
             "controller.json: cells is missing; copy the folder again, or train it again",
         ),
-        (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0, must be 3.0 for this"),
+        (lambda f: _edit(f, action_rate_hz=5.0), "action_rate_hz is 5.0, but the clock's is 3"),
     ],
 )
 def test_a_damaged_folder_is_refused(

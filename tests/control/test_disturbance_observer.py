@@ -116,7 +116,7 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
     for action in range(60):
         estimate = transition @ estimate
         covariance = transition @ covariance @ transition.T + process
-        if action >= config.settle_actions:
+        if action >= DisturbanceObserver(Carrier(), config).settle_actions:
             total = sensed @ covariance @ sensed.T + 6 * newtons.noise_n**2
             gain = covariance @ sensed.T / total
             estimate = estimate + gain @ (np.array([BIAS]) - sensed @ estimate)
@@ -308,10 +308,10 @@ def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
         ConfigurationError,
         match=r"settle_actions = 8 with lag_actions = 4: .*set settle_actions to 10",
     ):
-        DisturbanceObserverConfig.build({"lag_actions": 4})
-    assert (
-        DisturbanceObserverConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
-    )
+        DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=4, settle_actions=8))
+    late = DisturbanceObserverConfig(lag_actions=4, settle_actions=10)
+    assert DisturbanceObserver(Carrier(), late).settle_actions == 10
+    assert DisturbanceObserver(Carrier()).settle_actions == 8
 
 
 def test_at_the_edge_of_the_range_it_does_not_wind_up() -> None:

@@ -40,7 +40,7 @@ class ActionClock(Configuration):
         return self
 
     @classmethod
-    def at(cls, rate_hz: float, window_s: float = 2.0) -> "ActionClock":
+    def at(cls, rate_hz: float | int, window_s: float | int = 2) -> "ActionClock":
         """Build the clock with a rate [Hz], whose actions differ by at most one tick, and with the
         window nearest to `window_s`.
 

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from pydantic import Field, NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.control.grid import SwitchingConfig
+from softfin.core.action_clock import ActionClock
 from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, PolicyLayout
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -190,6 +191,33 @@ def choose_preset(
         return TRAIN_PRESETS["gradient", controller], "gradient, because the plant has gradients"
     reason = f"ppo-hindsight, because the plant has no gradient: {missing}"
     return TRAIN_PRESETS["ppo-hindsight", controller], reason
+
+
+def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
+    """Return a preset for another clock: numbers of actions change with the rate, so that their
+    durations stay the same, and so does the number of updates."""
+    ratio = clock.rate_hz / config.task.clock.rate_hz
+    cycle = len(clock.ticks)
+
+    def actions(count: int) -> int:
+        return cycle * max(1, round(count * ratio / cycle))
+
+    learning = config.learning
+    num_steps = actions(learning.num_steps)
+    return config.merged(
+        {
+            "task": {
+                "clock": clock.model_dump(),
+                "episode_actions": actions(config.task.episode_actions),
+                "reference_actions": actions(config.task.reference_actions),
+            },
+            "switching": {"fade_actions": round(config.switching.fade_actions * ratio)},
+            "steps": config.steps * num_steps // learning.num_steps,
+            "ppo": {"num_steps": actions(config.ppo.num_steps)},
+            "gradient": {"num_steps": actions(config.gradient.num_steps)},
+        },
+        "clock",
+    )
 
 
 def fit_to_reach(config: TrainConfig, forces: FinForces) -> TrainConfig:

@@ -43,8 +43,8 @@ class GradientConfig(Configuration):
 
     num_envs: PositiveInt = 32
     """Number of parallel environments per policy."""
-    num_steps: int = Field(default=18, ge=3, multiple_of=3)
-    """Number of actions per environment and update, a multiple of three; gradients are propagated
+    num_steps: PositiveInt = 18
+    """Number of actions per environment and update, whole cycles of the clock; gradients are propagated
     through all of them."""
     learning_rate: PositiveFloat = 1e-3
     """Initial learning rate of Adam."""
