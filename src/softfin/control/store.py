@@ -17,7 +17,7 @@ from softfin.control.controller import Artifact, LoadedController, TrainingRange
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
-from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.core.action_clock import ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, one_line
 from softfin.core.quantities import Limits
@@ -130,7 +130,6 @@ def save_gaits(
     extra_files: Callable[[Path], None] | None = None,
     learnt: Mapping[str, object] = MappingProxyType({"training_range": None, "fin": None}),
     overwrite: bool = False,
-    clock: ActionClock = PAPER_CLOCK,
 ) -> None:
     """Write the gaits of a map as a controller, completely or not at all.
 

@@ -4,6 +4,7 @@ The paper's clock is `PAPER_CLOCK`: actions at exactly 3.0 Hz on ticks of 10 ms,
 and 34 ticks in turn, and windows of six actions, 2 s. No JAX.
 """
 
+import math
 from fractions import Fraction
 from itertools import accumulate
 
@@ -58,6 +59,23 @@ class ActionClock(Configuration):
         ticks = tuple(end - start for start, end in zip([0, *ends[:-1]], ends, strict=True))
         cycles = max(1, round(window_s * RATE_HZ / ends[-1]))
         return cls(ticks=ticks, window_actions=cycles * count)
+
+    @classmethod
+    def parse(cls, text: str) -> "ActionClock":
+        """Parse ``paper``, a rate [Hz], or a rate and a window [s] such as ``6,1``; raises
+        ConfigurationError."""
+        if text == "paper":
+            return cls()
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in (1, 2) or not all(0 < number < math.inf for number in numbers):
+            raise ConfigurationError(
+                f"--clock {text}: must be paper, a rate in Hz such as 6, or a rate and a window in "
+                "s such as 6,1"
+            )
+        return cls.at(*numbers)
 
     @property
     def max_ticks(self) -> int:

@@ -74,11 +74,11 @@ class MapConfig(Configuration):
         return self.tolerance_n or TOLERANCE_N * surveyed.size
 
 
-def empty_map(table: GaitTable, directions: int) -> ForceMap:
+def empty_map(table: GaitTable, directions: int, clock: ActionClock = PAPER_CLOCK) -> ForceMap:
     """Return an empty map with the shapes of a checkpoint."""
     nothing = np.zeros((*table.nodes, 2), np.float32)
     nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
-    return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
+    return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere, clock)
 
 
 def find_force_map(
@@ -115,9 +115,9 @@ def find_force_map(
         config.gaits,
         lambda done, note: notify(start + (1 - start) * done, note),
     )
-    return ForceMap(
-        gaits, held_region(surveyed.reachable, gaits, config.tolerance(surveyed.reachable))
-    )
+    tolerance_n = config.tolerance(surveyed.reachable)
+    region = held_region(surveyed.reachable, gaits, tolerance_n)
+    return ForceMap(gaits, region, config.clock)
 
 
 def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float) -> Reachable:

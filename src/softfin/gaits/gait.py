@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Number, Operations, select_operations
 from softfin.core.quantities import AnyArray
@@ -122,6 +123,8 @@ class FinForces(NamedTuple):
     reachable: Reachable
     gaits: GaitTable | None = None
     """Gaits for these forces; None if they were only surveyed."""
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the gaits."""
 
 
 def _is_box(low: np.ndarray, high: np.ndarray) -> bool:
@@ -134,11 +137,13 @@ class ForceMap(NamedTuple):
 
     gaits: GaitSearchResult
     reachable: Reachable
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the gaits."""
 
     @property
     def forces(self) -> FinForces:
         """The region and the gaits, without their forces."""
-        return FinForces(self.reachable, self.gaits.table)
+        return FinForces(self.reachable, self.gaits.table, self.clock)
 
     def to_dict(self) -> JsonObject:
         """Return the lattice and the region for JSON."""
@@ -150,6 +155,7 @@ class ForceMap(NamedTuple):
                 "nodes": list(table.nodes),
             },
             "reachable": self.reachable.to_dict(),
+            "clock": self.clock.model_dump(mode="json"),
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -203,4 +209,10 @@ class ForceMap(NamedTuple):
                 "plant"
             )
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
-        return cls(found, Reachable.from_dict(description["reachable"]))
+        clock = ActionClock.model_validate(description.get("clock", {}))
+        if clock.window_actions != gait_actions:
+            raise ValueError(
+                f"gaits of {gait_actions} actions do not fit the clock's window of "
+                f"{clock.window_actions}"
+            )
+        return cls(found, Reachable.from_dict(description["reachable"]), clock)

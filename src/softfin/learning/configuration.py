@@ -312,6 +312,11 @@ def check(
     if forces is None:
         return
     _check_reach(config.cells, forces.reachable)
+    if config.begins_as_gaits and forces.gaits is not None and forces.clock != task.clock:
+        raise ConfigurationError(
+            f"map: its clock ({forces.clock}) differs from that of the training ({task.clock}); "
+            "use the same --clock for softfin map and softfin train"
+        )
     if config.begins_as_gaits and forces.gaits is not None:
         _check_gaits(config, forces.gaits, forces.reachable)
 

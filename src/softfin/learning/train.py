@@ -106,7 +106,9 @@ def find_gaits(
     settings = config.gradient.map.merged(values, "task")
     part = run_directory.part("map")
     coarse = settings.empty_table(region)
-    like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)
+    like = empty_map(
+        coarse.halved(settings.gaits.halvings), settings.survey.directions, settings.clock
+    )
     if (resumed := part.load(like)) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
         return stored.forces

@@ -109,7 +109,6 @@ def find_gaits(
         None,
         learnt_from(plant),
         overwrite,
-        config.clock,
     )
 
 
