@@ -154,5 +154,12 @@ def save_gaits(
         "provenance": provenance,
     }
     write_controller(
-        path, GaitStep.kind, limits, keys, force_map.arrays(), extra_files, overwrite, clock
+        path,
+        GaitStep.kind,
+        limits,
+        keys,
+        force_map.arrays(),
+        extra_files,
+        overwrite,
+        force_map.clock,
     )

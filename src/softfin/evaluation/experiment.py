@@ -60,10 +60,15 @@ class ExperimentRecording(NamedTuple):
 
     def first(self) -> "ExperimentRecording":
         """Return the first seed as NumPy arrays; the axis of seeds remains, with length 1."""
-        series = jax.tree.map(
+        command, reading, true_force = jax.tree.map(
             lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
         )
-        return ExperimentRecording(np.asarray(self.reference), *series, clock=self.clock)
+        return self._replace(
+            reference=np.asarray(self.reference),
+            command=command,
+            reading=reading,
+            true_force=true_force,
+        )
 
 
 @runtime_checkable
@@ -135,7 +140,8 @@ def run_together(
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
         own = jax.tree.map(lambda x, part=part: x[part], recorded)
-        recordings.append(ExperimentRecording(references, *own, clock=clock))
+        command, reading, true_force = own
+        recordings.append(ExperimentRecording(references, command, reading, true_force, clock))
         first += len(references)
     return recordings
 

@@ -44,8 +44,8 @@ class GradientConfig(Configuration):
     num_envs: PositiveInt = 32
     """Number of parallel environments per policy."""
     num_steps: PositiveInt = 18
-    """Number of actions per environment and update, whole cycles of the clock; gradients are propagated
-    through all of them."""
+    """Number of actions per environment and update, whole cycles of the clock; gradients are
+    propagated through all of them."""
     learning_rate: PositiveFloat = 1e-3
     """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.01, ge=0, le=1)

@@ -48,8 +48,8 @@ class PPOConfig(Configuration):
     num_envs: PositiveInt = 16
     """Number of parallel environments per policy."""
     num_steps: PositiveInt = 15
-    """Number of actions per environment and update, whole cycles of the clock; gradients are propagated
-    through all of them."""
+    """Number of actions per environment and update, whole cycles of the clock; gradients are
+    propagated through all of them."""
     num_epochs: PositiveInt = 10
     """Number of passes over each rollout."""
     relabelling: NonNegativeFloat = 0.0
