@@ -46,7 +46,7 @@ class ActionClock(Configuration):
         window nearest to `window_s`.
 
         Raises:
-            ConfigurationError: the rate is no ratio of small whole numbers, or above 100 Hz.
+            ConfigurationError: the rate is not a ratio of small whole numbers, or above 100 Hz.
         """
         ticks_per_action = Fraction(RATE_HZ / rate_hz).limit_denominator(MAX_CYCLE_ACTIONS)
         count = ticks_per_action.denominator

@@ -42,7 +42,7 @@ SIDE_BY_SIDE = 32
 """Number of gaits per call of the program that computes gradients; the size is fixed, so that all
 callers share the compiled program."""
 
-STROKES = ((1, -1), (1, -1, -1), (1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5))
+STROKE_SHAPES = ((1, -1), (1, -1, -1), (1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5))
 """Angles of a stroke relative to its centre, divided by its amplitude, at each of its actions.
 Those are surveyed that fit into the window a whole number of times; of the paper's window these are
 strokes of 0.67 s, 1 s and 2 s."""
@@ -79,7 +79,7 @@ def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"
     count = clock.window_actions
     waveforms = [
         np.tile(np.array(stroke, float), count // len(stroke))
-        for stroke in STROKES
+        for stroke in STROKE_SHAPES
         if count % len(stroke) == 0
     ]
     if not waveforms:
