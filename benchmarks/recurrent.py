@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS, action_ticks, valid_rows
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant, State, Ticks, hold_action_with_true_force
@@ -63,7 +63,7 @@ def run_recurrent(
         command = action_to_command(limits, action)
         state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
         return state, (
-            jax.tree.map(lambda x: jnp.full(MAX_ACTION_TICKS, x), command),
+            jax.tree.map(lambda x: jnp.full(PAPER_CLOCK.max_ticks, x), command),
             reading,
             true_force,
         )
@@ -74,7 +74,7 @@ def run_recurrent(
     actions = jnp.tile(rest_actions(task, limits), (count, 1, 1))
     memory = None
     kept = []
-    held = action_ticks(config.seconds * len(ACTION_TICKS))
+    held = PAPER_CLOCK.action_ticks(config.seconds * len(PAPER_CLOCK.ticks))
     for age, ticks in enumerate(held):
         observed = np.asarray(observe(angle, actions, jnp.int32(age)))
         starts = np.full(count, age == 0)
@@ -88,7 +88,7 @@ def run_recurrent(
         kept.append(jax.tree.map(np.asarray, recorded))
 
     def together(*parts: Any) -> Any:
-        whole = np.concatenate(parts, axis=1)[:, valid_rows(len(held))]
+        whole = np.concatenate(parts, axis=1)[:, PAPER_CLOCK.valid_rows(len(held))]
         return whole.reshape(len(config.references), config.seeds, *whole.shape[1:])
 
     return ExperimentRecording(

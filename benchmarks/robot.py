@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.controller_step import one_core
 from benchmarks.measure import entry
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import TICK_S, Command
 from softfin.robot.allocation import Allocator
 from softfin.robot.description import load_robot
@@ -125,7 +125,7 @@ def batch(robot: Any, simulation: RobotSimulation, gaits: Any) -> dict[str, Any]
         angles, velocities = np.array(now, np.float32).transpose(2, 0, 1)
         commands = Command(jnp.asarray(angles), jnp.asarray(velocities))
         states, rows = advance(
-            states, Orders(before, commands, jnp.asarray(orders)), around, ACTION_TICKS[0]
+            states, Orders(before, commands, jnp.asarray(orders)), around, PAPER_CLOCK.ticks[0]
         )
         before = commands
         body = jax.tree.map(np.asarray, rows.body)
@@ -134,5 +134,5 @@ def batch(robot: Any, simulation: RobotSimulation, gaits: Any) -> dict[str, Any]
             for index in range(BATCH)
         ]
     spent = time.perf_counter() - start
-    simulated = BATCH * ACTIONS * ACTION_TICKS[0] * TICK_S
+    simulated = BATCH * ACTIONS * PAPER_CLOCK.ticks[0] * TICK_S
     return entry(f"{BATCH} robots, simulated over real time", simulated / spent, "-", 200)

@@ -16,14 +16,14 @@ from jaxtyping import PRNGKeyArray
 
 from benchmarks.measure import entry, interleaved, matmul
 from benchmarks.nets import published_layout
-from softfin.core.action_clock import ACTION_TICKS, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import State
 from softfin.core.quantities import Command, Limits, Reading
 from softfin.surrogate import Surrogate
 from softfin.task.references import PAPER_RANGE, References
 from softfin.task.task import ForceTracking, TaskConfig
 
-TICKS = sum(ACTION_TICKS)
+TICKS = sum(PAPER_CLOCK.ticks)
 BATCHES = (1, 4, 16, 64, 256)
 
 
@@ -48,7 +48,7 @@ def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
     keys = jax.random.split(jax.random.key(1), batch)
     state = jax.vmap(task.reset, (0, None))(keys, References.of(PAPER_RANGE))
     actions = jax.random.uniform(
-        jax.random.key(2), (len(ACTION_TICKS) * cycles, batch, 2), minval=-1, maxval=1
+        jax.random.key(2), (len(PAPER_CLOCK.ticks) * cycles, batch, 2), minval=-1, maxval=1
     )
 
     def act(state: Any, now: Any) -> Any:
@@ -58,7 +58,7 @@ def steps(task: ForceTracking, batch: int, cycles: int) -> Callable[[], Any]:
 
     program = jax.jit(
         lambda state, actions: jax.lax.scan(
-            act, state, (actions, jnp.asarray(action_ticks(len(actions))))
+            act, state, (actions, jnp.asarray(PAPER_CLOCK.action_ticks(len(actions))))
         )[1]
     )
     return lambda: program(state, actions)

@@ -20,7 +20,7 @@ import softfin
 from softfin.control.controller import Measured
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
-from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS, WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import hold
 from softfin.core.quantities import RATE_HZ, Command, action_to_command
 from softfin.gaits.force_map import load_map
@@ -63,7 +63,9 @@ def beat() -> Any:
 
 def mean_force(force_n: np.ndarray) -> np.ndarray:
     """Moving average over the window, from the first full one on."""
-    return np.convolve(force_n, np.ones(WINDOW) / WINDOW, "valid")
+    return np.convolve(
+        force_n, np.ones(PAPER_CLOCK.window_ticks) / PAPER_CLOCK.window_ticks, "valid"
+    )
 
 
 def without_axes(axes: Any) -> None:
@@ -164,14 +166,14 @@ def window(figure: Figure) -> None:
     reference."""
     reference_n = 4.0
     reading = beat()
-    ticks = [ACTION_TICKS[index % len(ACTION_TICKS)] for index in range(ACTIONS)]
-    assert sum(ticks[:CYCLE_ACTIONS]) == WINDOW
+    ticks = [PAPER_CLOCK.ticks[index % len(PAPER_CLOCK.ticks)] for index in range(ACTIONS)]
+    assert sum(ticks[: PAPER_CLOCK.window_actions]) == PAPER_CLOCK.window_ticks
     figure.set_size_inches(WIDTH_IN, 4.6)
     panels = figure.subplots(2, 1, sharex=True)
     time = (np.arange(len(reading.angle)) + 1) / RATE_HZ
     force_n = reading.force[:, 0]
     end = len(time) - 20
-    start = end - WINDOW
+    start = end - PAPER_CLOCK.window_ticks
     mean = mean_force(force_n)
     for axes in panels:
         axes.axvspan(start / RATE_HZ, end / RATE_HZ, color=GREEN, alpha=0.12, linewidth=0)
@@ -188,10 +190,14 @@ def window(figure: Figure) -> None:
     panels[0].legend(ncols=2, loc="upper left", fontsize=8)
     panels[1].plot(time, force_n, color=BLUE, linewidth=0.9, label="force x at 100 Hz")
     panels[1].plot(
-        time[WINDOW - 1 :], mean, color=BLACK, linewidth=2, label="mean of the last 200 samples"
+        time[PAPER_CLOCK.window_ticks - 1 :],
+        mean,
+        color=BLACK,
+        linewidth=2,
+        label="mean of the last 200 samples",
     )
     panels[1].axhline(reference_n, color=ORANGE, linestyle="--", label="reference force")
-    last = float(mean[end - WINDOW])
+    last = float(mean[end - PAPER_CLOCK.window_ticks])
     arrow = {"arrowstyle": "<->", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
     panels[1].annotate("", (end / RATE_HZ, reference_n), (end / RATE_HZ, last), arrowprops=arrow)
     panels[1].text(end / RATE_HZ + 0.05, (reference_n + last) / 2, "error", va="center")
@@ -221,11 +227,11 @@ def gait(figure: Figure) -> None:
     time = (np.arange(len(reading.angle)) + 1) / RATE_HZ
     figure.set_size_inches(WIDTH_IN, 4.0)
     panels = figure.subplots(2, 1, sharex=True)
-    cycle = WINDOW / RATE_HZ
+    cycle = PAPER_CLOCK.window_ticks / RATE_HZ
     for axes in panels:
         for first in range(0, times, 2):
             axes.axvspan(first * cycle, (first + 1) * cycle, color=GREY, alpha=0.1, linewidth=0)
-    ticks = [ACTION_TICKS[index % len(ACTION_TICKS)] for index in range(len(scaled))]
+    ticks = [PAPER_CLOCK.ticks[index % len(PAPER_CLOCK.ticks)] for index in range(len(scaled))]
     panels[0].step(
         time - 1 / RATE_HZ,
         np.repeat(np.asarray(command.angle), ticks),
@@ -238,7 +244,7 @@ def gait(figure: Figure) -> None:
     panels[0].legend(ncols=2, loc="upper left", fontsize=8)
     panels[1].plot(time, reading.force[:, 0], color=BLUE, linewidth=0.9, label="force x at 100 Hz")
     panels[1].plot(
-        time[WINDOW - 1 :],
+        time[PAPER_CLOCK.window_ticks - 1 :],
         mean_force(reading.force[:, 0]),
         color=BLACK,
         linewidth=2,
@@ -312,7 +318,7 @@ def trim(figure: Figure) -> None:
     single = load_controller(EXAMPLE / "single")
     steps = {
         ticks: jax.jit(lambda state, command, ticks=ticks: tank.advance(state, command, ticks))
-        for ticks in set(ACTION_TICKS)
+        for ticks in set(PAPER_CLOCK.ticks)
     }
 
     def run(controller: Any) -> np.ndarray:
@@ -322,7 +328,7 @@ def trim(figure: Figure) -> None:
         measured = Measured(0.0, np.zeros(2))
         for index in range(count):
             memory, command = controller.act(memory, measured, reference_n)
-            state, reading = steps[ACTION_TICKS[index % 3]](
+            state, reading = steps[PAPER_CLOCK.ticks[index % 3]](
                 state, Command(*map(jnp.float32, command))
             )
             forces.append(np.asarray(reading.force))
@@ -336,7 +342,7 @@ def trim(figure: Figure) -> None:
         for name, force_n, colour in runs:
             mean = mean_force(force_n[:, axis])
             axes.plot(
-                (np.arange(len(mean)) + WINDOW) / RATE_HZ,
+                (np.arange(len(mean)) + PAPER_CLOCK.window_ticks) / RATE_HZ,
                 mean,
                 color=colour,
                 linewidth=1.6,

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.plant import Ticks
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
 
@@ -127,10 +126,14 @@ class StrokeFin(eqx.Module):
         return (times[-1], jnp.asarray(command.angle, jnp.float32)), reading
 
     def hold_action(
-        self, state: tuple[Float[Array, ""], Float[Array, ""]], command: Command, ticks: Ticks
+        self,
+        state: tuple[Float[Array, ""], Float[Array, ""]],
+        command: Command,
+        ticks: Ticks,
+        rows: int,
     ) -> tuple[tuple[Float[Array, ""], Float[Array, ""]], Reading]:
         """A stroke is one whole, which many ticks one by one are not."""
-        (_, angle), reading = self.advance(state, command, MAX_ACTION_TICKS)
+        (_, angle), reading = self.advance(state, command, rows)
         return (jnp.asarray(reading.time)[ticks - 1], angle), reading
 
 

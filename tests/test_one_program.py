@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks, valid_rows
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, drop_padding, hold, hold_action, masked_mean, roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading
@@ -49,7 +49,7 @@ ACTIONS = Command(jnp.linspace(-1, 1, 7), jnp.full(7, 2.0))
 
 def evaluated(references: Any) -> Any:
     return experiment._program.__wrapped__(
-        (Flapper(), MarkedFin()), references, jax.random.split(KEY, 2)
+        (Flapper(), MarkedFin()), references, jax.random.split(KEY, 2), PAPER_CLOCK
     )
 
 
@@ -90,7 +90,7 @@ def test_the_tank_takes_the_state_that_it_gives() -> None:
 def test_actions_held_are_their_commands_one_a_tick() -> None:
     fin = AnalyticFin()
     state, reading = hold(fin, fin.init(KEY), ACTIONS)
-    ticks = action_ticks(7)
+    ticks = PAPER_CLOCK.action_ticks(7)
     assert ticks == [33, 33, 34, 33, 33, 34, 33]
     alone, each = roll(
         fin, fin.init(KEY), Command(*(jnp.repeat(part, np.array(ticks)) for part in ACTIONS))
@@ -102,9 +102,9 @@ def test_actions_held_are_their_commands_one_a_tick() -> None:
 def test_the_rows_of_an_action_that_count_are_those_it_is_held(ticks: int) -> None:
     fin = AnalyticFin()
     command = Command(jnp.float32(0.4), jnp.float32(2.0))
-    state, reading = jax.jit(partial(hold_action, fin))(fin.init(KEY), command, ticks)
+    state, reading = jax.jit(partial(hold_action, fin, rows=34))(fin.init(KEY), command, ticks)
     expected_state, expected = fin.advance(fin.init(KEY), command, ticks)
-    assert reading.force.shape == (MAX_ACTION_TICKS, 2)
+    assert reading.force.shape == (PAPER_CLOCK.max_ticks, 2)
     np.testing.assert_allclose(reading.force[:ticks], expected.force, rtol=1e-5)
     np.testing.assert_allclose(state.angle, expected_state.angle, rtol=1e-5)
     np.testing.assert_allclose(
@@ -113,22 +113,30 @@ def test_the_rows_of_an_action_that_count_are_those_it_is_held(ticks: int) -> No
 
 
 def test_rows_that_count_follow_one_another() -> None:
-    rows = jnp.arange(3 * MAX_ACTION_TICKS)
-    kept = drop_padding(rows.reshape(3, MAX_ACTION_TICKS), 3)
-    assert kept.tolist() == valid_rows(3) == [row for row in rows.tolist() if row not in (33, 67)]
+    rows = jnp.arange(3 * PAPER_CLOCK.max_ticks)
+    kept = drop_padding(rows.reshape(3, PAPER_CLOCK.max_ticks), 3, PAPER_CLOCK)
+    assert (
+        kept.tolist()
+        == PAPER_CLOCK.valid_rows(3)
+        == [row for row in rows.tolist() if row not in (33, 67)]
+    )
 
 
 class Careless(AnalyticFin):
     """Forgets that the last row of a short action does not count."""
 
-    def hold_action(self, state: Any, command: Command, ticks: Any) -> tuple[Any, Reading]:
-        return self.advance(state, command, MAX_ACTION_TICKS)
+    def hold_action(
+        self, state: Any, command: Command, ticks: Any, rows: int
+    ) -> tuple[Any, Reading]:
+        return self.advance(state, command, rows)
 
 
 class Careful(AnalyticFin):
-    def hold_action(self, state: Any, command: Command, ticks: Any) -> tuple[Any, Reading]:
+    def hold_action(
+        self, state: Any, command: Command, ticks: Any, rows: int
+    ) -> tuple[Any, Reading]:
         plain: Plant = AnalyticFin()
-        return hold_action(plain, state, command, ticks)
+        return hold_action(plain, state, command, ticks, rows)
 
 
 def test_the_conformance_kit_checks_a_plants_own_way_to_hold_an_action() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from softfin.control.policy import ANGLE_SCALE_RAD
-from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.errors import InputError
 from softfin.core.gym_registration import ID, register
 from softfin.core.plant import Plant
@@ -46,7 +45,7 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
     size.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": round(ACTION_RATE_HZ)}  # noqa: RUF012
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 3}  # noqa: RUF012
 
     def __init__(
         self,
@@ -58,6 +57,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"{ID}: render_mode {render_mode!r}; must be 'rgb_array' or None")
         self.task = ForceTracking(find_plant(plant), config or TaskConfig())
+        clock = self.task.config.clock
+        self.metadata = self.metadata | {"render_fps": round(clock.rate_hz)}
         self.references = references
         self.render_mode = render_mode
         # Bounds: half a turn of the shaft, the references, the actions.
@@ -78,8 +79,10 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
             # Imported here, because Matplotlib imports slowly and is needed only for rendering.
             from softfin.evaluation.view.picture import EpisodeFilm
 
-            seconds = self.task.config.episode_actions / ACTION_RATE_HZ
-            self._film = EpisodeFilm(self.task.plant, seconds, float(np.linalg.norm(greatest)))
+            seconds = self.task.config.episode_actions / clock.rate_hz
+            self._film = EpisodeFilm(
+                self.task.plant, seconds, float(np.linalg.norm(greatest)), clock
+            )
         self._state: TaskState | None = None
         self._actions = 0
 
@@ -119,7 +122,8 @@ class ForceTrackingEnv(gymnasium.Env[Observation, Float[np.ndarray, "2"]]):
                 f"{ID}: action {action} must be two numbers in [-1, 1]; clip it or squash it"
             )
         reference = np.array(self._state.reference)
-        ticks = ACTION_TICKS[self._actions % len(ACTION_TICKS)]
+        durations = self.task.config.clock.ticks
+        ticks = durations[self._actions % len(durations)]
         held = jnp.asarray(action, jnp.float32)
         if self._film is not None:
             self._film.add(

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
-from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import LogError, PlantError, SoftfinError
 from softfin.core.plant import EnsemblePlant, Plant, State, TrueForcePlant, roll
 from softfin.core.plant_identity import identity
@@ -26,7 +26,7 @@ from softfin.surrogate.store import load_surrogate, save_surrogate
 
 __all__ = ("check_drive", "check_force_sensor", "check_plant", "check_surrogate")
 
-STROKE_TICKS = ACTION_TICKS[0]
+STROKE_TICKS = PAPER_CLOCK.ticks[0]
 
 Problem = tuple[str, ...]
 """Error message: the problem and the requirement."""
@@ -196,15 +196,16 @@ def _gradient(plant: Plant) -> Iterator[Problem]:
 def _held_action(plant: Plant) -> Iterator[Problem]:
     own: Any = getattr(plant, "hold_action", None)
     command = _stroke(plant)
-    whole = jax.jit(lambda state, ticks: own(state, command, ticks))
-    for ticks in sorted(set(ACTION_TICKS)) if own is not None else ():
+    rows = PAPER_CLOCK.max_ticks
+    whole = jax.jit(lambda state, ticks: own(state, command, ticks, rows))
+    for ticks in sorted(set(PAPER_CLOCK.ticks)) if own is not None else ():
         state: State = plant.init(jax.random.key(0))
         after, reading = whole(state, ticks)
         expected_after, expected = plant.advance(state, command, ticks)
-        if jnp.shape(reading.force) != (MAX_ACTION_TICKS, 2):
+        if jnp.shape(reading.force) != (rows, 2):
             yield (
                 f"hold_action returns forces of shape {jnp.shape(reading.force)}",
-                f"it must be ({MAX_ACTION_TICKS}, 2)",
+                f"it must be ({rows}, 2)",
             )
         pairs = zip(
             jax.tree.leaves((after, reading.force[:ticks], reading.angle[:ticks])),
@@ -214,7 +215,7 @@ def _held_action(plant: Plant) -> Iterator[Problem]:
         # Random keys have no values to compare.
         numbers = [pair for pair in pairs if not _is_key(pair[0])]
         if not all(np.allclose(one, other, rtol=1e-3, atol=1e-4) for one, other in numbers):
-            asked = "it must return 34 rows, and the state after the first `ticks` of them"
+            asked = f"it must return {rows} rows, and the state after the first `ticks` of them"
             yield f"hold_action for {ticks} ticks differs from advance by {ticks} ticks", asked
 
 

@@ -102,7 +102,7 @@ def weigh(folder: Path, **changes: Any) -> None:
         (
             "single",
             lambda f: edit(f, action_rate_hz=5.0),
-            "action_rate_hz is 5.0, must be 3.0 for this",
+            "action_rate_hz is 5.0, but the clock's is 3",
         ),
         (
             "single",

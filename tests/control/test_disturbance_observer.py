@@ -15,7 +15,7 @@ from softfin.control.disturbance_observer import (
     DisturbanceObserverConfig,
     ObserverForces,
 )
-from softfin.core.action_clock import ACTION_TICKS, WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError, CoverageError
 from softfin.core.quantities import Command
 from softfin.gaits.reachable import Cell, Reachable
@@ -23,7 +23,9 @@ from softfin.gaits.reachable import Cell, Reachable
 BIAS = (0.3, -0.2)
 RIPPLE = jnp.array([0.4, -0.9, 0.6, 0.1, -0.5, 0.3])
 """Of the force, within the window of six actions."""
-RIPPLE -= (RIPPLE * jnp.array([*ACTION_TICKS, *ACTION_TICKS]) / WINDOW).sum()
+RIPPLE -= (
+    RIPPLE * jnp.array([*PAPER_CLOCK.ticks, *PAPER_CLOCK.ticks]) / PAPER_CLOCK.window_ticks
+).sum()
 
 
 class Carrier(eqx.Module):
@@ -75,8 +77,8 @@ def forces(
 
 def window(force: np.ndarray, end: int) -> np.ndarray:
     """Mean over the six actions before `end`, by their ticks."""
-    held = np.array([ACTION_TICKS[k % 3] for k in range(end - 6, end)])
-    return np.asarray((held[:, None] * force[end - 6 : end]).sum(axis=0) / WINDOW)
+    held = np.array([PAPER_CLOCK.ticks[k % 3] for k in range(end - 6, end)])
+    return np.asarray((held[:, None] * force[end - 6 : end]).sum(axis=0) / PAPER_CLOCK.window_ticks)
 
 
 def still(count: int, force: tuple[float, float] = (1.0, 1.0)) -> np.ndarray:
@@ -114,7 +116,7 @@ def test_the_estimate_is_that_of_a_kalman_filter() -> None:
     for action in range(60):
         estimate = transition @ estimate
         covariance = transition @ covariance @ transition.T + process
-        if action >= config.settle_actions:
+        if action >= DisturbanceObserver(Carrier(), config).settle_actions:
             total = sensed @ covariance @ sensed.T + 6 * newtons.noise_n**2
             gain = covariance @ sensed.T / total
             estimate = estimate + gain @ (np.array([BIAS]) - sensed @ estimate)
@@ -306,10 +308,10 @@ def test_a_loop_that_learns_before_its_window_is_full_is_refused() -> None:
         ConfigurationError,
         match=r"settle_actions = 8 with lag_actions = 4: .*set settle_actions to 10",
     ):
-        DisturbanceObserverConfig.build({"lag_actions": 4})
-    assert (
-        DisturbanceObserverConfig.build({"lag_actions": 4, "settle_actions": 10}).lag_actions == 4
-    )
+        DisturbanceObserver(Carrier(), DisturbanceObserverConfig(lag_actions=4, settle_actions=8))
+    late = DisturbanceObserverConfig(lag_actions=4, settle_actions=10)
+    assert DisturbanceObserver(Carrier(), late).settle_actions == 10
+    assert DisturbanceObserver(Carrier()).settle_actions == 8
 
 
 def test_at_the_edge_of_the_range_it_does_not_wind_up() -> None:

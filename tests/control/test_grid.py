@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from softfin.control.controller import Controller, LoadedController, Measured
 from softfin.control.grid import GridState, GridStep, SwitchingConfig
 from softfin.control.policy import PolicyNetwork
-from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
 from softfin.gaits.reachable import Cell
@@ -137,8 +137,11 @@ def test_the_new_policy_comes_in_by_a_sixth_an_action() -> None:
     faded = crossing(AT_ONCE, 0.1)
     gap = crossing(FADELESS, 0.1).max()
     assert gap > 0.1
-    assert (faded[:CYCLE_ACTIONS] < 0.01 + gap * np.arange(CYCLE_ACTIONS) / CYCLE_ACTIONS).all()
-    assert faded[CYCLE_ACTIONS:].max() > 0.1
+    assert (
+        faded[: PAPER_CLOCK.window_actions]
+        < 0.01 + gap * np.arange(PAPER_CLOCK.window_actions) / PAPER_CLOCK.window_actions
+    ).all()
+    assert faded[PAPER_CLOCK.window_actions :].max() > 0.1
 
 
 def test_between_policies_that_are_the_same_a_switch_does_nothing() -> None:
@@ -149,7 +152,7 @@ def test_between_policies_that_are_the_same_a_switch_does_nothing() -> None:
 def test_in_the_first_cycle_the_new_policy_remembers_all_as_if_it_had_been_in_charge() -> None:
     near = 1 - 1e-5
     far = 1 + 1e-5
-    for before in (1, 3, CYCLE_ACTIONS):
+    for before in (1, 3, PAPER_CLOCK.window_actions):
         switched, stayed = (
             play(grid(FADELESS, 0.0), [near] * before + [last])[1][-1] for last in (far, near)
         )

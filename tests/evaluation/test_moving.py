@@ -121,7 +121,7 @@ def test_the_instantaneous_error_counts_the_delay_of_the_window():
     behind it."""
     ramp = Ramp(start_n=(-0.001, 0.002), to_n=(2, -4), begin_s=0, end_s=20.01)
     tracked = ramp.sample(2001)
-    row = _row(ramp, tracked, tracked[None].astype(float), [], np.zeros((1, 2)), None)
+    row = _row(ramp, tracked, tracked[None].astype(float), [], np.zeros((1, 2)), None, 200)
     assert row["x"]["instantaneous_error_n"] == pytest.approx(0.1, abs=2e-3)
     assert row["y"]["instantaneous_error_n"] == pytest.approx(0.2, abs=2e-3)
 

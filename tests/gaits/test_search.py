@@ -14,7 +14,7 @@ from softfin.gaits import simulate as survey_module
 from softfin.gaits.gait import GaitTable
 from softfin.gaits.reachable import Cell
 from softfin.gaits.search import GaitConfig, find_gaits
-from softfin.gaits.simulate import FAMILIES, SurveyConfig, survey
+from softfin.gaits.simulate import SurveyConfig, gait_families, survey
 from softfin.gaits.simulate import simulate_gait as simulate
 from softfin.surrogate import read_keras_surrogate
 from tests.gaits.test_survey import OwnFin
@@ -186,7 +186,7 @@ def test_a_gait_of_the_published_fin_holds_its_force_in_the_steady_state(
 ) -> None:
     """Of two families of strokes, so that the search is short."""
     for module in (survey_module, search):
-        monkeypatch.setattr(module, "FAMILIES", FAMILIES[:2])
+        monkeypatch.setattr(module, "gait_families", lambda clock: gait_families(clock)[:2])
     monkeypatch.setattr(survey_module, "SIDE_BY_SIDE", 4)
     fin = read_keras_surrogate(
         published / "cnn_pos_net.keras",

@@ -6,13 +6,14 @@ import dataclasses
 import jax
 import numpy as np
 
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import PAPER_LIMITS, Limits
 from softfin.gaits.simulate import (
     AMPLITUDES,
     CENTRES,
-    FAMILIES,
     SurveyConfig,
     _middle,
+    gait_families,
     strokes,
     survey,
 )
@@ -28,7 +29,7 @@ def test_every_gait_was_tried_and_its_force_kept_beside_it() -> None:
     assert found.force.shape == (9, 11, 7, 2)
     for place in ((0, 0, 3), (4, 8, 2), (8, 10, 6)):
         gait = strokes(
-            *FAMILIES[place[0]],
+            *gait_families(PAPER_CLOCK)[place[0]],
             CENTRES[place[1] : place[1] + 1],
             AMPLITUDES[place[2] : place[2] + 1],
         )[0]
@@ -86,8 +87,8 @@ class OwnFin:
     def advance(self, state, command, ticks):
         return StrokeFin(self.gain).advance(state, command, ticks)
 
-    def hold_action(self, state, command, ticks):
-        return StrokeFin(self.gain).hold_action(state, command, ticks)
+    def hold_action(self, state, command, ticks, rows):
+        return StrokeFin(self.gain).hold_action(state, command, ticks, rows)
 
 
 def test_a_plant_that_cannot_be_hashed_is_surveyed_all_the_same() -> None:

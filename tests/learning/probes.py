@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Reading
 from softfin.gaits.reachable import Cell
 from softfin.learning.policy import PolicyConfig
@@ -34,9 +33,9 @@ class Probe:
         return ProbeState(jnp.int32(0), jax.random.rademacher(key, (), jnp.float32), jnp.zeros(2))
 
     def hold_action(
-        self, state: ProbeState, command: Command, ticks: Any
+        self, state: ProbeState, command: Command, ticks: Any, rows: int
     ) -> tuple[ProbeState, Reading]:
-        return self.advance(state, command, MAX_ACTION_TICKS)
+        return self.advance(state, command, rows)
 
     def advance(
         self, state: ProbeState, command: Command, ticks: int

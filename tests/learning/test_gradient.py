@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.choices import AlgorithmPreset, PolicyLayout
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import EnsemblePlant, Plant
@@ -204,7 +204,7 @@ def test_the_errors_shown_are_means_over_the_actions_of_all_fins() -> None:
     states = lane.env_state.states
     memories = lane.env_state.memories
     errors = []
-    for ticks in action_ticks(QUICK.gradient.num_steps):
+    for ticks in PAPER_CLOCK.action_ticks(QUICK.gradient.num_steps):
         memories, action = act(memories, jax.vmap(TASK.observe)(states))
         states, outcome = step(states, action, ticks)
         errors.append(np.abs(outcome.force_error))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.control.policy import PHASES, PolicyObservation, fold
+from softfin.control.policy import PolicyObservation, fold, phases
 from softfin.control.single import SingleStep
 from softfin.core.operations import NUMPY
 from softfin.core.quantities import PAPER_LIMITS
@@ -76,7 +76,7 @@ GAITS = GaitTable(
 
 def observed(reference: Any, age: int) -> np.ndarray:
     seen = np.zeros(OBSERVATION.size, np.float32)
-    seen[1:3], seen[-2:] = reference, PHASES[age % 6]
+    seen[1:3], seen[-2:] = reference, phases(6)[age % 6]
     return seen
 
 

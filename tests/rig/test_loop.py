@@ -1,6 +1,6 @@
 import pytest
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import RunError, SafetyStop
 from softfin.rig.loop import run_controller
 from tests.rig.machines import Wagging
@@ -16,8 +16,8 @@ def held(controller, actions=6, references=lambda at: (1.0, -1.0), zero=(0.0, 0.
 
 def test_three_actions_take_a_second_to_the_tick():
     _, acted = held(Wagging())
-    assert [len(one.samples) for one in acted] == [*ACTION_TICKS, *ACTION_TICKS]
-    assert sum(ACTION_TICKS) == 100
+    assert [len(one.samples) for one in acted] == [*PAPER_CLOCK.ticks, *PAPER_CLOCK.ticks]
+    assert sum(PAPER_CLOCK.ticks) == 100
 
 
 def test_the_controller_sees_the_mean_force_since_its_last_action():

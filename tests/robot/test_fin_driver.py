@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import WINDOW, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import Command
 from softfin.robot.fin_driver import REST, stroke
 from softfin.tank import Tank
@@ -38,10 +38,10 @@ def mean_force(gaits, force, velocity=(0.0, 0.0)):
         state, command = stroke(gaits, state, force, 1 if action % 2 == 0 else -1)
         commands.append(command)
     each_tick = Command(
-        *(np.repeat(part, action_ticks(24)) for part in zip(*commands, strict=True))
+        *(np.repeat(part, PAPER_CLOCK.action_ticks(24)) for part in zip(*commands, strict=True))
     )
     found = np.asarray(simulated(jax.tree.map(jnp.float32, each_tick), jnp.asarray(velocity)))
-    return found[-WINDOW:].mean(axis=0)
+    return found[-PAPER_CLOCK.window_ticks :].mean(axis=0)
 
 
 @pytest.mark.parametrize("force", [(1.5, 0.0), (-1.0, 2.0), (0.0, -3.0)])

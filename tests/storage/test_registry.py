@@ -119,8 +119,8 @@ class StrictFin(PlainFin):
 
 
 class StrictFinOfItsOwnActions(StrictFin):
-    def hold_action(self, state, command, ticks):
-        return hold_action(StrictFin(self.limits), state, command, ticks)
+    def hold_action(self, state, command, ticks, rows):
+        return hold_action(StrictFin(self.limits), state, command, ticks, rows)
 
 
 @pytest.mark.parametrize(

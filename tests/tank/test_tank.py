@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import CommandError, ConfigurationError
 from softfin.core.plant import Plant, hold, roll
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command
@@ -57,7 +57,7 @@ def excitation(logs, ticks, seed=0):
 def beating(centre, amplitude=0.5, velocity=6.0):
     """On the 3 Hz clock."""
     return issue(
-        *((centre + amplitude * (-1.0) ** i, velocity, ACTION_TICKS[i % 3]) for i in range(30))
+        *((centre + amplitude * (-1.0) ** i, velocity, PAPER_CLOCK.ticks[i % 3]) for i in range(30))
     )
 
 

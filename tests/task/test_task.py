@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import roll
 from softfin.core.quantities import PAPER_LIMITS, Command, Reading, action_to_command
 from softfin.gaits.reachable import Cell
@@ -33,7 +33,7 @@ def played(task: ForceTracking, actions: Any, seed: int = 0) -> tuple[TaskState,
     state = task.reset(jax.random.key(seed), BOX)
     outcomes = []
     for i, action in enumerate(actions):
-        ticks = ACTION_TICKS[i % 3]
+        ticks = PAPER_CLOCK.ticks[i % 3]
         state, outcome = step(state, jnp.asarray(action, jnp.float32), ticks)
         outcomes.append(outcome._replace(forces=outcome.forces[:ticks]))
     return state, outcomes
@@ -109,7 +109,7 @@ def test_the_target_is_the_reference_now_or_its_mean_over_the_window(target: str
     forces = np.zeros((0, 2))
     references = np.zeros((0, 2))
     for number, action in enumerate(swings(8)):
-        ticks = ACTION_TICKS[number % 3]
+        ticks = PAPER_CLOCK.ticks[number % 3]
         references = np.concatenate([references, np.tile(state.reference, (ticks, 1))])
         state, outcome = step(state, jnp.array(action), ticks)
         forces = np.concatenate([forces, outcome.forces[:ticks]])
@@ -175,7 +175,7 @@ def test_the_angle_is_that_of_the_last_tick_that_an_action_is_held(
     slow = [(0.9, -1.0)] * actions
     state, _ = played(task, slow)
     commands = jax.tree.map(
-        lambda x: jnp.full(sum(ACTION_TICKS[:actions]), x),
+        lambda x: jnp.full(sum(PAPER_CLOCK.ticks[:actions]), x),
         action_to_command(fin.limits, jnp.array(slow[0])),
     )
     _, reading = roll(fin, fin.init(jax.random.key(0)), commands)
@@ -217,7 +217,7 @@ def test_references_are_redrawn_when_they_are_due() -> None:
     state = task.reset(jax.random.key(0), BOX)
     references = [tuple(np.asarray(state.reference))]
     for i in range(8):
-        state, _ = step(state, STROKE, ACTION_TICKS[i % 3])
+        state, _ = step(state, STROKE, PAPER_CLOCK.ticks[i % 3])
         references.append(tuple(np.asarray(state.reference)))
     assert [a != b for a, b in zip(references[1:], references, strict=False)] == [False] * 3 + [
         True
@@ -234,7 +234,7 @@ def test_no_episode_draws_what_the_one_before_drew() -> None:
     drawn = []
     for _ in range(3):
         drawn.append(np.asarray(state.reference))
-        for ticks in ACTION_TICKS:
+        for ticks in PAPER_CLOCK.ticks:
             state, _ = step(state, STROKE, ticks)
             drawn += [np.asarray(state.reference), np.asarray(state.angle)]
         state = task.reset(state.key, BOX)

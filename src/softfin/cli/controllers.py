@@ -23,6 +23,7 @@ from softfin.storage.artifact import load_description
 from softfin.task.notation import read_cells, read_range
 
 if TYPE_CHECKING:
+    from softfin.core.action_clock import ActionClock
     from softfin.gaits.reachable import Cell, Cells, Reachable
     from softfin.learning.configuration import TrainConfig
 
@@ -42,13 +43,20 @@ class MapArguments(Configured):
     """Surrogate folder, or another plant: tank or package.module:plant."""
     out: Out
     """Output folder for map.json, the gaits and the figure."""
+    clock: Annotated[str, Option("HZ[,S]")] | None = None
+    """Actions per second and window of the gaits [s], or paper (default: paper, which is 3,2)."""
+
+    def check(self) -> None:
+        """Reject a clock that does not exist."""
+        asked_clock(self.clock)
+        super().check()
 
     def __call__(self) -> None:
         from softfin.gaits.force_map import MapConfig
         from softfin.gaits.reachable import force_decimals
         from softfin.stages.controllers import map_forces
 
-        config = self.configured(MapConfig())
+        config = self.configured(MapConfig(clock=asked_clock(self.clock)))
         with progress() as report:
             summary = map_forces(
                 self.plant, self.out, config, overwrite=self.overwrite, progress=report
@@ -88,6 +96,9 @@ class TrainArguments(Configured):
     range: Annotated[str, Option("X0,Y0,X1,Y1")] | None = None
     """Range of target forces [N]: map for all forces that the fin can produce (default), or paper
     for 0.5,-1.5,3.5,1.5."""
+    clock: Annotated[str, Option("HZ[,S]")] | None = None
+    """Actions per second and window of the mean force [s], or paper (default: paper, which is
+    3,2)."""
     map: Annotated[Path, folder_option("map")] | None = None
     """Folder of this surrogate's map, written by softfin map (default: compute one)."""
     steps: int | None = None
@@ -108,6 +119,7 @@ class TrainArguments(Configured):
     def check(self) -> None:
         """Reject options that exclude each other."""
         asked_seeds(self.seed, self.seeds)
+        asked_clock(self.clock)
         if self.range not in (None, MAP, PAPER):
             read_range(self.range)
         if self.cells is not None:
@@ -132,6 +144,7 @@ class TrainArguments(Configured):
             TrainConfig,
             choose_preset,
             fit_to_reach,
+            for_clock,
             reach_box,
         )
         from softfin.stages.controllers import MakeConfig, find_gaits, train
@@ -141,7 +154,8 @@ class TrainArguments(Configured):
         within = asked_range(self.range)
         seeds = asked_seeds(self.seed, self.seeds)
         if self.controller == "gaits":
-            lattice = self.configured(MapConfig(), box=within and within.model_dump())
+            usual = MapConfig(clock=asked_clock(self.clock))
+            lattice = self.configured(usual, box=within and within.model_dump())
             # With a map, a changed grid is passed on only so that `find_gaits` rejects it.
             given = None if self.map is not None and lattice == MapConfig() else lattice
             with progress() as report:
@@ -156,6 +170,8 @@ class TrainArguments(Configured):
             return self._tell((0,))
         # Each algorithm has its own defaults, so it is chosen before other options apply.
         preset, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
+        if self.clock is not None:
+            preset = for_clock(preset, asked_clock(self.clock))
 
         def configure(forces: FinForces) -> TrainConfig:
             cells = asked_cells(
@@ -242,6 +258,13 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
         f"warning: the errors are {error / target:.0%} of the target forces, so this controller "
         "does not reach them; check training/learning.svg in its folder, and train it longer"
     ]
+
+
+def asked_clock(text: str | None) -> "ActionClock":
+    """Return the clock of ``--clock``; the paper's without it."""
+    from softfin.core.action_clock import ActionClock
+
+    return ActionClock() if text is None else ActionClock.parse(text)
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:

@@ -24,7 +24,6 @@ from softfin.control.controller import LoadedController
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.references import resolve_reference
 from softfin.control.store import load_controller
-from softfin.core.action_clock import ACTION_TICKS, CYCLE_ACTIONS
 from softfin.core.errors import ConfigurationError, RigError
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
@@ -192,9 +191,10 @@ def _follow(
     decimals = 2 if reachable is None else force_decimals(reachable.reach_n)
     window: list[ActionResult] = []
     ticks = printed = 0
-    actions = None if seconds is None else seconds * len(ACTION_TICKS)
+    clock = controller.clock
+    actions = None if seconds is None else clock.actions_within(seconds * RATE_HZ)
     for result in run_controller(session, controller, references, actions, zero):
-        window = [*window[-CYCLE_ACTIONS + 1 :], result]
+        window = [*window[len(window) + 1 - clock.window_actions :], result]
         x, y = mean_force([sample for each in window for sample in each.samples])
         x = x - zero[0]
         y = y - zero[1]
@@ -205,7 +205,8 @@ def _follow(
             mean = ", ".join(f"{force:+.{decimals + 1}f}" for force in (x, y))
             line = (
                 f"{ticks / RATE_HZ:7.1f} s  reference ({reference}) N  "
-                f"mean over 2 s ({mean}) N  angle {result.samples[-1].angle:+.2f} rad"
+                f"mean over {clock.window_ticks / RATE_HZ:g} s ({mean}) N  "
+                f"angle {result.samples[-1].angle:+.2f} rad"
             )
             try:
                 say(line)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from softfin.control.references import check_within
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import RunError
 from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.operations import NUMPY, Array, Operations, select_operations
@@ -120,6 +121,7 @@ class LoadedController:
     # Not static: otherwise, each origin would need its own compiled program. A program that returns
     # a controller would even return the origin with which it was compiled.
     artifact: Artifact = dataclasses.field(default=Artifact(), metadata=DROPPED)
+    clock: ActionClock = dataclasses.field(default=PAPER_CLOCK, metadata=STATIC)
 
     def __post_init__(self) -> None:
         register_pytrees(type(self), type(self.step))
@@ -166,6 +168,11 @@ class LoadedController:
     def check(self, reference: ForceVector) -> None:
         """Raise CoverageError if the reference [N] is outside every cell."""
         check_within(self.cells, reference)
+
+
+def controller_clock(controller: object) -> ActionClock:
+    """Return the clock of a controller; the paper's for a controller without `clock`."""
+    return getattr(controller, "clock", PAPER_CLOCK)
 
 
 def register_pytrees(*classes: type) -> None:

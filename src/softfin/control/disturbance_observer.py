@@ -28,28 +28,44 @@ not wind up at their edge.
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
+from jaxtyping import Float
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt
 
-from softfin.control.controller import STATIC, Controller, Measured, register_pytrees
+from softfin.control.controller import (
+    STATIC,
+    Controller,
+    Measured,
+    controller_clock,
+    register_pytrees,
+)
 from softfin.control.references import controller_cells, reachable_set
-from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, CYCLE_ACTIONS, WINDOW
+from softfin.core.action_clock import ActionClock
 from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
 from softfin.core.operations import NUMPY, Array, Number, Operations, select_operations
 from softfin.core.quantities import Command, Limits
 from softfin.gaits.reachable import Cells, ForceVector, Reachable, cell_corners
 
-# Actions last 33, 33 and 34 ticks in turn, so their weights depend on the phase of the clock.
-WINDOW_WEIGHTS = np.array(
-    [
-        [ACTION_TICKS[(age - 1 - ago) % 3] / WINDOW for ago in range(CYCLE_ACTIONS)]
-        for age in range(3)
-    ]
-)
-"""Weights of the last six actions in the window, newest first, by age modulo 3."""
+
+@cache
+def window_weights(clock: ActionClock) -> Float[np.ndarray, "ages actions"]:
+    """Return the weights of the last actions in the window, newest first, by age modulo the length
+    of the clock's cycle."""
+    # Actions last differently long, so their weights depend on the phase of the clock.
+    cycle = len(clock.ticks)
+    return np.array(
+        [
+            [
+                clock.ticks[(age - 1 - ago) % cycle] / clock.window_ticks
+                for ago in range(clock.window_actions)
+            ]
+            for age in range(cycle)
+        ]
+    )
 
 
 UNSTEADY = 3.0
@@ -80,27 +96,17 @@ class DisturbanceObserverConfig(Configuration):
     noise_n: PositiveFloat | None = None
     """Standard deviation of the mean force over a window at a constant reference [N]; null: 0.04 N,
     scaled."""
-    lag_actions: int = Field(default=1, ge=0, le=6)
+    lag_actions: NonNegativeInt = 1
     """Number of actions until the force follows the reference; the window of references is shifted
     by it."""
-    settle_actions: int = Field(default=8, ge=6)
-    """Number of actions after rest without any estimation, because the fin is still starting."""
+    settle_actions: PositiveInt | None = None
+    """Number of actions after rest without any estimation, because the fin is still starting; null:
+    one more than the window and the lag."""
     still_n: PositiveFloat | None = None
     """Movement within the window up to which the reference is treated as constant [N]; above it,
     the variance of the noise grows with the fourth power of the movement. Null: 0.05 N, scaled."""
     limit_n: PositiveFloat | None = None
     """Limit of the correction of each axis [N]; null: 1 N, scaled."""
-
-    @model_validator(mode="after")
-    def _window_is_full(self) -> "DisturbanceObserverConfig":
-        least = CYCLE_ACTIONS + self.lag_actions
-        if self.settle_actions < least:
-            raise ValueError(
-                f"settle_actions = {self.settle_actions} with lag_actions = {self.lag_actions}: "
-                f"the window of references is only full after {least} actions; set settle_actions "
-                f"to {least} or more"
-            )
-        return self
 
 
 class ObserverForces(NamedTuple):
@@ -139,7 +145,7 @@ class DisturbanceObserverState(NamedTuple):
     inner: Any
     """State of the inner controller."""
     forces: Array
-    """Mean force during each of the last six actions ``(6, 2)`` [N]."""
+    """Mean force during each action of the last window ``(actions, 2)`` [N]."""
     tracked: Array
     """Corrected references of the last actions [N]."""
     references: Array
@@ -161,12 +167,30 @@ class DisturbanceObserver:
     """Forces of the configuration; None: those for the reach of the inner controller."""
 
     def __post_init__(self) -> None:
+        least = self.clock.window_actions + self.config.lag_actions
+        if self.settle_actions < least:
+            raise ConfigurationError(
+                f"trim.settle_actions = {self.settle_actions} with lag_actions = "
+                f"{self.config.lag_actions}: the window of references is only full after {least} "
+                f"actions; set settle_actions to {least} or more"
+            )
         # JAX creates the observer again inside a compiled program, where the reach has no value; by
         # then the forces are set.
         if self.newtons is None:
             newtons = ObserverForces.for_fin(self.config, self.reachable)
             object.__setattr__(self, "newtons", newtons)
         register_pytrees(type(self))
+
+    @property
+    def clock(self) -> ActionClock:
+        """Clock of the inner controller."""
+        return controller_clock(self.controller)
+
+    @property
+    def settle_actions(self) -> int:
+        """Number of actions after rest without any estimation."""
+        config = self.config
+        return config.settle_actions or self.clock.window_actions + config.lag_actions + 1
 
     @property
     def limits(self) -> Limits:
@@ -194,13 +218,14 @@ class DisturbanceObserver:
         """Return the state for a fin at rest with a freshly zeroed sensor."""
         controller: Controller = self.controller
         assert self.newtons is not None
-        series = np.zeros((CYCLE_ACTIONS + self.config.lag_actions, 2))
+        window_actions = self.clock.window_actions
+        series = np.zeros((window_actions + self.config.lag_actions, 2))
         return DisturbanceObserverState(
             bias=np.zeros(2),
             drift=np.zeros(2),
             covariance=np.array([self.newtons.bias_n**2, 0.0, 0.0]),
             inner=controller.init(),
-            forces=series[:CYCLE_ACTIONS],
+            forces=series[:window_actions],
             tracked=series,
             references=series,
             errors=np.zeros((UNSTEADY_ACTIONS, 2)),
@@ -216,9 +241,10 @@ class DisturbanceObserver:
         force = xp.asarray(measured.force)
         reference = xp.asarray(reference)
         forces = xp.concatenate([force[None], state.forces[:-1]])
-        weights = ops.row(ops.constant(WINDOW_WEIGHTS), state.age % len(ACTION_TICKS))
-        # The oldest six tracked references are the window shifted by `lag_actions`.
-        error = ops.dot(weights, forces - state.tracked[-CYCLE_ACTIONS:])
+        clock = self.clock
+        weights = ops.row(ops.constant(window_weights(clock)), state.age % len(clock.ticks))
+        # The oldest tracked references are the window shifted by `lag_actions`.
+        error = ops.dot(weights, forces - state.tracked[-clock.window_actions :])
         bias, drift, covariance = self._estimate(ops, state, error, reference)
         tracked = self._trackable(ops, reference, reference - bias)
         inner, command = self.controller.act(
@@ -250,7 +276,7 @@ class DisturbanceObserver:
         bias_change = ops.choose(
             state.age > 0, lambda: newtons.bias_per_n**2 * distance, lambda: 0.0 * distance
         )
-        kept = math.exp(-1 / (ACTION_RATE_HZ * 2 * config.drift_s))
+        kept = math.exp(-1 / (self.clock.rate_hz * 2 * config.drift_s))
         drift = kept * state.drift
         bias_variance = state.covariance[0] + bias_change
         cross = kept * state.covariance[1]
@@ -272,13 +298,15 @@ class DisturbanceObserver:
         # If the error exceeds three standard deviations, the fin or the water must have changed, so
         # raise the variance of the bias until the error is within them.
         expected = bias_variance + 2 * cross + drift_variance + noise_variance
-        learns = ops.choose(state.age >= config.settle_actions, lambda: 1.0, lambda: 0.0)
+        learns = ops.choose(state.age >= self.settle_actions, lambda: 1.0, lambda: 0.0)
         bias_variance = bias_variance + learns * xp.maximum(
             (innovation**2).max() - 9 * expected, 0.0
         )
-        # Update. Neighbouring windows share five of six actions, so each window counts as one sixth
-        # of an independent measurement: its noise variance is multiplied by six.
-        total = bias_variance + 2 * cross + drift_variance + CYCLE_ACTIONS * noise_variance
+        # Update. Neighbouring windows share all actions but one, so each of n counts as 1/n of an
+        # independent measurement: its noise variance is multiplied by n.
+        total = (
+            bias_variance + 2 * cross + drift_variance + self.clock.window_actions * noise_variance
+        )
         bias_gain = learns * (bias_variance + cross) / total
         drift_gain = learns * (cross + drift_variance) / total
         bias = state.bias + bias_gain * innovation

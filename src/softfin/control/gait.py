@@ -1,5 +1,5 @@
-"""Gaits as a controller, without a network: a table with six actions for each node of a lattice of
-references, and interpolation between the nodes.
+"""Gaits as a controller, without a network: a table with the actions of one window for each node
+of a lattice of references, and interpolation between the nodes.
 
 Gaits are the benchmark and the starting point of the policies, and a good choice if the controller
 must be small.
@@ -8,7 +8,6 @@ must be small.
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
-from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
@@ -46,11 +45,11 @@ class GaitStep:
         return cls(table), (box,)
 
     def init(self) -> GaitState:
-        """Return the state before the first of the six actions."""
+        """Return the state before the first action of the gait."""
         return GaitState(0)
 
     def act(self, ops: Operations, state: GaitState, now: Array) -> tuple[GaitState, Array]:
         """Return the next action of the gait for the reference."""
         return GaitState(state.age + 1), ops.row(
-            self.table.gait(now[1:], ops), state.age % CYCLE_ACTIONS
+            self.table.gait(now[1:], ops), state.age % self.table.gait_actions
         )

@@ -2,8 +2,8 @@
 
 The policy is switched when the reference enters another cell. The switch should not disturb the
 force. Therefore, the active policy stays active slightly beyond the border of its cell
-(hysteresis). The next policy first replays the observations of the last six actions, one cycle of
-the clock, and its actions are blended with those of the previous cycle (bumpless transfer).
+(hysteresis). The next policy first replays the observations of the last window of the
+clock, and its actions are blended with those of the previous window (bumpless transfer).
 """
 
 from dataclasses import dataclass, field
@@ -11,11 +11,10 @@ from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat
+from pydantic import NonNegativeFloat, NonNegativeInt, PositiveFloat
 
 from softfin.control.controller import STATIC
 from softfin.control.policy import PolicyMemory, PolicyNetwork, PolicyObservation, fold, rest_action
-from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, Number, Operations
@@ -31,14 +30,14 @@ class SwitchingConfig(Configuration):
     """Hysteresis [N]: the active policy stays active until another cell is nearer to the reference
     by more than this, so that a reference on the border does not cause constant switching. Policies
     can still hold a reference this far outside their cell."""
-    fade_actions: int = Field(default=6, ge=0, le=CYCLE_ACTIONS)
+    fade_actions: NonNegativeInt = 6
     """Number of actions over which the new policy is blended in; 0 switches immediately."""
     step_n: PositiveFloat = 0.5
     """Movement of the reference between two actions above which it counts as a step [N]. After a
     step nothing is blended; after smaller movements, blending is partial."""
     replay: bool = True
-    """Whether the new policy replays the last six actions to fill its memory; otherwise, it starts
-    with an empty memory."""
+    """Whether the new policy replays the last window's actions to fill its memory; otherwise, it
+    starts with an empty memory."""
 
 
 class GridState(NamedTuple):
@@ -47,10 +46,10 @@ class GridState(NamedTuple):
     hidden: Array
     cell: Array
     actions: Array
-    """Past actions in [-1, 1], newest first: one cycle, and the earlier actions observed at its
+    """Past actions in [-1, 1], newest first: one window, and the earlier actions observed at its
     start."""
     angles: Array
-    """Angle of the shaft at each action of the last cycle, newest first [rad]."""
+    """Angle of the shaft at each action of the last window, newest first [rad]."""
     last_reference: Array
     """Reference at the last action [N]."""
     age: Number
@@ -58,7 +57,7 @@ class GridState(NamedTuple):
     active_cell: Number
     """Index of the cell whose policy is active."""
     blend: Number
-    """Weight of the action one cycle ago in the next action; 0 without blending."""
+    """Weight of the action one window ago in the next action; 0 without blending."""
 
 
 @dataclass(frozen=True)
@@ -97,14 +96,20 @@ class GridStep:
         )
         return step, cells
 
+    @property
+    def window_actions(self) -> int:
+        """Number of actions in the window of the clock."""
+        return self.observation.clock.window_actions
+
     def init(self) -> GridState:
         """Return the state for a fin at rest."""
         return GridState(
             *self.networks.empty(),
             actions=np.tile(
-                np.asarray(self.rest, np.float32), CYCLE_ACTIONS + self.observation.past_actions + 1
+                np.asarray(self.rest, np.float32),
+                self.window_actions + self.observation.past_actions + 1,
             ),
-            angles=np.zeros(CYCLE_ACTIONS, np.float32),
+            angles=np.zeros(self.window_actions, np.float32),
             last_reference=np.zeros(2, np.float32),
             age=0,
             active_cell=0,
@@ -132,8 +137,8 @@ class GridStep:
         )
         blend = self._blend(ops, state, switched, reference)
         own = network.action(ops, memory, self.gaits, reference, state.age)
-        # Actions are pairs, newest first, so this is the action one full cycle ago.
-        before = state.actions[2 * (CYCLE_ACTIONS - 1) : 2 * CYCLE_ACTIONS]
+        # Actions are pairs, newest first, so this is the action one full window ago.
+        before = state.actions[2 * (self.window_actions - 1) : 2 * self.window_actions]
         action = (1 - blend) * own + blend * before
         less = blend - 1 / max(1, self.switching.fade_actions)
         after = GridState(
@@ -164,7 +169,7 @@ class GridStep:
     def _warm_up_memory(
         self, ops: Operations, network: PolicyNetwork, state: GridState, reference: Array
     ) -> PolicyMemory:
-        """Replay up to one cycle of past actions as if the present reference had been constant."""
+        """Replay up to one window of past actions as if the present reference had been constant."""
 
         def replayed(memory: PolicyMemory, ago: int) -> PolicyMemory:
             now = ops.xp.concat([state.angles[ago - 1 : ago], reference])
@@ -177,7 +182,7 @@ class GridStep:
         memory = empty
         if self.switching.replay:
             # Start with the oldest action; before the start of the episode, the memory stays empty.
-            for ago in range(CYCLE_ACTIONS, 0, -1):
+            for ago in range(self.window_actions, 0, -1):
                 memory = PolicyMemory(
                     *ops.choose(state.age >= ago, partial(replayed, memory, ago), lambda: empty)
                 )
@@ -186,11 +191,13 @@ class GridStep:
     def _blend(
         self, ops: Operations, state: GridState, switched: Number, reference: Array
     ) -> Number:
-        """Return the weight of the action one cycle ago; it starts at 1 at a switch, if a full
-        cycle has passed since the start."""
+        """Return the weight of the action one window ago; it starts at 1 at a switch, if a full
+        window has passed since the start."""
         if not self.switching.fade_actions:
             return 0 * state.blend
-        whole = ops.choose(state.age >= CYCLE_ACTIONS, lambda: np.float32(1), lambda: np.float32(0))
+        whole = ops.choose(
+            state.age >= self.window_actions, lambda: np.float32(1), lambda: np.float32(0)
+        )
         blend = ops.choose(switched, lambda: whole, lambda: state.blend)
         moved = reference - state.last_reference
         kept = 1 - ops.xp.sqrt(moved[0] * moved[0] + moved[1] * moved[1]) / np.float32(

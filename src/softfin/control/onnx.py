@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from softfin.control.controller import LoadedController, Measured
-from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Array, jax_operations
 from softfin.core.quantities import action_to_command
@@ -100,8 +99,8 @@ def _metadata(controller: LoadedController) -> JsonObject:
     return {
         "controller": artifact.name,
         "kind": controller.kind,
-        "action_rate_hz": ACTION_RATE_HZ,
-        "action_ticks_of_10_ms": list(ACTION_TICKS),
+        "action_rate_hz": controller.clock.rate_hz,
+        "action_ticks_of_10_ms": list(controller.clock.ticks),
         "limits": controller.limits.to_dict(),
         "cells_n": [{"low": list(cell.low), "high": list(cell.high)} for cell in controller.cells],
         "reachable": artifact.description.get("reachable"),

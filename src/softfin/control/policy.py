@@ -11,12 +11,14 @@ units and the normalisation of the observation are folded into them. So is the f
 logistic function s(x) = 1/2 + tanh(x / 2) / 2, so that a single tanh computes all four gates.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import pydantic
+from jaxtyping import Float
 
-from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.operations import Array, Number, Operations
 from softfin.core.quantities import Limits
 from softfin.gaits.gait import GaitTable, NamedArrays
@@ -37,9 +39,12 @@ MAX_ACTION = np.float32(0.999)
 MIN_DEVIATION = 0.1
 """Minimum standard deviation by which observations are divided."""
 
-_TURN = np.arange(CYCLE_ACTIONS, dtype=np.float32) * np.float32(2 * np.pi / CYCLE_ACTIONS)
-PHASES = np.stack([np.sin(_TURN), np.cos(_TURN)], axis=1)
-"""Sine and cosine of the clock's phase at each of the six actions."""
+
+@cache
+def phases(window_actions: int) -> Float[np.ndarray, "actions 2"]:
+    """Return the sine and cosine of the clock's phase at each action of the window."""
+    turn = np.arange(window_actions, dtype=np.float32) * np.float32(2 * np.pi / window_actions)
+    return np.stack([np.sin(turn), np.cos(turn)], axis=1)
 
 
 class PolicyObservation(pydantic.BaseModel, frozen=True):
@@ -51,11 +56,12 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
     """Whether the phase of the clock is observed."""
     force_scale_n: pydantic.PositiveFloat = 3.0
     """Scale of observed references in training [N]."""
+    clock: ActionClock = PAPER_CLOCK
 
     @property
     def size(self) -> int:
         """Number of values in an observation."""
-        return MEASURED + 2 * (self.past_actions + 1) + (PHASES.shape[1] if self.phase else 0)
+        return MEASURED + 2 * (self.past_actions + 1) + (2 if self.phase else 0)
 
     def units(self) -> np.ndarray:
         """Return the training scale of each value of an observation."""
@@ -68,7 +74,8 @@ class PolicyObservation(pydantic.BaseModel, frozen=True):
         the policy observes."""
         parts = [now, actions[: 2 * (self.past_actions + 1)]]
         if self.phase:
-            parts.append(ops.row(ops.constant(PHASES), age % CYCLE_ACTIONS))
+            window_actions = self.clock.window_actions
+            parts.append(ops.row(ops.constant(phases(window_actions)), age % window_actions))
         return ops.xp.concat(parts)
 
 
@@ -129,7 +136,7 @@ class PolicyNetwork(NamedTuple):
 def gait_before_tanh(ops: Operations, gaits: GaitTable, reference: Array, age: Number) -> Array:
     """Return the atanh of the gait's action for a reference, `age` actions after the start."""
     # The factor keeps the argument below 1, where atanh is infinite.
-    return ops.xp.atanh(MAX_ACTION * ops.row(gaits.gait(reference, ops), age % CYCLE_ACTIONS))
+    return ops.xp.atanh(MAX_ACTION * ops.row(gaits.gait(reference, ops), age % gaits.gait_actions))
 
 
 def fold(
@@ -214,10 +221,11 @@ def _gaits(arrays: NamedArrays, observation: PolicyObservation) -> GaitTable | N
         np.asarray(arrays[f"{GAITS}.{name}"], np.float32) for name in GaitTable._fields
     )
     corners = (low.shape, high.shape)
-    if actions.ndim != 4 or actions.shape[2:] != (CYCLE_ACTIONS, 2) or corners != ((2,), (2,)):
+    window_actions = observation.clock.window_actions
+    if actions.ndim != 4 or actions.shape[2:] != (window_actions, 2) or corners != ((2,), (2,)):
         raise ValueError(
             f"gaits: got actions of shape {actions.shape}, corners of shapes {low.shape} and "
-            f"{high.shape}; must be (nodes x, nodes y, {CYCLE_ACTIONS}, 2) and (2,), (2,)"
+            f"{high.shape}; must be (nodes x, nodes y, {window_actions}, 2) and (2,), (2,)"
         )
     # The tolerance is for actions that were rounded to float32.
     if min(actions.shape[:2]) < 2 or np.abs(actions).max() > 1 + 1e-5:

@@ -17,7 +17,7 @@ from softfin.control.controller import Artifact, LoadedController, TrainingRange
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
-from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.action_clock import ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, one_line
 from softfin.core.quantities import Limits
@@ -59,11 +59,6 @@ def build_controller(
     digest: str = "",
 ) -> LoadedController:
     """Build a controller from its description and arrays; error messages start with `source`."""
-    if (rate := description.get("action_rate_hz", "missing")) != ACTION_RATE_HZ:
-        raise ArtifactError(
-            f"{source}: action_rate_hz is {rate!r}, must be {ACTION_RATE_HZ} for this version of "
-            "softfin; train it again"
-        )
     kind = str(description.get("controller"))
     if kind not in CONTROLLER_STEPS:
         raise ArtifactError(
@@ -72,6 +67,11 @@ def build_controller(
         )
     try:
         limits = Limits.of(description["limits"])
+        clock = ActionClock.model_validate(description.get("clock", {}))
+        # Versions before 0.1 stored the rate alone, that of the paper's clock.
+        rate_hz = description["action_rate_hz"]
+        if rate_hz != clock.rate_hz:
+            raise ValueError(f"action_rate_hz is {rate_hz!r}, but the clock's is {clock.rate_hz:g}")
         region = description.get("reachable")
         # Gait controllers store no cells; theirs is the bounding box of their lattice.
         listed = [] if kind == GaitStep.kind else description["cells"]
@@ -93,7 +93,7 @@ def build_controller(
         problem = f"{error.args[0]} is missing" if isinstance(error, KeyError) else one_line(error)
         raise ArtifactError(f"{source}: {problem}; {AGAIN}") from None
     return LoadedController(
-        step, limits, cells, reachable, Artifact(name, learnt, fin, description, digest)
+        step, limits, cells, reachable, Artifact(name, learnt, fin, description, digest), clock
     )
 
 
@@ -105,6 +105,7 @@ def write_controller(
     arrays: NamedArrays,
     extra_files: Callable[[Path], None] | None,
     overwrite: bool,
+    clock: ActionClock,
 ) -> None:
     """Write a controller completely or not at all.
 
@@ -112,7 +113,8 @@ def write_controller(
     """
     description = {
         "controller": kind,
-        "action_rate_hz": ACTION_RATE_HZ,
+        "action_rate_hz": clock.rate_hz,
+        "clock": clock.model_dump(mode="json"),
         "limits": limits.to_dict(),
         **keys,
     }
@@ -151,4 +153,13 @@ def save_gaits(
         "configuration": config.model_dump(mode="json"),
         "provenance": provenance,
     }
-    write_controller(path, GaitStep.kind, limits, keys, force_map.arrays(), extra_files, overwrite)
+    write_controller(
+        path,
+        GaitStep.kind,
+        limits,
+        keys,
+        force_map.arrays(),
+        extra_files,
+        overwrite,
+        force_map.clock,
+    )

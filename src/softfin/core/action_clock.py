@@ -1,35 +1,129 @@
-"""The action clock: actions at exactly 3.0 Hz on 100 Hz ticks, in a cycle of 33, 33 and 34 ticks of
-10 ms. No JAX."""
+"""The action clock: when actions follow each other, and over how many of them forces are averaged.
 
-ACTION_TICKS = (33, 33, 34)
-"""Durations of consecutive actions [ticks], repeated in this order. The rate is exactly 3.0 Hz, so
-six actions last 200 samples."""
+The paper's clock is `PAPER_CLOCK`: actions at exactly 3.0 Hz on ticks of 10 ms, which last 33, 33
+and 34 ticks in turn, and windows of six actions, 2 s. No JAX.
+"""
 
-MAX_ACTION_TICKS = max(ACTION_TICKS)
-"""Number of rows per action in a compiled program, where all actions have the same shape; a shorter
-action ignores the last row."""
+import math
+from fractions import Fraction
+from itertools import accumulate
 
-ACTION_RATE_HZ = 3.0
+from pydantic import Field, PositiveInt, model_validator
 
-CYCLE_ACTIONS = 2 * len(ACTION_TICKS)
-"""Number of actions in the evaluation window: a motion that repeats every six, three or two actions
-causes no ripple in the window's mean."""
+from softfin.core.configuration import Configuration
+from softfin.core.errors import ConfigurationError
+from softfin.core.jax_import import when_jax_is_imported
+from softfin.core.quantities import RATE_HZ, TICK_S
 
-WINDOW = 2 * sum(ACTION_TICKS)
-"""Number of samples in the mean force used to evaluate controllers: 200, i.e. 2 s or six actions
-(paper, Sec. IV-B)."""
-
-
-def action_ticks(actions: int) -> list[int]:
-    """Return the durations of the first `actions` actions [ticks]."""
-    return [ACTION_TICKS[action % len(ACTION_TICKS)] for action in range(actions)]
+MAX_CYCLE_ACTIONS = 20
+"""Maximum number of actions of different durations, which limits the rates that `at` accepts."""
 
 
-def valid_rows(actions: int) -> list[int]:
-    """Return the indices of the valid rows among the concatenated rows of the first actions,
-    `MAX_ACTION_TICKS` rows each."""
-    return [
-        action * MAX_ACTION_TICKS + tick
-        for action, ticks in enumerate(action_ticks(actions))
-        for tick in range(ticks)
-    ]
+class ActionClock(Configuration):
+    """Durations of actions, and the window in which forces are averaged.
+
+    The window is a whole number of cycles, so it has the same length at every action, and a motion
+    that repeats with it causes no ripple in the window's mean.
+    """
+
+    ticks: tuple[PositiveInt, ...] = Field((33, 33, 34), min_length=1, max_length=MAX_CYCLE_ACTIONS)
+    """Durations of consecutive actions [ticks of 10 ms], repeated in this order."""
+    window_actions: PositiveInt = 6
+    """Number of actions in the window: a motion that repeats with it causes no ripple."""
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "ActionClock":
+        if self.window_actions % len(self.ticks):
+            raise ValueError(
+                f"window_actions = {self.window_actions}: the window must be a whole number of "
+                f"cycles of {len(self.ticks)} actions; use a multiple of {len(self.ticks)}"
+            )
+        return self
+
+    @classmethod
+    def at(cls, rate_hz: float | int, window_s: float | int = 2) -> "ActionClock":
+        """Build the clock with a rate [Hz], whose actions differ by at most one tick, and with the
+        window nearest to `window_s`.
+
+        Raises:
+            ConfigurationError: the rate is not a ratio of small whole numbers, or above 100 Hz.
+        """
+        ticks_per_action = Fraction(RATE_HZ / rate_hz).limit_denominator(MAX_CYCLE_ACTIONS)
+        count = ticks_per_action.denominator
+        if ticks_per_action < 1 or abs(float(ticks_per_action) * rate_hz * TICK_S - 1) > 1e-6:
+            raise ConfigurationError(
+                f"clock {rate_hz:g} Hz: actions of 10 ms ticks cannot have this rate; use a rate "
+                "such as 2, 2.5, 3, 4, 5, 6 or 10"
+            )
+        ends = [int(ticks_per_action * (action + 1)) for action in range(count)]
+        ticks = tuple(end - start for start, end in zip([0, *ends[:-1]], ends, strict=True))
+        cycles = max(1, round(window_s * RATE_HZ / ends[-1]))
+        return cls(ticks=ticks, window_actions=cycles * count)
+
+    @classmethod
+    def parse(cls, text: str) -> "ActionClock":
+        """Parse ``paper``, a rate [Hz], or a rate and a window [s] such as ``6,1``; raises
+        ConfigurationError."""
+        if text == "paper":
+            return cls()
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in (1, 2) or not all(0 < number < math.inf for number in numbers):
+            raise ConfigurationError(
+                f"--clock {text}: must be paper, a rate in Hz such as 6, or a rate and a window in "
+                "s such as 6,1"
+            )
+        return cls.at(*numbers)
+
+    @property
+    def max_ticks(self) -> int:
+        """Number of rows per action in a compiled program, where all actions have the same shape; a
+        shorter action ignores the last rows."""
+        return max(self.ticks)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate of the actions [Hz]."""
+        return len(self.ticks) * RATE_HZ / sum(self.ticks)
+
+    @property
+    def window_ticks(self) -> int:
+        """Number of samples in the window."""
+        return self.window_actions // len(self.ticks) * sum(self.ticks)
+
+    def actions_within(self, ticks: int) -> int:
+        """Return the number of actions that start within a number of ticks."""
+        cycles, rest = divmod(ticks, sum(self.ticks))
+        starts = list(accumulate(self.ticks, initial=0))
+        return cycles * len(self.ticks) + sum(start < rest for start in starts[:-1])
+
+    def action_ticks(self, actions: int) -> list[int]:
+        """Return the durations of the first `actions` actions [ticks]."""
+        return [self.ticks[action % len(self.ticks)] for action in range(actions)]
+
+    def valid_rows(self, actions: int) -> list[int]:
+        """Return the indices of the valid rows among the concatenated rows of the first actions,
+        `max_ticks` rows each."""
+        return [
+            action * self.max_ticks + tick
+            for action, ticks in enumerate(self.action_ticks(actions))
+            for tick in range(ticks)
+        ]
+
+    def __str__(self) -> str:
+        return f"{self.rate_hz:.4g} Hz, window of {self.window_ticks * TICK_S:g} s"
+
+
+def _register() -> None:
+    import jax
+
+    jax.tree_util.register_static(ActionClock)
+
+
+# A clock may be part of a pytree, in which it has no leaves.
+when_jax_is_imported(_register)
+
+PAPER_CLOCK = ActionClock()
+"""Actions at 3.0 Hz and a window of 2 s (paper, Sec. IV-B)."""

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
-from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks, valid_rows
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import CommandError
 from softfin.core.quantities import AnyArray, Command, Limits, Reading
 
@@ -30,8 +30,8 @@ class Plant(Protocol):
     (`jax.vmap` adds them).
 
     Compiled programs hold an action by calling `advance` one tick at a time in a scan. A plant that
-    computes many ticks at once more quickly may have a method `hold_action(state, command, ticks)`,
-    which must do the same as the function `hold_action`.
+    computes many ticks at once more quickly may have a method `hold_action(state, command, ticks,
+    rows)`, which must do the same as the function `hold_action`.
     """
 
     @property
@@ -150,36 +150,35 @@ def rest_command(limits: Limits) -> Command:
 
 
 def hold_action(
-    plant: Plant, state: State, command: Command, ticks: Ticks
+    plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
 ) -> tuple[State, Reading]:
-    """Hold a command for one action of 33 or 34 ticks; fields ``(34,)``, of which the first `ticks`
-    are valid.
+    """Hold a command for one action; fields ``(rows,)``, of which the first `ticks` are valid.
 
     All actions have the same shape, so a compiled program contains the plant only once.
     """
     own = getattr(plant, "hold_action", None)
     if own is not None:
-        held: tuple[State, Reading] = own(state, command, ticks)
+        held: tuple[State, Reading] = own(state, command, ticks, rows)
         return held
-    return repeat(partial(_tick, plant, command=command), state, ticks)
+    return repeat(partial(_tick, plant, command=command), state, ticks, rows)
 
 
 def hold_action_with_true_force(
-    plant: Plant, state: State, command: Command, ticks: Ticks
+    plant: Plant, state: State, command: Command, ticks: Ticks, rows: int
 ) -> tuple[State, tuple[Reading, Array | None]]:
-    """Hold a command like `hold_action`; also return the true force ``(34, 2)`` [N], or None if it
-    is unknown."""
+    """Hold a command like `hold_action`; also return the true force ``(rows, 2)`` [N], or None if
+    it is unknown."""
     if not isinstance(plant, TrueForcePlant):
-        state, reading = hold_action(plant, state, command, ticks)
+        state, reading = hold_action(plant, state, command, ticks, rows)
         return state, (reading, None)
-    return repeat(partial(_tick_with_true_force, plant, command=command), state, ticks)
+    return repeat(partial(_tick_with_true_force, plant, command=command), state, ticks, rows)
 
 
 def repeat(
-    tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks
+    tick: Callable[[State], tuple[State, Output]], state: State, ticks: Ticks, rows: int
 ) -> tuple[State, Output]:
-    """Repeat `tick` for `ticks` ticks; its results are stacked as ``(34, ...)``, of which the first
-    `ticks` are valid."""
+    """Repeat `tick` for `ticks` ticks; its results are stacked as ``(rows, ...)``, of which the
+    first `ticks` are valid."""
     # For gradients, recomputing a tick is faster than storing its intermediate values.
     again: Callable[[State], tuple[State, Output]] = jax.checkpoint(tick, prevent_cse=False)
 
@@ -188,26 +187,30 @@ def repeat(
         # After the last tick the state stays the same; the additional output is padding.
         return jax.tree.map(partial(jnp.where, index < ticks), after, state), output
 
-    return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
+    return jax.lax.scan(one, state, jnp.arange(rows))
 
 
 def masked_mean(rows: Array, ticks: Ticks) -> Array:
-    """Return the mean over the valid rows of an action, ``(34, ...)``."""
+    """Return the mean over the valid rows of an action, ``(rows, ...)``."""
     counts = (jnp.arange(len(rows)) < ticks).reshape(-1, *[1] * (rows.ndim - 1))
     return jnp.where(counts, rows, 0).sum(axis=0) / ticks
 
 
-def hold(plant: Plant, state: State, actions: Command) -> tuple[State, Reading]:
-    """Hold each of the ``(actions,)`` commands on the 3.0 Hz clock; fields ``(ticks,)``, with 100
-    ticks per 3 actions."""
+def hold(
+    plant: Plant, state: State, actions: Command, clock: ActionClock = PAPER_CLOCK
+) -> tuple[State, Reading]:
+    """Hold each of the ``(actions,)`` commands for the duration of an action of the clock; fields
+    ``(ticks,)``."""
     check_commands(plant.limits, actions)
     count = actions.angle.shape[0]
-    held = (actions, jnp.asarray(action_ticks(count)))
-    state, reading = jax.lax.scan(lambda state, now: hold_action(plant, state, *now), state, held)
-    return state, jax.tree.map(lambda x: drop_padding(x, count), reading)
+    held = (actions, jnp.asarray(clock.action_ticks(count)))
+    state, reading = jax.lax.scan(
+        lambda state, now: hold_action(plant, state, *now, clock.max_ticks), state, held
+    )
+    return state, jax.tree.map(lambda x: drop_padding(x, count, clock), reading)
 
 
-def drop_padding(rows: Array, actions: int) -> Array:
-    """Join the valid rows of consecutive actions, ``(actions, 34, ...)`` from the start of the
+def drop_padding(rows: Array, actions: int, clock: ActionClock) -> Array:
+    """Join the valid rows of consecutive actions, ``(actions, rows, ...)`` from the start of the
     clock, into ``(ticks, ...)``."""
-    return rows.reshape(-1, *rows.shape[2:])[np.asarray(valid_rows(actions))]
+    return rows.reshape(-1, *rows.shape[2:])[np.asarray(clock.valid_rows(actions))]

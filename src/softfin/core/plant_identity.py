@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PRNGKeyArray, PyTree
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError, one_line
 from softfin.core.plant import EnsemblePlant, Plant, TrueForcePlant
 from softfin.core.quantities import Command, Limits
@@ -151,7 +151,8 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
         whole: Plant = eqx.combine(arrays, static)
         state = whole.init(key)
         own = getattr(whole, "hold_action", None)
-        held = [] if own is None else [own(state, command, jnp.int32(ACTION_TICKS[0]))]
+        ticks, rows = PAPER_CLOCK.ticks[0], PAPER_CLOCK.max_ticks
+        held = [] if own is None else [own(state, command, jnp.int32(ticks), rows)]
         if isinstance(whole, EnsemblePlant):
             member = whole.member(jnp.int32(0))
             held += [
@@ -161,7 +162,7 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
             ]
         if isinstance(whole, TrueForcePlant):
             held.append(whole.true_force(state))
-        return [whole.advance(state, command, ticks) for ticks in (1, ACTION_TICKS[0])] + held
+        return [whole.advance(state, command, ticks) for ticks in (1, PAPER_CLOCK.ticks[0])] + held
 
     try:
         limits = [float(limit) for limit in plant.limits]

@@ -14,8 +14,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import stdtrit
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import AnyArray
+
+PAPER_WINDOW = PAPER_CLOCK.window_ticks
+"""Number of samples in the window of the paper's clock."""
 
 CONFIDENCE = 0.95
 
@@ -59,7 +62,9 @@ def sobolev(
     return xp.where(moves, xp.sqrt(xp.where(moves, square, 1)), 0)
 
 
-def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int = WINDOW) -> Any:
+def moving_average(
+    series: Float[AnyArray, "*batch ticks channels"], window: int = PAPER_WINDOW
+) -> Any:
     """Return the mean over each complete window, ``(*batch, windows, channels)``; the first covers
     the first `window` samples."""
     xp: Any = series.__array_namespace__()
@@ -72,7 +77,9 @@ def moving_average(series: Float[AnyArray, "*batch ticks channels"], window: int
 
 
 def moving_error(
-    series: Float[AnyArray, "*batch ticks channels"], reference: AnyArray, window: int = WINDOW
+    series: Float[AnyArray, "*batch ticks channels"],
+    reference: AnyArray,
+    window: int = PAPER_WINDOW,
 ) -> Any:
     """Return the mean of |moving average - reference| over all complete windows; `reference` is
     broadcast against the windows."""
@@ -80,14 +87,14 @@ def moving_error(
 
 
 def window_means(
-    series: Float[np.ndarray, "*batch ticks channels"],
+    series: Float[np.ndarray, "*batch ticks channels"], window: int = PAPER_WINDOW
 ) -> Float[np.ndarray, "*batch windows channels"]:
     """Return the means over adjacent, non-overlapping windows; an incomplete window at the end is
     dropped."""
-    count = series.shape[-2] // WINDOW
-    windows = series[..., : count * WINDOW, :].astype(np.float64)
+    count = series.shape[-2] // window
+    windows = series[..., : count * window, :].astype(np.float64)
     return np.asarray(
-        windows.reshape(*series.shape[:-2], count, WINDOW, series.shape[-1]).mean(axis=-2)
+        windows.reshape(*series.shape[:-2], count, window, series.shape[-1]).mean(axis=-2)
     )
 
 

@@ -14,7 +14,6 @@ from jaxtyping import Array, Key
 from softfin.control.controller import Controller
 from softfin.control.disturbance_observer import DisturbanceObserver, DisturbanceObserverConfig
 from softfin.control.references import default_references, reachable_set, resolve_reference
-from softfin.core.action_clock import ACTION_RATE_HZ, WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.configuration import Configuration
 from softfin.core.json_object import JsonObject
@@ -138,9 +137,9 @@ class Evaluation:
                 "seeds": self.repetitions,
                 "seeds_asked": self.config.seeds,
                 "seed": self.config.seed,
-                "window_samples": WINDOW,
+                "window_samples": self.recording.clock.window_ticks,
                 "rate_hz": RATE_HZ,
-                "action_rate_hz": ACTION_RATE_HZ,
+                "action_rate_hz": self.recording.clock.rate_hz,
                 "start": "at rest at angle 0",
                 "judged_by": judged_force(self.recording),
                 "confidence": CONFIDENCE,

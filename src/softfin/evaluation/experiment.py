@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 
-from softfin.control.controller import Controller, ControllerState, Measured
-from softfin.core.action_clock import ACTION_TICKS, MAX_ACTION_TICKS, action_ticks
+from softfin.control.controller import Controller, ControllerState, Measured, controller_clock
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit
 from softfin.core.errors import PlantError
 from softfin.core.plant import (
@@ -49,6 +49,8 @@ class ExperimentRecording(NamedTuple):
     """Fields ``(references, seeds, ticks)``, force ``(references, seeds, ticks, 2)``."""
     true_force: Float[AnyArray, "references seeds ticks 2"] | None = None
     """Force on the mount without sensor errors [N]; None if the plant has only readings."""
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the controller."""
 
     @property
     def force(self) -> Float[AnyArray, "references seeds ticks 2"]:
@@ -58,10 +60,15 @@ class ExperimentRecording(NamedTuple):
 
     def first(self) -> "ExperimentRecording":
         """Return the first seed as NumPy arrays; the axis of seeds remains, with length 1."""
-        series = jax.tree.map(
+        command, reading, true_force = jax.tree.map(
             lambda x: np.asarray(x[:, :1]), (self.command, self.reading, self.true_force)
         )
-        return ExperimentRecording(np.asarray(self.reference), *series)
+        return self._replace(
+            reference=np.asarray(self.reference),
+            command=command,
+            reading=reading,
+            true_force=true_force,
+        )
 
 
 @runtime_checkable
@@ -110,9 +117,10 @@ def run_together(
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
-    actions = max(seconds for _, seconds in series) * len(ACTION_TICKS)
+    clock = controller_clock(controller)
+    actions = clock.actions_within(max(seconds for _, seconds in series) * RATE_HZ)
     # Tick at which each action starts and the controller observes the reference.
-    starts = np.cumsum([0, *action_ticks(actions)])[:-1]
+    starts = np.cumsum([0, *clock.action_ticks(actions)])[:-1]
     observed = []
     for asked, seconds in series:
         if asked.ndim == 3 and asked.shape[1] != seconds * RATE_HZ:
@@ -125,16 +133,15 @@ def run_together(
         # off below.
         observed.append(asked[:, np.minimum(starts, asked.shape[1] - 1)])
     parties = (controller, jit_argument(plant))
-    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys)
-    if len(experiments) == 1:
-        return [ExperimentRecording(experiments[0][0], *recorded)]
+    recorded = _program(parties, jnp.asarray(np.concatenate(observed)), keys, clock)
     # Each set gets its own rows of the results, and the ticks of its own duration.
     first = 0
     recordings = []
     for references, seconds in experiments:
         part = slice(first, first + len(references)), slice(None), slice(seconds * RATE_HZ)
         own = jax.tree.map(lambda x, part=part: x[part], recorded)
-        recordings.append(ExperimentRecording(references, *own))
+        command, reading, true_force = own
+        recordings.append(ExperimentRecording(references, command, reading, true_force, clock))
         first += len(references)
     return recordings
 
@@ -172,6 +179,7 @@ def _program(
     parties: tuple[Controller, Plant],
     references: Float[Array, "references actions 2"],
     keys: Key[Array, "seeds"],
+    clock: ActionClock,
 ) -> RecordedTicks:
     """Run experiments; compiled once for all controllers and plants that differ only in their
     arrays."""
@@ -184,20 +192,22 @@ def _program(
         (memory, state, measured) = carry
         (reference, ticks) = now
         memory, command = controller.act(memory, measured, reference)
-        state, (reading, true_force) = hold_action_with_true_force(plant, state, command, ticks)
+        state, (reading, true_force) = hold_action_with_true_force(
+            plant, state, command, ticks, clock.max_ticks
+        )
         # Readings are padded to the longest action, so pick the last valid angle and average only
         # over the valid forces.
         measured = Measured(
             jnp.asarray(reading.angle)[ticks - 1], masked_mean(jnp.asarray(reading.force), ticks)
         )
-        held = jax.tree.map(lambda x: jnp.full(MAX_ACTION_TICKS, x, jnp.float32), command)
+        held = jax.tree.map(lambda x: jnp.full(clock.max_ticks, x, jnp.float32), command)
         return (memory, state, measured), (held, reading, true_force)
 
     def one(asked: Float[Array, "actions 2"], key: PRNGKeyArray) -> RecordedTicks:
         # The first action is computed before the first reading, as if angle and force were 0.
         carry = (controller.init(), plant.init(key), Measured(jnp.float32(0.0), jnp.zeros(2)))
-        _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(action_ticks(actions))))
-        recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions), kept)
+        _, kept = jax.lax.scan(action, carry, (asked, jnp.asarray(clock.action_ticks(actions))))
+        recorded: RecordedTicks = jax.tree.map(lambda x: drop_padding(x, actions, clock), kept)
         return recorded
 
     # Keys are the inner axis and references the outer one: (references, seeds, ticks).

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import withStroke
 from matplotlib.projections.polar import PolarAxes
 
-from softfin.core.action_clock import WINDOW
 from softfin.core.quantities import AXES, RATE_HZ, AnyArray
 from softfin.core.window import moving_average
 from softfin.evaluation.experiment import ExperimentRecording
@@ -82,8 +81,9 @@ def _draw_experiment(
     above.tick_params(labelbottom=False)
     force = np.asarray(recording.force[index, 0, : FORCE_SECONDS * RATE_HZ])
     time = np.arange(1, len(force) + 1) / RATE_HZ
-    late = time[WINDOW - 1 :]
-    average = moving_average(force)
+    window = recording.clock.window_ticks
+    late = time[window - 1 :]
+    average = moving_average(force, window)
     for axis, axes in enumerate((above, below)):
         axes.plot(time, force[:, axis], color=BLUE, linewidth=0.6, alpha=0.75, label="force")
         axes.plot(
@@ -145,9 +145,10 @@ def _draw_moving(panel: SubFigure, moving: MovingScores, index: int) -> None:
     force = np.asarray(recording.force[index, 0])
     *averages, forces, angles = panel.subplots(4, 1, sharex=True, height_ratios=(1.3, 1.3, 1, 0.8))
     time = np.arange(1, len(force) + 1) / RATE_HZ
-    late = time[WINDOW - 1 :]
-    average = moving_average(force)
-    asked = moving_average(reference)
+    window = recording.clock.window_ticks
+    late = time[window - 1 :]
+    average = moving_average(force, window)
+    asked = moving_average(reference, window)
     # The force has its own panel, because its peaks are several times the reference.
     for axis, axes in enumerate(averages):
         wanted = reference[:, axis]
@@ -280,8 +281,9 @@ def held_figure(recording: ExperimentRecording, settled_n: float) -> Figure:
         for axes in panels.flat[count:]:
             axes.set_visible(False)
         for index, axes in enumerate(panels.flat[:count]):
-            average = moving_average(np.asarray(recording.force[index, 0]))
-            time = np.arange(WINDOW, WINDOW + len(average)) / RATE_HZ
+            window = recording.clock.window_ticks
+            average = moving_average(np.asarray(recording.force[index, 0]), window)
+            time = np.arange(window, window + len(average)) / RATE_HZ
             for axis, (colour, name) in enumerate(
                 ((BLUE, "thrust x, forward"), (ORANGE, "side force y"))
             ):

@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from softfin.control.controller import Controller
 from softfin.control.references import nearest_trackable, reachable_set
-from softfin.core.action_clock import WINDOW
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
@@ -134,12 +133,17 @@ class MovingPlan(NamedTuple):
         recording = independent(recording)
         forces = np.asarray(recording.force, np.float64)
         scores = score(recording)
+        window = recording.clock.window_ticks
         rows = []
         for index, (signal, tracked) in enumerate(zip(self.signals, self.tracked, strict=True)):
             reading_error = None if scores.reading_error is None else scores.reading_error[index]
-            responses = [step_responses(force, tracked, self.settled_n) for force in forces[index]]
+            responses = [
+                step_responses(force, tracked, self.settled_n, window) for force in forces[index]
+            ]
             error = scores.error[index]
-            rows.append(_row(signal, tracked, forces[index], responses, error, reading_error))
+            rows.append(
+                _row(signal, tracked, forces[index], responses, error, reading_error, window)
+            )
         return MovingScores(recording.first(), rows, self.settled_n)
 
 
@@ -150,9 +154,10 @@ def _row(
     responses: list[list[StepResponse]],
     error: Float[np.ndarray, "seeds 2"],
     reading_error: Float[np.ndarray, "seeds 2"] | None,
+    window: int,
 ) -> MovingRow:
     # Relative to the reference at the end of each window, so the window's delay counts as error.
-    instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[WINDOW - 1 :])
+    instantaneous = moving_error(forces, np.asarray(tracked, np.float64)[window - 1 :], window)
     errors = []
     for axis in range(len(AXES)):
         reading = None if reading_error is None else reading_error[:, axis]

@@ -29,11 +29,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.action_clock import ACTION_TICKS, WINDOW, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.plant import EnsemblePlant, State
 from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, Command
-from softfin.core.window import moving_average, moving_error
+from softfin.core.window import PAPER_WINDOW, moving_average, moving_error
 from softfin.evaluation.experiment import EvaluationTarget, ExperimentRecording
 from softfin.evaluation.results import StepResponse, UncertaintyRow
 from softfin.gaits.reachable import Reachable
@@ -82,23 +82,28 @@ class Scores(NamedTuple):
 
 def score(recording: ExperimentRecording) -> Scores:
     """Score every experiment in a recording, which must contain at least one window."""
+    clock = recording.clock
+    window = clock.window_ticks
     force = np.asarray(recording.force, np.float64)
     asked = np.asarray(recording.reference, np.float64)
     # (references, 1, 1, 2), or (references, 1, windows, 2) if it moves; broadcast over the seeds.
-    reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked))[:, None]
+    reference = (asked[:, None] if asked.ndim == 2 else moving_average(asked, window))[:, None]
     shaft = np.asarray(recording.reading.angle, np.float64)
-    # Start the second half at a full second, so that it contains whole cycles of the action clock.
-    second_half = shaft[..., shaft.shape[-1] // (2 * RATE_HZ) * RATE_HZ :]
+    # The second half starts with a cycle of the action clock.
+    cycle = sum(clock.ticks)
+    second_half = shaft[..., shaft.shape[-1] // (2 * cycle) * cycle :]
     reading_error = None
     if recording.true_force is not None:
-        reading_error = moving_error(np.asarray(recording.reading.force, np.float64), reference)
+        reading_error = moving_error(
+            np.asarray(recording.reading.force, np.float64), reference, window
+        )
     return Scores(
-        error=moving_error(force, reference),
-        std=moving_average(force).std(axis=2),
+        error=moving_error(force, reference, window),
+        std=moving_average(force, window).std(axis=2),
         raw_std=force.std(axis=2),
-        command_travel=travel(np.asarray(recording.command.angle, np.float64)),
-        shaft_travel=travel(shaft),
-        late_travel=travel(second_half),
+        command_travel=travel(np.asarray(recording.command.angle, np.float64), clock),
+        shaft_travel=travel(shaft, clock),
+        late_travel=travel(second_half, clock),
         reading_error=reading_error,
     )
 
@@ -108,30 +113,38 @@ def judged_force(recording: ExperimentRecording) -> str:
     return "reading" if recording.true_force is None else "true force"
 
 
-def travel(angle: Float[np.ndarray, "*batch ticks"]) -> Float[np.ndarray, "*batch"]:
+def travel(
+    angle: Float[np.ndarray, "*batch ticks"], clock: ActionClock = PAPER_CLOCK
+) -> Float[np.ndarray, "*batch"]:
     """Return the path length per second [rad/s].
 
     The angle is sampled at the ends of actions only, so that sensor noise does not add up.
     """
-    ends = np.cumsum(action_ticks(angle.shape[-1] // RATE_HZ * len(ACTION_TICKS))) - 1
+    ticks = angle.shape[-1]
+    ends = np.cumsum(clock.action_ticks(clock.actions_within(ticks))) - 1
+    # The last action may be incomplete.
+    ends = ends[ends < ticks]
     path = np.abs(np.diff(angle[..., ends], axis=-1)).sum(axis=-1)
     return np.asarray(path / ((ends[-1] - ends[0]) / RATE_HZ))
 
 
-def list_steps(reference: ForceSeries) -> list[tuple[int, int]]:
+def list_steps(reference: ForceSeries, window: int = PAPER_WINDOW) -> list[tuple[int, int]]:
     """Return (first tick, one past the last tick) after each step between two forces that are both
-    held for at least 2 s."""
+    held for at least a window [ticks]."""
     # Both forces must be held for a full window, so that the moving average starts and ends at the
     # references themselves.
     changes = np.flatnonzero((np.diff(reference, axis=0) != 0).any(axis=1)) + 1
     edges = [0, *changes.tolist(), len(reference)]
-    held = [(start, stop) for start, stop in pairwise(edges) if stop - start >= WINDOW]
+    held = [(start, stop) for start, stop in pairwise(edges) if stop - start >= window]
     starts = {stop for _, stop in held}
     return [(start, stop) for start, stop in held if start in starts]
 
 
 def step_responses(
-    force: ForceSeries, reference: ForceSeries, settled_n: float = SETTLED_N
+    force: ForceSeries,
+    reference: ForceSeries,
+    settled_n: float = SETTLED_N,
+    window: int = PAPER_WINDOW,
 ) -> list[StepResponse]:
     """Return the response of the moving average to every step of a reference, up to the next change
     or the end.
@@ -141,10 +154,11 @@ def step_responses(
     both axes stay within `settled_n` of the new reference [s]. Values are None if the axis does not
     step or the force does not get that far.
     """
-    average = moving_average(force)
+    average = moving_average(force, window)
     asked = np.asarray(reference, np.float64)
     return [
-        _response(average, asked, first, stop, settled_n) for first, stop in list_steps(reference)
+        _response(average, asked, first, stop, settled_n, window)
+        for first, stop in list_steps(reference, window)
     ]
 
 
@@ -154,12 +168,13 @@ def _response(
     first: int,
     stop: int,
     settled_n: float,
+    window: int,
 ) -> StepResponse:
     start = reference[first - 1]
     to = reference[first]
-    # Window k ends with tick k + WINDOW - 1, so window `first - WINDOW + 1` is the first that
+    # Window k ends with tick k + window - 1, so window `first - window + 1` is the first that
     # contains the new force. It exists, because the previous force was held for a full window.
-    after = average[first - WINDOW + 1 : stop - WINDOW + 1]
+    after = average[first - window + 1 : stop - window + 1]
     rise_s: list[float | None] = [None, None]
     overshoot: list[float | None] = [None, None]
     for i in np.flatnonzero(start != to).tolist():
@@ -226,7 +241,12 @@ def score_uncertainty(
     ensemble = cast(EnsemblePlant, jit_argument(plant))
     distance, force = map(np.asarray, _run_members(ensemble, commands))
     # (members, references, windows, 2): the interval is on the mean force over one window.
-    means = np.stack([moving_average(member) for member in np.moveaxis(force, 2, 0)])
+    means = np.stack(
+        [
+            moving_average(member, recording.clock.window_ticks)
+            for member in np.moveaxis(force, 2, 0)
+        ]
+    )
     half_width = np.asarray(plant.interval.half_width(means))
     return SurrogateUncertainty(
         (distance > 1).mean(axis=1), distance.max(axis=1), half_width.mean(axis=1)

@@ -10,7 +10,11 @@ import equinox as eqx
 import numpy as np
 
 from softfin.control.controller import LoadedController
-from softfin.control.disturbance_observer import DisturbanceObserverConfig, ObserverForces
+from softfin.control.disturbance_observer import (
+    DisturbanceObserver,
+    DisturbanceObserverConfig,
+    ObserverForces,
+)
 from softfin.control.gait import GaitStep
 from softfin.control.grid import GridStep
 from softfin.control.single import SingleStep
@@ -97,8 +101,13 @@ def controller_data(controller: LoadedController) -> JsonObject:
         "limits": controller.limits.to_dict(),
         "cells": [cell.model_dump(mode="json") for cell in controller.cells],
         "reachable": None if reachable is None else reachable.to_dict(),
+        "clock": controller.clock.model_dump(mode="json"),
         "size": 1.0 if reachable is None else reachable.size,
-        "trim": trim.model_dump(mode="json") | ObserverForces.for_fin(trim, reachable)._asdict(),
+        "trim": {
+            **trim.model_dump(mode="json"),
+            **ObserverForces.for_fin(trim, reachable)._asdict(),
+            "settle_actions": DisturbanceObserver(controller, trim).settle_actions,
+        },
     }
     if isinstance(step, GaitStep):
         return data | {"table": _table(step.table)}

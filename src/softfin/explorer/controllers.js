@@ -1,10 +1,10 @@
-/* Controllers (softfin.control): a reference force in, a command out, three times a second. Inputs are rounded to single
+/* Controllers (softfin.control): a reference force in, a command out, once per action. Inputs are rounded to single
  * precision, as there, so that a reference on the edge of a cell belongs to the same cell. */
 
 const GREATEST_ACTION = Math.fround(0.999);
-const PHASES = Array.from({ length: CYCLE_ACTIONS }, (_, k) => [Math.sin((2 * Math.PI * k) / CYCLE_ACTIONS), Math.cos((2 * Math.PI * k) / CYCLE_ACTIONS)]);
+const phase = (age) => { const turn = (2 * Math.PI * (age % WINDOW_ACTIONS)) / WINDOW_ACTIONS; return [Math.sin(turn), Math.cos(turn)]; };
 
-/* Gaits of six actions on a lattice of references, blended between its nodes; in single precision, as with NumPy. */
+/* Gaits of one window on a lattice of references, blended between its nodes; in single precision, as with NumPy. */
 class GaitTable {
   constructor({ low, high, actions }) {
     [this.low, this.high, this.actions] = [low, high, decoded(actions)];
@@ -15,7 +15,7 @@ class GaitTable {
     const { fround } = Math, [x, i] = this.place(reference[0], 0), [y, j] = this.place(reference[1], 1);
     const blend = [0, 0], corners = [[0, 0, (1 - x) * (1 - y)], [0, 1, (1 - x) * y], [1, 0, x * (1 - y)], [1, 1, x * y]];
     for (const [right, up, weight] of corners) {
-      const actions = part(part(this.actions, i + right), j + up).values.subarray(2 * (age % CYCLE_ACTIONS));
+      const actions = part(part(this.actions, i + right), j + up).values.subarray(2 * (age % WINDOW_ACTIONS));
       for (const k of [0, 1]) blend[k] = fround(blend[k] + fround(fround(weight) * actions[k]));
     }
     return blend;
@@ -32,7 +32,7 @@ class GaitTable {
 
 /* What a policy observes: now (angle, reference x, y), past actions, and on demand the clock's phase. */
 function observed(task, now, actions, age) {
-  return joined(now, actions.slice(0, 2 * (task.past_actions + 1)), task.phase ? PHASES[age % CYCLE_ACTIONS] : []);
+  return joined(now, actions.slice(0, 2 * (task.past_actions + 1)), task.phase ? phase(age) : []);
 }
 
 /* An LSTM and the layer behind it; its memory is {hidden, cell}. */
@@ -98,8 +98,8 @@ class GridController {
     // In single precision, as references are: where cells touch, the same one acts.
     this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
     Object.assign(this, { task, switching, memory: this.networks[0].empty(), age: 0, activeCell: 0, blend: 0 });
-    this.actions = joined(...Array(CYCLE_ACTIONS + task.past_actions + 1).fill(rest));
-    this.angles = Array(CYCLE_ACTIONS).fill(0);
+    this.actions = joined(...Array(WINDOW_ACTIONS + task.past_actions + 1).fill(rest));
+    this.angles = Array(WINDOW_ACTIONS).fill(0);
     this.lastReference = [0, 0];
   }
 
@@ -107,7 +107,7 @@ class GridController {
     const reference = now.slice(1), cell = this.nearestCell(reference), switched = cell !== this.activeCell && this.age > 0;
     const network = this.networks[cell], memory = switched ? this.warmUp(network, reference) : this.memory;
     this.memory = network.remember(memory, observed(this.task, now, this.actions, this.age));
-    const blend = this.blending(switched, reference), before = this.actions.slice(2 * (CYCLE_ACTIONS - 1), 2 * CYCLE_ACTIONS);
+    const blend = this.blending(switched, reference), before = this.actions.slice(2 * (WINDOW_ACTIONS - 1), 2 * WINDOW_ACTIONS);
     const action = network.action(this.memory, this.gaits, reference, this.age).map((value, k) => (1 - blend) * value + blend * before[k]);
     this.blend = clip(blend - 1 / Math.max(1, this.switching.fade_actions), 0, 1);
     this.actions = joined(action, this.actions.slice(0, -2));
@@ -127,7 +127,7 @@ class GridController {
   /* Replay the last cycle, or as much of it as there was, as if the reference had long been this one. */
   warmUp(network, reference) {
     let memory = network.empty();
-    for (let ago = Math.min(CYCLE_ACTIONS, this.age); this.switching.replay && ago > 0; ago--) {
+    for (let ago = Math.min(WINDOW_ACTIONS, this.age); this.switching.replay && ago > 0; ago--) {
       memory = network.remember(memory, observed(this.task, [this.angles[ago - 1], ...reference], this.actions.slice(2 * ago), this.age - ago));
     }
     return memory;
@@ -136,7 +136,7 @@ class GridController {
   /* Weight of the action one cycle ago: at first 1, once there is a whole cycle. */
   blending(switched, reference) {
     if (!this.switching.fade_actions) return 0;
-    const blend = switched ? Number(this.age >= CYCLE_ACTIONS) : this.blend;
+    const blend = switched ? Number(this.age >= WINDOW_ACTIONS) : this.blend;
     return blend * clip(1 - distanceTo(reference, this.lastReference) / this.switching.step_n, 0, 1);
   }
 }
@@ -153,16 +153,16 @@ class DisturbanceObserver {
     // Variance of the bias, covariance, variance of the drift; the same on both axes.
     this.covariance = [config.bias_n ** 2, 0, 0];
     this.cells = cells.map(({ low, high }) => ({ low: low.map(Math.fround), high: high.map(Math.fround) }));
-    const series = () => Array.from({ length: CYCLE_ACTIONS + config.lag_actions }, () => [0, 0]);
-    Object.assign(this, { forces: series().slice(0, CYCLE_ACTIONS), tracked: series(), references: series() });
+    const series = () => Array.from({ length: WINDOW_ACTIONS + config.lag_actions }, () => [0, 0]);
+    Object.assign(this, { forces: series().slice(0, WINDOW_ACTIONS), tracked: series(), references: series() });
     this.errors = Array.from({ length: UNSTEADY_ACTIONS }, () => [0, 0]);
   }
 
   /* The reference for the controller inside, from the mean force since the last action. */
   correct(force, reference) {
-    const { config } = this, weights = Array.from({ length: CYCLE_ACTIONS }, (_, ago) => ACTION_TICKS[(this.phase + this.age + 2 * CYCLE_ACTIONS - 1 - ago) % 3] / WINDOW);
+    const { config } = this, weights = Array.from({ length: WINDOW_ACTIONS }, (_, ago) => ACTION_TICKS[(this.phase + this.age + 2 * WINDOW_ACTIONS - 1 - ago) % ACTION_TICKS.length] / WINDOW);
     this.forces = [force, ...this.forces.slice(0, -1)];
-    const before = this.tracked.slice(-CYCLE_ACTIONS);
+    const before = this.tracked.slice(-WINDOW_ACTIONS);
     this.estimate([0, 1].map((axis) => weights.reduce((sum, weight, k) => sum + weight * (this.forces[k][axis] - before[k][axis]), 0)), reference);
     const tracked = this.trackable(reference, reference.map((value, axis) => value - this.bias[axis]));
     this.tracked = [tracked, ...this.tracked.slice(0, -1)];
@@ -186,7 +186,7 @@ class DisturbanceObserver {
     const innovation = error.map((value, axis) => value - this.bias[axis] - drift[axis]);
     const expected = variance + 2 * cross + driftVariance + noiseVariance, learns = Number(this.age >= config.settle_actions);
     variance += learns * Math.max(Math.max(...innovation.map((value) => value ** 2)) - 9 * expected, 0);
-    const total = variance + 2 * cross + driftVariance + CYCLE_ACTIONS * noiseVariance;
+    const total = variance + 2 * cross + driftVariance + WINDOW_ACTIONS * noiseVariance;
     const gain = learns * (variance + cross) / total, driftGain = learns * (cross + driftVariance) / total;
     this.bias = this.bias.map((bias, axis) => clip(bias + gain * innovation[axis], -config.limit_n, config.limit_n));
     this.drift = drift.map((value, axis) => value + driftGain * innovation[axis]);
@@ -214,7 +214,7 @@ class Controller {
 
   /* Begin or end the outer loop, before the action that has this number since the start of the clock. */
   trim(wanted, action) {
-    this.observer = wanted ? new DisturbanceObserver(this.description.trim, this.cells, this.reachable, action % 3) : null;
+    this.observer = wanted ? new DisturbanceObserver(this.description.trim, this.cells, this.reachable, action % ACTION_TICKS.length) : null;
   }
 
   /* The command for a reference [N], from the angle [rad] and the mean force since the last action [N]. */

@@ -54,9 +54,9 @@ class Loop {
 
   tick() {
     if (this.left === 0) {
-      const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % 3] : 1, reading = this.readings[this.plant];
+      const ticks = this.action > 0 ? ACTION_TICKS[(this.action - 1) % ACTION_TICKS.length] : 1, reading = this.readings[this.plant];
       this.command = this.controller.act(reading ? reading.angle : 0, this.sum.map((value) => value / ticks), this.reference);
-      [this.left, this.sum] = [ACTION_TICKS[this.action % 3], [0, 0]];
+      [this.left, this.sum] = [ACTION_TICKS[this.action % ACTION_TICKS.length], [0, 0]];
       this.action++;
     }
     for (const [name, plant] of Object.entries(this.plants)) {

@@ -1,7 +1,18 @@
 /* Arrays as the page holds them, and the few products that the networks need. All numbers are of double precision;
  * weights were rounded to single precision when they were written. */
 
-const TICK_S = 0.01, WINDOW = 200, ACTION_TICKS = [33, 33, 34], CYCLE_ACTIONS = 6, ACTION_RATE_HZ = 3;
+const TICK_S = 0.01;
+/* The clock of the page's controllers; the paper's until they are known. */
+let ACTION_TICKS, WINDOW_ACTIONS, WINDOW, ACTION_RATE_HZ;
+
+function useClock({ ticks, window_actions }) {
+  const cycle = ticks.reduce((sum, each) => sum + each, 0);
+  [ACTION_TICKS, WINDOW_ACTIONS] = [ticks, window_actions];
+  WINDOW = (cycle * window_actions) / ticks.length;
+  ACTION_RATE_HZ = ticks.length / (cycle * TICK_S);
+}
+
+useClock({ ticks: [33, 33, 34], window_actions: 6 });
 
 /* {shape, data}, with base64 of little-endian float32, as {shape, values}. */
 function decoded({ shape, data }) {

@@ -1,6 +1,7 @@
 /* The page: what is chosen, what is dragged, and the loop in real time. */
 
 const contents = JSON.parse(element("contents").textContent), { controllers, plants } = contents;
+useClock(controllers[0].clock);
 const plane = element("plane"), water = element("water"), traces = element("traces"), PUSH_M_S = [0, 0.6];
 /* The fin's size relative to the paper's, whose reach is 2.4 N; the steps of its forces [N], 0.01 and 0.1 N for that; decimals of forces. */
 const finSize = controllers[0].size, HUNDREDTH_N = 0.01 * finSize, SETTLED_N = 0.1 * finSize, decimals = Math.max(0, 2 - Math.floor(Math.log10(2.4 * finSize)));
@@ -128,7 +129,7 @@ const forceText = ([x, y]) => `(${numeral(x, decimals)}, ${numeral(y, decimals)}
 /* The surrogate that predicts: the plant that is chosen, or else the first surrogate; -1 without one. */
 const predictor = () => (plants[chosen.plant].kind === "surrogate" ? chosen.plant : plants.findIndex((each) => each.kind === "surrogate"));
 
-/* Its mean force and interval, and of the last 2 s the greatest distance of its motion from its training data and the
+/* Its mean force and interval, and of the last window the greatest distance of its motion from its training data and the
  * part of the time beyond them; null without one. */
 function prediction() {
   const index = predictor();

@@ -8,7 +8,9 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
+from softfin.core.action_clock import ActionClock
 from softfin.core.canvas import with_canvas
+from softfin.core.quantities import TICK_S
 from softfin.explorer.contents import COLD_C
 from softfin.storage import artifact as artifacts
 
@@ -35,6 +37,7 @@ def write_explorer_page(
     template = (
         importlib.resources.files("softfin.explorer").joinpath("page.html.jinja").read_text("utf-8")
     )
+    clock = ActionClock.model_validate(controllers[0]["clock"])
     contents = json.dumps(
         {"controllers": controllers, "plants": plants}, separators=(",", ":"), allow_nan=False
     )
@@ -48,6 +51,7 @@ def write_explorer_page(
             surrogate=any(plant["kind"] == "surrogate" for plant in plants),
             grid=any(controller["kind"] == "grid" for controller in controllers),
             cold_c=f"{COLD_C:g}",
+            window_s=f"{clock.window_ticks * TICK_S:g}",
             # Escaped, so that no text in the data can close the script element.
             contents=Markup(contents.replace("<", "\\u003c")),
             script=Markup(

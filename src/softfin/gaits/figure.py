@@ -27,7 +27,7 @@ def map_figure(force_map: ForceMap, tolerance_n: float) -> Figure:
 
     Nodes with a force error within the tolerance are marked with dots, all others with crosses.
     """
-    gaits, reachable = force_map
+    gaits, reachable, _ = force_map
     nodes = gaits.table.references()
     cost = gaits.smoothness.sum(axis=-1)
     held = gaits.force_error() <= tolerance_n

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, PositiveFloat
 from scipy.ndimage import map_coordinates
 
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, PlantError, one_line
 from softfin.core.json_object import JsonObject
@@ -50,6 +51,8 @@ class MapConfig(Configuration):
     tolerance_n: PositiveFloat | None = None
     """Maximum force error of a gait whose force counts as reachable [N]; null for `TOLERANCE_N`,
     scaled by the size of the fin."""
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the actions; a gait lasts one of its windows."""
     survey: SurveyConfig = SurveyConfig()
     """Configuration of the survey, which precedes the search for gaits."""
     gaits: GaitConfig = GaitConfig()
@@ -64,18 +67,18 @@ class MapConfig(Configuration):
         spacing_n = self.spacing_n or max(
             (width * height / self.nodes) ** 0.5, max(width, height) / self.nodes, 1e-9
         )
-        return GaitTable.over(box, spacing_n)
+        return GaitTable.over(box, spacing_n, self.clock.window_actions)
 
     def tolerance(self, surveyed: Reachable) -> float:
         """Return the maximum force error of a gait whose force counts as reachable [N]."""
         return self.tolerance_n or TOLERANCE_N * surveyed.size
 
 
-def empty_map(table: GaitTable, directions: int) -> ForceMap:
+def empty_map(table: GaitTable, directions: int, clock: ActionClock = PAPER_CLOCK) -> ForceMap:
     """Return an empty map with the shapes of a checkpoint."""
     nothing = np.zeros((*table.nodes, 2), np.float32)
     nowhere = Reachable(np.zeros(2, np.float32), np.zeros(directions, np.float32))
-    return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere)
+    return ForceMap(GaitSearchResult(table, nothing, nothing), nowhere, clock)
 
 
 def find_force_map(
@@ -101,7 +104,9 @@ def find_force_map(
     if surveyed is None:
         # The survey takes about 30% of the progress bar.
         start = 0.3
-        surveyed = survey(plant, config.survey, lambda done, note: notify(start * done, note))
+        surveyed = survey(
+            plant, config.survey, lambda done, note: notify(start * done, note), config.clock
+        )
     empty = config.empty_table(surveyed.reachable)
     gaits = find_gaits(
         plant,
@@ -110,9 +115,9 @@ def find_force_map(
         config.gaits,
         lambda done, note: notify(start + (1 - start) * done, note),
     )
-    return ForceMap(
-        gaits, held_region(surveyed.reachable, gaits, config.tolerance(surveyed.reachable))
-    )
+    tolerance_n = config.tolerance(surveyed.reachable)
+    region = held_region(surveyed.reachable, gaits, tolerance_n)
+    return ForceMap(gaits, region, config.clock)
 
 
 def held_region(surveyed: Reachable, gaits: GaitSearchResult, tolerance_n: float) -> Reachable:

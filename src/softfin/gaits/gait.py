@@ -1,9 +1,9 @@
 """Gaits on a lattice of reference forces, with interpolation between the nodes, and the force map
 with their forces. This module does not import JAX.
 
-A gait is a sequence of six actions that is repeated. On the 33/33/34 clock, six actions fill the
-window of the moving average exactly, so a gait in steady state causes no ripple in it. Actions
-``(6, 2)`` are (angle, velocity), scaled so that the limits of the plant are -1 and 1.
+A gait is a sequence of actions that fills one window of the action clock and is repeated, so that
+in steady state it causes no ripple in the window's mean; on the paper's clock these are six.
+Actions ``(actions, 2)`` are (angle, velocity), scaled so that the limits of the plant are -1 and 1.
 """
 
 from collections.abc import Mapping
@@ -12,13 +12,13 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.action_clock import CYCLE_ACTIONS
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.json_object import JsonObject
 from softfin.core.operations import Number, Operations, select_operations
 from softfin.core.quantities import AnyArray
 from softfin.gaits.reachable import Cell, ForceVector, Reachable
 
-Gait: TypeAlias = Float[AnyArray, "6 2"]
+Gait: TypeAlias = Float[AnyArray, "actions 2"]
 NamedArrays: TypeAlias = Mapping[str, np.ndarray]
 
 
@@ -29,42 +29,49 @@ class GaitTable(NamedTuple):
     """Lower corner (x, y) of the lattice [N]."""
     high: Float[AnyArray, "2"]
     """Upper corner (x, y) of the lattice [N]."""
-    actions: Float[AnyArray, "x y 6 2"]
-    """Actions of the gait at each node [-]."""
+    actions: Float[AnyArray, "x y actions 2"]
+    """Actions of the gait at each node [-]; a gait lasts one window of the clock."""
 
     @classmethod
-    def empty(cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int]) -> "GaitTable":
+    def empty(
+        cls, low: ForceVector, high: ForceVector, nodes: tuple[int, int], gait_actions: int = 6
+    ) -> "GaitTable":
         """Return a table with all actions set to 0; `nodes` in x and y are at least 2."""
-        actions = np.zeros((*nodes, CYCLE_ACTIONS, 2), np.float32)
+        actions = np.zeros((*nodes, gait_actions, 2), np.float32)
         return cls(np.asarray(low, np.float32), np.asarray(high, np.float32), actions)
 
     @classmethod
-    def over(cls, cell: Cell, spacing_n: float) -> "GaitTable":
+    def over(cls, cell: Cell, spacing_n: float, gait_actions: int = 6) -> "GaitTable":
         """Return an empty table over a cell, including its corners, with nodes at most `spacing_n`
         apart."""
         size = np.subtract(cell.high, cell.low)
         # 1e-6 prevents rounding errors from adding a node.
         x, y = np.maximum(2, np.ceil(size / spacing_n - 1e-6).astype(int) + 1).tolist()
-        return cls.empty(cell.low, cell.high, (x, y))
+        return cls.empty(cell.low, cell.high, (x, y), gait_actions)
 
     def halved(self, times: int = 1) -> "GaitTable":
         """Return an empty table over the same box, with the spacing halved `times` times."""
         x, y = self.nodes
         x = (x - 1) * 2**times + 1
         y = (y - 1) * 2**times + 1
-        return self._replace(actions=np.zeros((x, y, CYCLE_ACTIONS, 2), np.float32))
+        return self._replace(actions=np.zeros((x, y, *self.actions.shape[2:]), np.float32))
 
     @property
     def nodes(self) -> tuple[int, int]:
         """Number of nodes in x and y."""
         return self.actions.shape[0], self.actions.shape[1]
 
+    @property
+    def gait_actions(self) -> int:
+        """Number of actions of a gait."""
+        return int(self.actions.shape[2])
+
     def gait(self, reference: Any, operations: Operations | None = None) -> Any:
         """Interpolate the gaits of the four nodes around a reference; outside the lattice, use the
         nearest point of its edge."""
         ops = operations or select_operations(reference, self.actions)
         rows = self.actions.shape[1]
-        table = ops.constant(self.actions.reshape(-1, CYCLE_ACTIONS, 2))
+        table = ops.constant(self.actions.reshape(-1, self.gait_actions, 2))
         x, i = self._place(ops, reference[0], 0)
         y, j = self._place(ops, reference[1], 1)
         node = i * rows + j
@@ -116,6 +123,8 @@ class FinForces(NamedTuple):
     reachable: Reachable
     gaits: GaitTable | None = None
     """Gaits for these forces; None if they were only surveyed."""
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the gaits."""
 
 
 def _is_box(low: np.ndarray, high: np.ndarray) -> bool:
@@ -128,11 +137,13 @@ class ForceMap(NamedTuple):
 
     gaits: GaitSearchResult
     reachable: Reachable
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the gaits."""
 
     @property
     def forces(self) -> FinForces:
         """The region and the gaits, without their forces."""
-        return FinForces(self.reachable, self.gaits.table)
+        return FinForces(self.reachable, self.gaits.table, self.clock)
 
     def to_dict(self) -> JsonObject:
         """Return the lattice and the region for JSON."""
@@ -144,6 +155,7 @@ class ForceMap(NamedTuple):
                 "nodes": list(table.nodes),
             },
             "reachable": self.reachable.to_dict(),
+            "clock": self.clock.model_dump(mode="json"),
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -174,10 +186,12 @@ class ForceMap(NamedTuple):
                 f"lattice from {low.tolist()} to {high.tolist()} N: must have two corners with low "
                 "<= high"
             )
-        shapes = (*nodes, CYCLE_ACTIONS, 2), (*nodes, 2), (*nodes, 2)
+        gait_actions = actions.shape[2] if actions.ndim == 4 else 0
+        shapes = (*nodes, gait_actions, 2), (*nodes, 2), (*nodes, 2)
         if (
             len(nodes) != 2
             or min(nodes) < 2
+            or gait_actions == 0
             or (actions.shape, force.shape, smoothness.shape) != shapes
         ):
             raise ValueError(
@@ -195,4 +209,10 @@ class ForceMap(NamedTuple):
                 "plant"
             )
         found = GaitSearchResult(GaitTable(low, high, actions), force, smoothness)
-        return cls(found, Reachable.from_dict(description["reachable"]))
+        clock = ActionClock.model_validate(description.get("clock", {}))
+        if clock.window_actions != gait_actions:
+            raise ValueError(
+                f"gaits of {gait_actions} actions do not fit the clock's window of "
+                f"{clock.window_actions}"
+            )
+        return cls(found, Reachable.from_dict(description["reachable"]), clock)

@@ -24,7 +24,6 @@ from jaxtyping import Float
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from scipy.interpolate import RegularGridInterpolator
 
-from softfin.core.action_clock import CYCLE_ACTIONS
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import jit_argument
@@ -35,12 +34,12 @@ from softfin.gaits.simulate import (
     AMPLITUDES,
     CENTRES,
     CYCLES,
-    FAMILIES,
     GaitSensitivity,
     PreTanh,
     ReportSearch,
     Survey,
     action_to_pre_tanh,
+    gait_families,
     gait_sensitivity,
     strokes,
 )
@@ -140,7 +139,7 @@ def _simulate(
 ) -> GaitSensitivity:
     """Simulate gaits; their forces, and the force gradients, are divided by the fin's size."""
     # The key is not a constant of the module: creating it starts JAX, which an import must not do.
-    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"))
+    nodes = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "gaits"), survey.clock)
     size = np.float32(survey.reachable.size)
     return nodes._replace(
         out=nodes.out / size, slope=nodes.slope / size, smoothness=nodes.smoothness / size
@@ -158,9 +157,7 @@ def _force_errors(nodes: GaitSensitivity, target: NodeForces) -> Float[np.ndarra
 
 
 def _filled(table: GaitTable, nodes: GaitSensitivity) -> GaitTable:
-    return table._replace(
-        actions=np.tanh(np.asarray(nodes.pre_tanh)).reshape(*table.nodes, CYCLE_ACTIONS, 2)
-    )
+    return table._replace(actions=np.tanh(np.asarray(nodes.pre_tanh)).reshape(*table.nodes, -1, 2))
 
 
 def _search(
@@ -231,7 +228,7 @@ def _start(survey: Survey, target: NodeForces, shape: LatticeShape) -> PreTanh:
     starts = []
     finer = (_finer(CENTRES), _finer(AMPLITUDES))
     places = np.array(list(product(*finer)))
-    for (waveform, velocity), force in zip(FAMILIES, survey.force, strict=True):
+    for (waveform, velocity), force in zip(gait_families(survey.clock), survey.force, strict=True):
         by_stroke = RegularGridInterpolator(
             (CENTRES, AMPLITUDES), force / survey.reachable.size, method="cubic"
         )

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveInt
 
-from softfin.core.action_clock import CYCLE_ACTIONS, WINDOW
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Plant, hold
 from softfin.core.plant_identity import jit_argument
@@ -29,7 +29,7 @@ from softfin.gaits.reachable import Reachable, directions
 ReportSearch = Callable[[float, str], None]
 """Progress callback: completed fraction (0 to 1) and a note."""
 
-PreTanh = Float[AnyArray, "gaits 12"]
+PreTanh = Float[AnyArray, "gaits values"]
 """atanh of the actions of gaits [-]."""
 
 CYCLES = 3
@@ -42,9 +42,10 @@ SIDE_BY_SIDE = 32
 """Number of gaits per call of the program that computes gradients; the size is fixed, so that all
 callers share the compiled program."""
 
-WAVEFORMS = np.array([(1, -1, 1, -1, 1, -1), (1, -1, -1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5)])
-"""Angles of a gait relative to its centre, divided by its amplitude; strokes of 0.67 s, 1 s and 2
-s."""
+STROKE_SHAPES = ((1, -1), (1, -1, -1), (1, 1, -1, -1), (1, 0.5, -0.5, -1, -0.5, 0.5))
+"""Angles of a stroke relative to its centre, divided by its amplitude, at each of its actions.
+Those are surveyed that fit into the window a whole number of times; of the paper's window these are
+strokes of 0.67 s, 1 s and 2 s."""
 
 VELOCITIES = (1.0, 0.3, -0.3)
 """Velocities of the surveyed gaits, as actions."""
@@ -54,10 +55,6 @@ CENTRES = np.linspace(-1, 1, 11)
 
 AMPLITUDES = np.linspace(0.05, 0.9, 7)
 """Amplitudes of the surveyed gaits, as actions."""
-
-FAMILIES = tuple(product(WAVEFORMS, VELOCITIES))
-"""Waveform and velocity of each gait family. Within a family, similar gaits produce similar
-forces."""
 
 NEAR = 0.2
 """Distance from the middle of all forces up to which a force counts as close to it, as a fraction
@@ -76,20 +73,38 @@ class GaitResponse(NamedTuple):
     """Sobolev term of the last window in the form `mean` [N]."""
 
 
-def simulate_gait(plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray) -> GaitResponse:
+def gait_families(clock: ActionClock) -> tuple[tuple[Float[np.ndarray, "actions"], float], ...]:
+    """Return the waveform and velocity of each gait family. Within a family, similar gaits produce
+    similar forces."""
+    count = clock.window_actions
+    waveforms = [
+        np.tile(np.array(stroke, float), count // len(stroke))
+        for stroke in STROKE_SHAPES
+        if count % len(stroke) == 0
+    ]
+    if not waveforms:
+        # One stroke per window.
+        waveforms = [np.cos(2 * np.pi * np.arange(count) / count)]
+    return tuple(product(waveforms, VELOCITIES))
+
+
+def simulate_gait(
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
+) -> GaitResponse:
     """Repeat a gait from rest for `cycles` windows and return the forces of the last window."""
-    last = steady_state_force(plant, gait, cycles, key)[-WINDOW:]
-    return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(WINDOW)))
+    window = clock.window_ticks
+    last = steady_state_force(plant, gait, cycles, key, clock)[-window:]
+    return GaitResponse(last.mean(axis=0), sobolev(last, jnp.int32(window)))
 
 
 def steady_state_force(
-    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray
+    plant: Plant, gait: Gait, cycles: int, key: PRNGKeyArray, clock: ActionClock = PAPER_CLOCK
 ) -> Float[Array, "ticks 2"]:
     """Return the force at each tick of a gait that is repeated from rest for `cycles` windows
     [N]."""
     actions = jnp.tile(jnp.asarray(gait), (cycles, 1))
     commands = jax.vmap(lambda action: action_to_command(plant.limits, action))(actions)
-    return jnp.asarray(hold(plant, plant.init(key), commands)[1].force)
+    return jnp.asarray(hold(plant, plant.init(key), commands, clock)[1].force)
 
 
 class GaitSensitivity(NamedTuple):
@@ -98,24 +113,24 @@ class GaitSensitivity(NamedTuple):
     pre_tanh: PreTanh
     out: Float[AnyArray, "gaits 3"]
     """Mean force (x, y) and the sum of both Sobolev terms [N]."""
-    slope: Float[AnyArray, "gaits 3 12"]
+    slope: Float[AnyArray, "gaits 3 values"]
     """Gradient of `out` with respect to `pre_tanh`."""
     smoothness: Float[AnyArray, "gaits 2"]
     """Sobolev terms (x, y) [N]."""
 
 
-def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits 6 2"]) -> PreTanh:
+def action_to_pre_tanh(gaits: Float[np.ndarray, "gaits actions 2"]) -> PreTanh:
     """Return the atanh of the actions of gaits, clipped to `MAX_SEARCHED_ACTION`."""
     limited = np.clip(gaits, -MAX_SEARCHED_ACTION, MAX_SEARCHED_ACTION)
     return np.asarray(np.arctanh(limited).reshape(len(gaits), -1))
 
 
 def gait_sensitivity(
-    plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray
+    plant: Plant, pre_tanh: PreTanh, cycles: int, key: PRNGKeyArray, clock: ActionClock
 ) -> GaitSensitivity:
     """Simulate gaits and differentiate their forces; `plant` must be a result of `jit_argument`."""
     padded = _batches(np.asarray(pre_tanh), SIDE_BY_SIDE)
-    parts = [_respond(plant, jnp.asarray(part), cycles, key) for part in padded]
+    parts = [_respond(plant, jnp.asarray(part), cycles, key, clock) for part in padded]
     found: GaitSensitivity = jax.tree.map(lambda *x: np.concatenate(x)[: len(pre_tanh)], *parts)
     return found
 
@@ -128,14 +143,18 @@ def _batches(rows: np.ndarray, size: int) -> np.ndarray:
 
 @eqx.filter_jit
 def _respond(
-    plant: Plant, pre_tanh: Float[Array, "gaits 12"], cycles: int, key: PRNGKeyArray
+    plant: Plant,
+    pre_tanh: Float[Array, "gaits values"],
+    cycles: int,
+    key: PRNGKeyArray,
+    clock: ActionClock,
 ) -> GaitSensitivity:
-    def out(pre_tanh: Float[Array, "12"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
-        got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(CYCLE_ACTIONS, 2), cycles, key)
+    def out(pre_tanh: Float[Array, "values"]) -> tuple[Float[Array, "3"], Float[Array, "2"]]:
+        got = simulate_gait(plant, jnp.tanh(pre_tanh).reshape(-1, 2), cycles, key, clock)
         return jnp.concatenate([got.force, got.smoothness.sum()[None]]), got.smoothness
 
-    def each(pre_tanh: Float[Array, "12"]) -> GaitSensitivity:
-        # Reverse mode, because there are 3 outputs but 12 inputs.
+    def each(pre_tanh: Float[Array, "values"]) -> GaitSensitivity:
+        # Reverse mode, because there are 3 outputs but 12 inputs or more.
         value, pull, smoothness = jax.vjp(out, pre_tanh, has_aux=True)
         slope = jax.vmap(lambda way: pull(way)[0])(jnp.eye(3))
         return GaitSensitivity(pre_tanh, value, slope, smoothness)
@@ -155,7 +174,9 @@ def missing_gradient(plant: Plant) -> str | None:
     # Outside the `try`, because an error here is not due to a missing gradient.
     argument = jit_argument(plant)
     try:
-        slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0)).slope[:, :2]
+        slope = gait_sensitivity(argument, strokes, CYCLES, jax.random.key(0), PAPER_CLOCK).slope[
+            :, :2
+        ]
     except (TypeError, ValueError, NotImplementedError) as error:
         # JAX raises these errors if a function is not differentiable.
         first_line = str(error).partition("\n")[0]
@@ -185,50 +206,59 @@ class Survey(NamedTuple):
     force: Float[np.ndarray, "families centres amplitudes 2"]
     """Mean force over a window [N]."""
     reachable: Reachable
+    clock: ActionClock
+    """Clock of the gaits."""
 
 
 def strokes(
-    waveform: Float[np.ndarray, "6"],
+    waveform: Float[np.ndarray, "actions"],
     velocity: float,
     centre: Float[np.ndarray, "n"],
     amplitude: Float[np.ndarray, "n"],
-) -> Float[np.ndarray, "n 6 2"]:
+) -> Float[np.ndarray, "n actions 2"]:
     """Return gaits of one family as actions."""
     angle = np.clip(centre[:, None] + amplitude[:, None] * waveform, -1, 1)
     return np.stack([angle, np.full_like(angle, velocity)], axis=-1).astype(np.float32)
 
 
 def survey(
-    plant: Plant, config: SurveyConfig | None = None, report: ReportSearch = lambda *_: None
+    plant: Plant,
+    config: SurveyConfig | None = None,
+    report: ReportSearch = lambda *_: None,
+    clock: ActionClock = PAPER_CLOCK,
 ) -> Survey:
     """Simulate the gaits of all families in a plant and estimate the region of reachable forces."""
     config = config or SurveyConfig()
     plant = jit_argument(plant)
     places = np.array(list(product(CENTRES, AMPLITUDES))).T
-    gaits = np.concatenate([strokes(*family, *places) for family in FAMILIES])
+    families = gait_families(clock)
+    gaits = np.concatenate([strokes(*family, *places) for family in families])
     forces = []
     for index, part in enumerate(_batches(gaits, config.batch), start=1):
-        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles)))
+        forces.append(np.asarray(_mean_forces(plant, jnp.asarray(part), config.cycles, clock)))
         done = min(index * config.batch, len(gaits))
         report(0.8 * done / len(gaits), f"{done} of {len(gaits)} gaits")
     force = np.concatenate(forces)[: len(gaits)]
-    reachable = _pushed(plant, gaits, force, config)
+    reachable = _pushed(plant, gaits, force, config, clock)
     report(1.0, "")
-    return Survey(force.reshape(len(FAMILIES), len(CENTRES), len(AMPLITUDES), 2), reachable)
+    shape = (len(families), len(CENTRES), len(AMPLITUDES), 2)
+    return Survey(force.reshape(shape), reachable, clock)
 
 
 @eqx.filter_jit
-def _mean_forces(plant: Plant, gaits: Float[Array, "n 6 2"], cycles: int) -> Float[Array, "n 2"]:
-    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, named_key(0, "survey")).force)(
-        gaits
-    )
+def _mean_forces(
+    plant: Plant, gaits: Float[Array, "n actions 2"], cycles: int, clock: ActionClock
+) -> Float[Array, "n 2"]:
+    key = named_key(0, "survey")
+    return jax.vmap(lambda gait: simulate_gait(plant, gait, cycles, key, clock).force)(gaits)
 
 
 def _pushed(
     plant: Plant,
-    gaits: Float[np.ndarray, "n 6 2"],
+    gaits: Float[np.ndarray, "n actions 2"],
     force: Float[np.ndarray, "n 2"],
     config: SurveyConfig,
+    clock: ActionClock,
 ) -> Reachable:
     """Push the farthest gait in each direction further outwards, and return the region of all
     forces.
@@ -248,7 +278,7 @@ def _pushed(
     forces = [force]
     # The step length decreases; the last round, of length 0, only records the final forces.
     for part in (*np.linspace(1.0, 0.2, config.pushes), 0.0):
-        found = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "survey"))
+        found = gait_sensitivity(plant, pre_tanh, config.cycles, named_key(0, "survey"), clock)
         forces.append(np.asarray(found.out)[:, :2])
         side = np.sign(_cross(forces[-1] - centre, outward))[:, None]
         # The gradient of (distance along the direction) - ASIDE * (distance across it).

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from pydantic import Field, NonNegativeFloat, PositiveInt, model_validator
 
 from softfin.control.grid import SwitchingConfig
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import ActionClock
 from softfin.core.choices import Algorithm, AlgorithmOption, AlgorithmPreset, PolicyLayout
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
@@ -193,6 +193,33 @@ def choose_preset(
     return TRAIN_PRESETS["ppo-hindsight", controller], reason
 
 
+def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
+    """Return a preset for another clock: numbers of actions change with the rate, so that their
+    durations stay the same, and so does the number of updates."""
+    ratio = clock.rate_hz / config.task.clock.rate_hz
+    cycle = len(clock.ticks)
+
+    def actions(count: int) -> int:
+        return cycle * max(1, round(count * ratio / cycle))
+
+    learning = config.learning
+    num_steps = actions(learning.num_steps)
+    return config.merged(
+        {
+            "task": {
+                "clock": clock.model_dump(),
+                "episode_actions": actions(config.task.episode_actions),
+                "reference_actions": actions(config.task.reference_actions),
+            },
+            "switching": {"fade_actions": round(config.switching.fade_actions * ratio)},
+            "steps": config.steps * num_steps // learning.num_steps,
+            "ppo": {"num_steps": actions(config.ppo.num_steps)},
+            "gradient": {"num_steps": actions(config.gradient.num_steps)},
+        },
+        "clock",
+    )
+
+
 def fit_to_reach(config: TrainConfig, forces: FinForces) -> TrainConfig:
     """Return a preset for all forces that a fin can produce, as far as there are gaits for them.
 
@@ -263,11 +290,17 @@ def check(
             f"steps = {config.steps}: fewer than one rollout of {learning.steps_per_update} "
             f"({learning.num_envs} environments x {learning.num_steps} actions); use more steps"
         )
-    samples = task.episode_actions // len(ACTION_TICKS) * sum(ACTION_TICKS)
-    if samples < task.window_samples:
+    cycle = len(task.clock.ticks)
+    if learning.num_steps % cycle:
+        raise ConfigurationError(
+            f"{config.algorithm}.num_steps = {learning.num_steps}: must be a whole number of "
+            f"cycles of the clock; use a multiple of {cycle}"
+        )
+    samples = sum(task.clock.action_ticks(task.episode_actions))
+    if samples < task.window_ticks:
         raise ConfigurationError(
             f"task.episode_actions = {task.episode_actions}: an episode of {samples} samples is "
-            f"shorter than the window of {task.window_samples} samples to evaluate; use longer "
+            f"shorter than the window of {task.window_ticks} samples to evaluate; use longer "
             "episodes or a smaller task.window_samples"
         )
     members = plant.size if isinstance(plant, EnsemblePlant) else 1
@@ -279,6 +312,11 @@ def check(
     if forces is None:
         return
     _check_reach(config.cells, forces.reachable)
+    if config.begins_as_gaits and forces.gaits is not None and forces.clock != task.clock:
+        raise ConfigurationError(
+            f"map: its clock ({forces.clock}) differs from that of the training ({task.clock}); "
+            "use the same --clock for softfin map and softfin train"
+        )
     if config.begins_as_gaits and forces.gaits is not None:
         _check_gaits(config, forces.gaits, forces.reachable)
 

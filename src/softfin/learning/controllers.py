@@ -118,7 +118,16 @@ def save_controller(
         for name, array in arrays.items():
             if name.startswith(f"{GAITS}."):
                 arrays[name] = array[0]
-    write_controller(path, config.controller, trained.limits, keys, arrays, extra_files, overwrite)
+    write_controller(
+        path,
+        config.controller,
+        trained.limits,
+        keys,
+        arrays,
+        extra_files,
+        overwrite,
+        config.task.clock,
+    )
 
 
 def _scores(

@@ -20,7 +20,6 @@ import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.core.action_clock import action_ticks
 from softfin.core.configuration import Configuration
 from softfin.core.plant import Ticks
 from softfin.gaits.force_map import MapConfig
@@ -44,9 +43,9 @@ class GradientConfig(Configuration):
 
     num_envs: PositiveInt = 32
     """Number of parallel environments per policy."""
-    num_steps: int = Field(default=18, ge=3, multiple_of=3)
-    """Number of actions per environment and update, a multiple of three; gradients are propagated
-    through all of them."""
+    num_steps: PositiveInt = 18
+    """Number of actions per environment and update, whole cycles of the clock; gradients are
+    propagated through all of them."""
     learning_rate: PositiveFloat = 1e-3
     """Initial learning rate of Adam."""
     final_learning_rate: float = Field(default=0.01, ge=0, le=1)
@@ -129,7 +128,7 @@ class Gradient:
                 outcome.terms,
             )
 
-        ticks = jnp.asarray(action_ticks(self.config.num_steps))
+        ticks = jnp.asarray(task.config.clock.action_ticks(self.config.num_steps))
         env_state, (rewards, terms) = jax.lax.scan(act, env_state, ticks)
         # sqrt(e^2 + r^2) - r is e^2 / (2 r) near 0 and |e| - r for large errors.
         rounded = jnp.sqrt(terms.error**2 + rounding**2) - rounding

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt
 
-from softfin.control.policy import MEASURED, PHASES, PolicyMemory, gait_before_tanh
+from softfin.control.policy import MEASURED, PolicyMemory, gait_before_tanh, phases
 from softfin.core.configuration import Configuration
 from softfin.core.operations import jax_operations
 from softfin.gaits.gait import GaitTable
@@ -129,8 +129,8 @@ class Policy(eqx.Module):
         if self.gaits is None:
             return jnp.zeros_like(self.log_std)
         gaits = jax.lax.stop_gradient(self.gaits)
-        # The observation ends with the phase, one of the rows of PHASES.
-        age = jnp.argmax(PHASES @ observation[-PHASES.shape[1] :])
+        # The observation ends with the sine and cosine of the phase.
+        age = jnp.argmax(phases(gaits.gait_actions) @ observation[-2:])
         return jnp.asarray(gait_before_tanh(jax_operations(), gaits, observation[1:MEASURED], age))
 
     def update_statistics(self, observation: Float[Array, "*batch observations"]) -> "Policy":

@@ -18,7 +18,6 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, model_validator
 
 from softfin.control.policy import PolicyMemory
-from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.configuration import Configuration
 from softfin.learning.policy import ActorCritic, Critic, Policy, PolicyConfig
 from softfin.learning.rollout import (
@@ -48,9 +47,9 @@ class PPOConfig(Configuration):
 
     num_envs: PositiveInt = 16
     """Number of parallel environments per policy."""
-    num_steps: int = Field(default=15, ge=3, multiple_of=3)
-    """Number of actions per environment and update, a multiple of three; gradients are propagated
-    through all of them."""
+    num_steps: PositiveInt = 15
+    """Number of actions per environment and update, whole cycles of the clock; gradients are
+    propagated through all of them."""
     num_epochs: PositiveInt = 10
     """Number of passes over each rollout."""
     relabelling: NonNegativeFloat = 0.0
@@ -160,7 +159,7 @@ class PPO:
         assert agent.networks is not None
         networks = agent.networks
         collect_key, learn_key, key = jax.random.split(agent.key, 3)
-        cycles = self.config.num_steps // len(ACTION_TICKS)
+        cycles = self.config.num_steps // len(self.task.config.clock.ticks)
         env_state, rollout = collect_rollout(
             self.task, networks.policy, agent.env_state, collect_key, cycles
         )

@@ -14,7 +14,6 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray, PyTree
 
 from softfin.control.policy import PolicyMemory
-from softfin.core.action_clock import ACTION_TICKS, action_ticks
 from softfin.core.plant import EnsemblePlant, Ticks, drop_padding
 from softfin.core.quantities import AnyArray
 from softfin.core.window import moving_average, moving_error
@@ -97,9 +96,10 @@ def start_episodes(
     all happen at the same time.
     """
     states = jax.vmap(task.reset, (0, None))(jax.random.split(key, count), references)
-    cycles = task.config.episode_actions // len(ACTION_TICKS)
+    cycle = len(task.config.clock.ticks)
+    cycles = task.config.episode_actions // cycle
     # Environment k starts k / count into its episode, rounded down to complete cycles.
-    age = jnp.arange(count) * cycles // count * len(ACTION_TICKS)
+    age = jnp.arange(count) * cycles // count * cycle
     memories = jax.tree.map(lambda x: jnp.tile(x, (count, 1)), policy.init())
     return EnvState(states._replace(age=age.astype(jnp.int32)), memories, jnp.ones(count, bool))
 
@@ -107,13 +107,15 @@ def start_episodes(
 def collect_rollout(
     task: ForceTracking, policy: Policy, env_state: EnvState, key: PRNGKeyArray, cycles: int
 ) -> tuple[EnvState, Rollout]:
-    """Take `cycles` x 3 actions in each environment; environments are reset at the end of their
-    episodes."""
+    """Take the actions of `cycles` cycles of the clock in each environment; environments are reset
+    at the end of their episodes."""
+
+    clock = task.config.clock
 
     def cycle(
-        env_state: EnvState, noise: Float[Array, "3 environments actions"]
+        env_state: EnvState, noise: Float[Array, "cycle environments actions"]
     ) -> tuple[EnvState, Rollout]:
-        held = (noise, jnp.asarray(ACTION_TICKS))
+        held = (noise, jnp.asarray(clock.ticks))
         env_state, steps = jax.lax.scan(
             lambda now, action: _act(task, policy, now, *action), env_state, held
         )
@@ -122,7 +124,7 @@ def collect_rollout(
         return env_state, steps._replace(truncated=steps.truncated.at[-1].set(env_state.is_first))
 
     noise = jax.random.normal(
-        key, (cycles, len(ACTION_TICKS), len(env_state.is_first), len(policy.log_std))
+        key, (cycles, len(clock.ticks), len(env_state.is_first), len(policy.log_std))
     )
     env_state, rollout = jax.lax.scan(cycle, env_state, noise)
     return env_state, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), rollout)
@@ -190,7 +192,8 @@ def evaluate_policy(
 ) -> PolicyEvaluation:
     """Run one episode from rest for each reference, all in parallel; references are constant."""
     count = len(references)
-    window = task.config.window_samples
+    window = task.config.window_ticks
+    clock = task.config.clock
     states = jax.vmap(task.reset)(
         jax.random.split(key, count), References(references, references, None)
     )
@@ -208,10 +211,10 @@ def evaluate_policy(
 
     actions = task.config.episode_actions
     _, (forces, distances) = jax.lax.scan(
-        act, (states, memories), jnp.asarray(action_ticks(actions))
+        act, (states, memories), jnp.asarray(clock.action_ticks(actions))
     )
     # Each action is padded to the length of the longest one; the series contains only valid ticks.
-    series = jnp.swapaxes(drop_padding(forces, actions), 0, 1)
+    series = jnp.swapaxes(drop_padding(forces, actions, clock), 0, 1)
     error = moving_error(series, references[:, None], window)
     average = moving_average(series, window)
     # A distance above 1 is out of distribution.

@@ -116,10 +116,13 @@ def find_gaits(
     if surveyed is not None:
         region = surveyed.reachable
         box = box.clipped(*map(np.array, region.bounds()))
-    settings = config.gradient.map.merged({"box": box.model_dump()}, "cells")
+    values = {"box": box.model_dump(), "clock": config.task.clock.model_dump()}
+    settings = config.gradient.map.merged(values, "task")
     part = run_directory.part("map")
     coarse = settings.empty_table(region)
-    like = empty_map(coarse.halved(settings.gaits.halvings), settings.survey.directions)
+    like = empty_map(
+        coarse.halved(settings.gaits.halvings), settings.survey.directions, settings.clock
+    )
     if (resumed := part.load(like)) is not None:
         stored: ForceMap = jax.tree.map(np.asarray, resumed[0])
         return stored.forces

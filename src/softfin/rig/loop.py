@@ -1,5 +1,5 @@
-"""Run a controller on a machine: three actions per second on the 33/33/34 clock, each based on the
-readings since the previous one.
+"""Run a controller on a machine: actions on the controller's clock, each based on the readings
+since the previous one.
 
 References can come from the user, a topic, the rows of a file or any function that returns the
 latest one.
@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from itertools import count
 from typing import TypeAlias
 
-from softfin.control.controller import Controller, Measured
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.control.controller import Controller, Measured, controller_clock
 from softfin.core.errors import SoftfinError
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.machine import Sample, Target
@@ -48,6 +47,7 @@ def run_controller(
 
     `zero` [N], measured by `Session.rest`, is subtracted from the forces passed to the controller.
     """
+    durations = controller_clock(controller).ticks
     state = controller.init()
     angle = (session.newest or session.tick()).angle
     force = (0.0, 0.0)
@@ -60,7 +60,7 @@ def run_controller(
         except Exception as error:
             session.abort(Trip("controller", in_one_line(error, "the controller failed")))
         session.record_reference(reference)
-        samples = session.hold(target, ACTION_TICKS[index % len(ACTION_TICKS)])
+        samples = session.hold(target, durations[index % len(durations)])
         ticks += len(samples)
         angle = samples[-1].angle
         x, y = mean_force(samples)

@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.randomness import named_generator
 from softfin.gaits.inverse_model import InverseConfig, find_amplitude
 from softfin.robot.description import RobotConfig
@@ -16,7 +16,7 @@ from softfin.robot.wrench_driver import WrenchDriver
 MakeDriver: TypeAlias = Callable[[int], WrenchDriver]
 """Function that builds a trial's driver from the seed."""
 
-STROKE_HZ = ACTION_RATE_HZ / 2
+STROKE_HZ = PAPER_CLOCK.rate_hz / 2
 FORCES_N = np.linspace(0, 12, 49)
 """Forces at which the inverse model is evaluated [N]."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
-from softfin.core.action_clock import CYCLE_ACTIONS, MAX_ACTION_TICKS, WINDOW, valid_rows
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.choices import RobotTask
 from softfin.core.configuration import Configuration
 from softfin.core.json_object import JsonObject
@@ -31,7 +31,7 @@ from softfin.tank import Tank
 
 ReportNote = Callable[[float, str], None]
 
-MIN_COUNTED_S = MAX_ACTION_TICKS * TICK_S
+MIN_COUNTED_S = PAPER_CLOCK.max_ticks * TICK_S
 """Shortest evaluated part of a trial [s]: one action, half of which may be lost by rounding to
 whole actions."""
 
@@ -248,7 +248,7 @@ def draw_wrenches(
     return np.asarray(forces.reshape(config.wrenches, -1) @ robot.matrix().T)
 
 
-WRENCH_ACTIONS = 4 * CYCLE_ACTIONS
+WRENCH_ACTIONS = 4 * PAPER_CLOCK.window_actions
 """Number of actions for which each wrench is held, from rest; only the last window is evaluated."""
 
 
@@ -259,7 +259,7 @@ def wrench_errors(
     return their ripple."""
     orders = [_orders(driver(index), wrench) for index, wrench in enumerate(wrenches)]
     held = _held(simulation, orders)
-    window = slice(-WINDOW, None)
+    window = slice(-PAPER_CLOCK.window_ticks, None)
     error = held[:, window].mean(axis=1) - wrenches
     force_error = np.linalg.norm(error[:, :3], axis=1)
     moment_error = np.linalg.norm(error[:, 3:], axis=1)
@@ -292,4 +292,4 @@ def _held(simulation: RobotSimulation, orders: Sequence[Orders]) -> Float[np.nda
     """Return the fins' wrenches on a fixed body."""
     together = jax.tree.map(lambda *rows: np.stack(rows), *orders)
     wrenches = np.asarray(eqx.filter_jit(jax.vmap(simulation.held))(together), float)
-    return wrenches.reshape(len(orders), -1, 6)[:, np.array(valid_rows(WRENCH_ACTIONS))]
+    return wrenches.reshape(len(orders), -1, 6)[:, np.array(PAPER_CLOCK.valid_rows(WRENCH_ACTIONS))]

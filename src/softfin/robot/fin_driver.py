@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.operations import select_operations
 from softfin.core.quantities import AnyArray, Command, Limits
 
@@ -69,7 +69,7 @@ class FinGaits(NamedTuple):
     def stroke_velocity(self, way_rad: float) -> float:
         """Return the velocity needed to turn by an angle within one action, clamped to the drive's
         limits."""
-        wanted = way_rad * ACTION_RATE_HZ / MOVING
+        wanted = way_rad * PAPER_CLOCK.rate_hz / MOVING
         return min(max(wanted, self.limits.velocity_min), self.limits.velocity_max)
 
 

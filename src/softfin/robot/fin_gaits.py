@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from softfin.core.action_clock import ACTION_RATE_HZ, CYCLE_ACTIONS, WINDOW, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError
 from softfin.core.quantities import RATE_HZ, Command
 from softfin.core.randomness import named_key
@@ -48,8 +48,10 @@ def find_fin_gaits(tank: Tank) -> FinGaits:
     loss = np.stack([along[:, 0], across[:, 1]], axis=1)
     # Fourier coefficient at the stroke frequency, which is half the action rate; a stroke to the
     # positive side starts at phase 0.
-    turn = np.exp(-1j * np.pi * ACTION_RATE_HZ / RATE_HZ * np.arange(WINDOW))
-    ripple = np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / WINDOW
+    turn = np.exp(-1j * np.pi * PAPER_CLOCK.rate_hz / RATE_HZ * np.arange(PAPER_CLOCK.window_ticks))
+    ripple = (
+        np.stack([forces[..., 1] @ turn, moments @ turn], axis=1) * 2 / PAPER_CLOCK.window_ticks
+    )
     count = 1
     # Keep the monotonic part, which can be inverted.
     while count < len(mean) and mean[count, 0] > mean[count - 1, 0]:
@@ -78,14 +80,14 @@ def _strokes(
     limits = tank.limits
     # Strokes to alternating sides, one per action.
     sides = np.repeat(
-        [1.0, -1.0] * (CYCLE_ACTIONS // 2 * HELD_WINDOWS),
-        action_ticks(CYCLE_ACTIONS * HELD_WINDOWS),
+        [1.0, -1.0] * (PAPER_CLOCK.window_actions // 2 * HELD_WINDOWS),
+        PAPER_CLOCK.action_ticks(PAPER_CLOCK.window_actions * HELD_WINDOWS),
     )
 
     def each(amplitude: Float[Array, ""]) -> tuple[Float[Array, "ticks 2"], Float[Array, "ticks"]]:
         # From one side to the other within the moving part of an action.
         velocity = jnp.clip(
-            2 * amplitude * ACTION_RATE_HZ / MOVING, limits.velocity_min, limits.velocity_max
+            2 * amplitude * PAPER_CLOCK.rate_hz / MOVING, limits.velocity_min, limits.velocity_max
         )
 
         def tick(state: TankState, side: Float[Array, ""]) -> tuple[TankState, Load]:
@@ -93,6 +95,6 @@ def _strokes(
             return state, load
 
         load = jax.lax.scan(tick, tank.init(named_key(0, "gaits")), jnp.asarray(sides))[1]
-        return load.force[-WINDOW:], load.torque[-WINDOW:]
+        return load.force[-PAPER_CLOCK.window_ticks :], load.torque[-PAPER_CLOCK.window_ticks :]
 
     return jax.vmap(each)(amplitudes)

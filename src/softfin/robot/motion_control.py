@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import RunError
 from softfin.robot.control_config import ControlConfig
 from softfin.robot.description import RobotConfig
@@ -34,7 +34,7 @@ from softfin.robot.rotation import (
     six,
 )
 
-ACTION_S = 1 / ACTION_RATE_HZ
+ACTION_S = 1 / PAPER_CLOCK.rate_hz
 
 SEEN_ACTIONS = 2
 """Number of actions over which errors are averaged: one full stroke period."""

@@ -11,10 +11,10 @@ from itertools import product
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 
 NUM_PHASES = 6
-DELAY_TICKS = ACTION_TICKS[0] // 3
+DELAY_TICKS = PAPER_CLOCK.ticks[0] // 3
 """Delay between consecutive phases [ticks]."""
 
 MUCH = 0.4

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 
-from softfin.core.action_clock import MAX_ACTION_TICKS, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import Ticks
 from softfin.core.quantities import Command
 from softfin.robot.description import RobotConfig
@@ -123,7 +123,7 @@ class RobotSimulation:
 
             return _scan_ticks(tick, fins, ticks)
 
-        ticks = jnp.asarray(action_ticks(len(orders.delays)))
+        ticks = jnp.asarray(PAPER_CLOCK.action_ticks(len(orders.delays)))
         return jax.lax.scan(action, start.fins, (orders, ticks))[1]
 
     def _wrench(self, loads: Load) -> BodyVector:
@@ -184,4 +184,4 @@ def _scan_ticks(
         # tick.
         return jax.tree.map(partial(jnp.where, index < ticks), after, state), row
 
-    return jax.lax.scan(one, state, jnp.arange(MAX_ACTION_TICKS))
+    return jax.lax.scan(one, state, jnp.arange(PAPER_CLOCK.max_ticks))

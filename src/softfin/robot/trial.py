@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import lfilter
 
-from softfin.core.action_clock import ACTION_RATE_HZ, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import TICK_S, Command
 from softfin.core.randomness import named_generator
 from softfin.robot.body_config import Three
@@ -99,7 +99,7 @@ def run_trial(
         (np.asarray(start.position)[None], np.asarray(start.attitude)[None], np.zeros((1, 6)))
     ]
     time = 0.0
-    for ticks in action_ticks(round(seconds * ACTION_RATE_HZ)):
+    for ticks in PAPER_CLOCK.action_ticks(round(seconds * PAPER_CLOCK.rate_hz)):
         dying = trouble.dead_fin
         if dying is not None and time >= trouble.dead_at_s and dying not in driver.dead:
             driver.declare_dead(dying)
@@ -145,7 +145,7 @@ def _ambient(trouble: Disturbances, time: float, ticks: int) -> Ambient:
     """Return the current and the push during the action of `ticks` ticks that starts at `time`
     [s]."""
     push = np.zeros(6)
-    if 0 <= time - trouble.push_at_s < 1 / ACTION_RATE_HZ:
+    if 0 <= time - trouble.push_at_s < 1 / PAPER_CLOCK.rate_hz:
         # Constant force over the action: impulse / time.
         push[:3] = np.asarray(trouble.push_n_s) / (ticks * TICK_S)
     return Ambient(jnp.asarray(trouble.current_m_s, jnp.float32), jnp.asarray(push, jnp.float32))

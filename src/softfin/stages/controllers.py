@@ -230,7 +230,7 @@ def _find_forces(
     settings = proposal.gradient.map.survey
     if missing_gradient(plant) is not None:
         settings = settings.model_copy(update={"pushes": 0})
-    surveyed = survey(plant, settings, partial(progress, "survey"))
+    surveyed = survey(plant, settings, partial(progress, "survey"), proposal.task.clock)
     forces = FinForces(surveyed.reachable)
     if not forces.reachable.radius.any():
         raise PlantError(

@@ -2,9 +2,10 @@
 out."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from softfin.control.controller import LoadedController
 from softfin.control.store import load_controller
 from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
@@ -42,6 +43,7 @@ def explore(
     for path, controller in holding.items():
         for name, plant in moving.items():
             check_limits(controller.limits, plant.limits, Path(path), name)
+    _check_clocks(holding)
     kinds = _labels({path: controller.kind for path, controller in holding.items()})
     names = _labels({name: Path(name).resolve().name for name in moving})
     page_controllers = []
@@ -61,6 +63,17 @@ def explore(
         "plants": list(names.values()),
         "bytes": out.stat().st_size,
     }
+
+
+def _check_clocks(controllers: Mapping[str, LoadedController]) -> None:
+    """Raise ConfigurationError unless all controllers have the same clock."""
+    first, *others = controllers
+    for other in others:
+        if controllers[other].clock != controllers[first].clock:
+            raise ConfigurationError(
+                f"{other}: its clock ({controllers[other].clock}) differs from that of {first} "
+                f"({controllers[first].clock}); write a page for each clock"
+            )
 
 
 def is_shown(plant: Plant) -> bool:

@@ -15,10 +15,9 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from softfin.control.controller import Controller
+from softfin.control.controller import Controller, controller_clock
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
-from softfin.core.action_clock import ACTION_TICKS
 from softfin.core.errors import ArtifactError, DeviceError
 from softfin.core.json_object import JsonObject
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
@@ -205,6 +204,7 @@ class LiveFin:
     ) -> None:
         self.limits = Limits(*robot.machine.limits)
         self._session = session
+        self._clock = controller_clock(controller)
         self._controller = controller
         self._robot = robot
         self._progress = progress
@@ -228,7 +228,7 @@ class LiveFin:
         command, reading = jax.tree.map(
             lambda *parts: np.stack(parts).reshape(*shape, *parts[0].shape), *runs
         )
-        return ExperimentRecording(references, command, reading)
+        return ExperimentRecording(references, command, reading, clock=self._clock)
 
     def _one(self, asked: Float[np.ndarray, "ticks 2"], seconds: int) -> tuple[Command, Reading]:
         session = self._session
@@ -241,7 +241,13 @@ class LiveFin:
             return x, y
 
         results = list(
-            run_controller(session, self._controller, reference, seconds * len(ACTION_TICKS), zero)
+            run_controller(
+                session,
+                self._controller,
+                reference,
+                self._clock.actions_within(seconds * RATE_HZ),
+                zero,
+            )
         )
         samples = [first, *(sample for result in results for sample in result.samples)]
         tail = [session.tick() for _ in range(extra_ticks(self._robot))]
@@ -255,7 +261,10 @@ class LiveFin:
         reading = Reading(*(field[1:] for field in log.reading))
         time = (reading.time - reading.time[0] + 1 / RATE_HZ).astype(np.float32)
         reading = reading._replace(time=time, force=reading.force - np.array(zero, np.float32))
-        return Command(*np.array(ticks, np.float32).T), reading
+        # The last action may end later.
+        end = seconds * RATE_HZ
+        reading = Reading(*(field[:end] for field in reading))
+        return Command(*np.array(ticks[:end], np.float32).T), reading
 
 
 def longest_gap(robot: RobotSetup) -> float:

@@ -1,13 +1,13 @@
 """Force tracking as pure functions over any plant (paper Sec. III-C2): an action goes in, the plant
 moves, and a reward and a state come out.
 
-    action in [-1, 1]^2 ──> command, held 33 or 34 ticks ──> plant ──> angle, forces
+    action in [-1, 1]^2 ──> command, held for an action ──> plant ──> angle, forces
     observation = [angle, reference x, reference y, A_t, A_t-1, .. A_t-k,
                    and optionally sin, cos of the clock's phase]
 
-Actions follow each other on the 33/33/34 clock. The duration of an action is a traced value, so
-that a compiled program contains the task only once: all actions have 34 rows, and a shorter action
-ignores the last one.
+Actions follow each other on the action clock. The duration of an action is a traced value, so that
+a compiled program contains the task only once: all actions have as many rows as the longest, and a
+shorter action ignores the last ones.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,17 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import (
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    model_validator,
+)
 
 from softfin.control.policy import PolicyObservation
-from softfin.core.action_clock import MAX_ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.configuration import Configuration
 from softfin.core.operations import jax_operations
 from softfin.core.plant import Plant, State, Ticks, hold_action, rest_command
@@ -78,8 +85,8 @@ class SensingConfig(Configuration):
 
     noise_rad: NonNegativeFloat = 0.0
     """Standard deviation of the angle's noise [rad]."""
-    delay_ticks: int = Field(default=0, ge=0, le=30)
-    """Age of the angle when the policy acts on it [10 ms]."""
+    delay_ticks: NonNegativeInt = 0
+    """Age of the angle when the policy acts on it [10 ms]; shorter than an action."""
 
 
 class TaskConfig(Configuration):
@@ -88,11 +95,14 @@ class TaskConfig(Configuration):
     past_actions: int = Field(default=3, ge=0)
     """Number k of observed actions before the last one; 3 results in 11 observations. The paper
     does not state k."""
-    window_samples: int = Field(default=200, ge=8, multiple_of=8)
-    """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]."""
-    episode_actions: int = Field(default=90, ge=3, multiple_of=3)
-    """Number of actions until the episode is truncated, a multiple of three; 90 correspond to the
-    paper's 30 s."""
+    clock: ActionClock = PAPER_CLOCK
+    """Durations of the actions, and the window."""
+    window_samples: PositiveInt | None = None
+    """Evaluation window of the mean force and the Sobolev term [samples at 100 Hz]; null: the
+    window of the clock."""
+    episode_actions: PositiveInt = 90
+    """Number of actions until the episode is truncated, a whole number of cycles of the clock; 90
+    correspond to the paper's 30 s."""
     reference_actions: PositiveInt = 90
     """Number of actions until a new reference is drawn."""
     ramps: float = Field(default=0.0, ge=0, le=1)
@@ -101,10 +111,30 @@ class TaskConfig(Configuration):
     force_scale_n: PositiveFloat = 3.0
     """Scale of observed references [N], chosen so that observations have magnitudes of about 1."""
     phase: bool = False
-    """Whether the phase of the six actions in the window is observed, as a sine and a cosine.
-    Without it, as in the paper's state, a policy must find its own rhythm."""
+    """Whether the phase of the actions in the window is observed, as a sine and a cosine. Without
+    it, as in the paper's state, a policy must find its own rhythm."""
     reward: RewardConfig = RewardConfig()
     sensing: SensingConfig = SensingConfig()
+
+    @model_validator(mode="after")
+    def _fits_clock(self) -> "TaskConfig":
+        cycle = len(self.clock.ticks)
+        if self.episode_actions % cycle:
+            raise ValueError(
+                f"episode_actions = {self.episode_actions}: must be a whole number of cycles of "
+                f"the clock; use a multiple of {cycle}"
+            )
+        if self.sensing.delay_ticks >= min(self.clock.ticks):
+            raise ValueError(
+                f"sensing.delay_ticks = {self.sensing.delay_ticks}: must be shorter than an action "
+                f"of {min(self.clock.ticks)} ticks; use a smaller delay"
+            )
+        return self
+
+    @property
+    def window_ticks(self) -> int:
+        """Number of samples in the window."""
+        return self.window_samples or self.clock.window_ticks
 
     @property
     def observations(self) -> int:
@@ -145,8 +175,7 @@ class Outcome(NamedTuple):
     force_error: ForcePoint
     """F_e: the window's mean force minus its target [N]."""
     forces: Float[Array, "ticks 2"]
-    """Forces during the action [N]; the last of the 34 rows is valid only for an action of 34
-    ticks."""
+    """Forces during the action [N]; rows after its duration are not valid."""
 
 
 @dataclass(frozen=True)
@@ -166,8 +195,8 @@ class ForceTracking:
             drift=jnp.zeros(2),
             references=references,
             actions=rest_actions(self.config, self.plant.limits),
-            forces=jnp.zeros((self.config.window_samples, 2)),
-            past_references=jnp.zeros((self.config.window_samples, 2)),
+            forces=jnp.zeros((self.config.window_ticks, 2)),
+            past_references=jnp.zeros((self.config.window_ticks, 2)),
             samples=jnp.int32(0),
             age=jnp.int32(0),
             key=key,
@@ -183,25 +212,29 @@ class ForceTracking:
         scale = self.config.force_scale_n
         # Means per block, scaled so that their mean is the mean over the valid samples: in a window
         # that is not yet full, the zeros must not count.
-        window = state.forces.reshape(FORCE_BLOCKS, -1, 2).sum(axis=1) * FORCE_BLOCKS
+        rows = -(-len(state.forces) // FORCE_BLOCKS)
+        # Zeros in front of the oldest forces fill the first block.
+        missing = FORCE_BLOCKS * rows - len(state.forces)
+        forces = jnp.pad(state.forces, ((missing, 0), (0, 0)))
+        window = forces.reshape(FORCE_BLOCKS, rows, 2).sum(axis=1) * FORCE_BLOCKS
         mean = (window / jnp.maximum(state.samples, 1)).reshape(-1) / scale
-        full = state.samples / self.config.window_samples
-        clock = jax.nn.one_hot(state.age % 3, 3)
+        full = state.samples / self.config.window_ticks
+        cycle = len(self.config.clock.ticks)
+        clock = jax.nn.one_hot(state.age % cycle, cycle)
         return jnp.concatenate([self.observe(state), mean, full[None], clock])
 
     def step(self, state: TaskState, action: Action, ticks: Ticks) -> tuple[TaskState, Outcome]:
-        """Hold an action for 33 or 34 ticks."""
+        """Hold an action for `ticks` ticks."""
         config = self.config.reward
         sensing = self.config.sensing
+        rows = self.config.clock.max_ticks
         plant, reading = hold_action(
-            self.plant, state.plant, action_to_command(self.plant.limits, action), ticks
+            self.plant, state.plant, action_to_command(self.plant.limits, action), ticks, rows
         )
-        past_references = _last(
-            state.past_references, jnp.tile(state.reference, (MAX_ACTION_TICKS, 1)), ticks
-        )
+        past_references = _last(state.past_references, jnp.tile(state.reference, (rows, 1)), ticks)
         # The window moves by the valid ticks of this action only.
         forces = _last(state.forces, jnp.asarray(reading.force), ticks)
-        samples = jnp.minimum(state.samples + ticks, self.config.window_samples)
+        samples = jnp.minimum(state.samples + ticks, self.config.window_ticks)
         target = (
             state.reference if config.target == "now" else window_mean(past_references, samples)
         )
@@ -249,9 +282,9 @@ class ForceTracking:
         return state.age >= self.config.episode_actions
 
 
-def _last(before: ForceWindow, rows: Float[Array, "34 2"], ticks: Ticks) -> ForceWindow:
+def _last(before: ForceWindow, rows: Float[Array, "rows 2"], ticks: Ticks) -> ForceWindow:
     """Append the first `ticks` rows to a window and drop as many old ones."""
-    # A traced start with a static length keeps one program for 33 and 34 ticks.
+    # A traced start with a static length keeps one program for actions of all durations.
     return jax.lax.dynamic_slice_in_dim(jnp.concatenate([before, rows]), ticks, len(before))
 
 
@@ -265,11 +298,14 @@ def observation(
     """Return [angle, reference x, reference y, A_t, A_t-1, .. A_t-k], in units of 90 degrees and
     `force_scale_n`.
 
-    With `config.phase`, the sine and cosine of the phase follow; the phase is 0 at every sixth
-    action, with `age` counted from 0.
+    With `config.phase`, the sine and cosine of the phase follow; the phase is 0 at the first action
+    of each window, with `age` counted from 0.
     """
     part = PolicyObservation(
-        past_actions=config.past_actions, phase=config.phase, force_scale_n=config.force_scale_n
+        past_actions=config.past_actions,
+        phase=config.phase,
+        force_scale_n=config.force_scale_n,
+        clock=config.clock,
     )
     now = jnp.concatenate([angle[None], reference])
     return jnp.asarray(part.observe(jax_operations(), now, actions.reshape(-1), age) / part.units())

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import rest_command
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
@@ -127,7 +127,7 @@ def test_each_round_refines_the_sine_for_each_reference():
 def test_a_gait_is_six_actions_on_the_clock_again_and_again():
     command = repeated(Command(np.arange(6.0), np.arange(6.0) + 1), 5)
     assert command.angle.shape == (500,)
-    starts = np.concatenate([[0], np.cumsum(ACTION_TICKS * 2)])
+    starts = np.concatenate([[0], np.cumsum(PAPER_CLOCK.ticks * 2)])
     for i in range(6):
         np.testing.assert_array_equal(command.angle[starts[i] : starts[i + 1]], i)
     np.testing.assert_array_equal(command.angle[400:], command.angle[:100])

@@ -2,7 +2,7 @@ import jax
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError
 from softfin.core.quantities import PAPER_LIMITS, Command
 from softfin.evaluation.baselines.baselines import evaluate_commands
@@ -23,7 +23,7 @@ CONFIG = EvaluateConfig(references=((1, -1), (2, 0)), seconds=4, seeds=3)
 def flapping(seconds):
     """What `Flapper` commands, tick by tick."""
     sides = np.resize([0.8, -0.8], seconds * 3)
-    angle = np.repeat(sides, np.resize(ACTION_TICKS, seconds * 3)).astype(np.float32)
+    angle = np.repeat(sides, np.resize(PAPER_CLOCK.ticks, seconds * 3)).astype(np.float32)
     return Command(angle, np.full_like(angle, 3.0))
 
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError
 from softfin.core.plant import roll
 from softfin.core.quantities import Command
@@ -22,8 +22,10 @@ def test_the_readings_are_those_of_the_plant_rolled_with_the_same_commands():
     commands = jax.tree.map(jnp.asarray, footage.command)
     _, reading = roll(fin, fin.init(named_key(0, "test")), commands)
     np.testing.assert_allclose(footage.reading.force, reading.force, atol=1e-4)
-    np.testing.assert_allclose(footage.average[0], reading.force[:WINDOW].mean(axis=0), atol=1e-4)
-    assert len(footage.average) == 250 - WINDOW + 1
+    np.testing.assert_allclose(
+        footage.average[0], reading.force[: PAPER_CLOCK.window_ticks].mean(axis=0), atol=1e-4
+    )
+    assert len(footage.average) == 250 - PAPER_CLOCK.window_ticks + 1
 
 
 def test_a_plant_that_knows_its_shape_is_drawn_in_it():

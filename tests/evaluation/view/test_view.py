@@ -6,7 +6,7 @@ import pytest
 
 import softfin
 from softfin.cli import main
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import CommandError, ConfigurationError, CoverageError
 from softfin.core.quantities import PAPER_LIMITS, Command, Limits
 from softfin.core.randomness import named_key
@@ -242,7 +242,7 @@ def test_strokes_go_to_either_side_of_the_centre_on_the_action_clock():
     command = stroke_gait(StrokeGaitConfig(centre_rad=0.3), PAPER_LIMITS, 200)
     assert command.angle.shape == command.velocity.shape == (200,)
     turns = np.flatnonzero(np.diff(command.angle)) + 1
-    np.testing.assert_array_equal(turns, np.cumsum(ACTION_TICKS * 2)[:-1])
+    np.testing.assert_array_equal(turns, np.cumsum(PAPER_CLOCK.ticks * 2)[:-1])
     np.testing.assert_allclose(command.angle[[0, 40]], [0.8, -0.2], rtol=1e-6)
 
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.plant import hold, roll
 from softfin.core.quantities import Command
 from softfin.surrogate.paper.network import Network
@@ -28,7 +28,7 @@ def test_holding_a_command_equals_issuing_it_every_tick():
     start = plant.init(jax.random.key(0))
     held_state, held = hold(plant, start, actions)
     each = jax.tree.map(
-        lambda x: jnp.repeat(x, np.array([*ACTION_TICKS, ACTION_TICKS[0]])), actions
+        lambda x: jnp.repeat(x, np.array([*PAPER_CLOCK.ticks, PAPER_CLOCK.ticks[0]])), actions
     )
     state, reading = roll(plant, start, each)
     for a, b in zip(held, reading, strict=True):

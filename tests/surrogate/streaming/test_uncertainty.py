@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.quantities import Command, Log, Reading
 from softfin.core.window import window_means
 from softfin.surrogate.streaming.ensemble import (
@@ -22,7 +22,11 @@ BURN_IN = 7
 def log_of(means):
     """With these mean forces in its windows, behind the burn-in."""
     force = np.concatenate(
-        [np.full((7, 2), 99.0), np.repeat(means, WINDOW, axis=0), np.full((5, 2), 99.0)]
+        [
+            np.full((7, 2), 99.0),
+            np.repeat(means, PAPER_CLOCK.window_ticks, axis=0),
+            np.full((5, 2), 99.0),
+        ]
     )
     rows = np.zeros(len(force), np.float32)
     return Log(Command(rows, rows), Reading(rows, rows, rows, force.astype(np.float32)))

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key, PRNGKeyArray
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from softfin.core.action_clock import CYCLE_ACTIONS, action_ticks
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.configuration import Configuration
 from softfin.core.errors import RunError
 from softfin.core.json_object import JsonObject
@@ -160,8 +160,8 @@ def run_commands(
 
 def repeated(gaits: Command, seconds: int) -> Command:
     """Repeat gaits of six actions on the 33/33/34 clock: one command per tick."""
-    actions = np.arange(CYCLE_ACTIONS * seconds) % CYCLE_ACTIONS
-    rows = np.repeat(actions, action_ticks(len(actions)))[: seconds * RATE_HZ]
+    actions = np.arange(PAPER_CLOCK.window_actions * seconds) % PAPER_CLOCK.window_actions
+    rows = np.repeat(actions, PAPER_CLOCK.action_ticks(len(actions)))[: seconds * RATE_HZ]
     return Command(*(np.asarray(part)[..., rows].astype(np.float32) for part in gaits))
 
 
@@ -251,7 +251,7 @@ class OpenLoopSearch(NamedTuple):
         references share the same random gaits."""
         limits = self.limits
         generator = named_generator(self.seed, "baselines/gaits")
-        shape = (self.config.gaits, CYCLE_ACTIONS)
+        shape = (self.config.gaits, PAPER_CLOCK.window_actions)
         gaits = Command(
             generator.uniform(limits.angle_min, limits.angle_max, shape),
             generator.uniform(limits.velocity_min, limits.velocity_max, shape),

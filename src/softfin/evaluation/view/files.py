@@ -11,7 +11,6 @@ import numpy as np
 import PIL.Image
 from markupsafe import Markup
 
-from softfin.core.action_clock import WINDOW
 from softfin.core.canvas import with_canvas
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import AXES, RATE_HZ
@@ -107,7 +106,7 @@ def to_dict(footage: Footage) -> JsonObject:
         "ticks": ticks,
         "force_known": footage.true_force is not None,
         "points": points,
-        "window": WINDOW,
+        "window": footage.clock.window_ticks,
         "trail": TRAIL_TICKS,
         "scale": choose_scale(footage)._asdict(),
         "decimals": decimals,

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.errors import PlantError
 from softfin.core.plant import Plant, State, TrueForcePlant
 from softfin.core.quantities import AnyArray, Command, Reading
@@ -40,8 +40,7 @@ class Footage(NamedTuple):
     true_force: FootageSeries | None
     """Force on the mount without sensor errors [N]; None if the plant has only readings."""
     average: Float[np.ndarray, "windows 2"]
-    """Mean of the drawn force over the last 200 samples, from the first tick with 200 samples
-    [N]."""
+    """Mean of the drawn force over the last window, from the end of the first one [N]."""
     shape: Float[np.ndarray, "ticks points 2"]
     """Centre line of the fin from the shaft to the tip [m]."""
     length_m: float
@@ -54,6 +53,8 @@ class Footage(NamedTuple):
     default fin."""
     reference: FootageSeries | None
     """Reference force of the controller [N]."""
+    clock: ActionClock = PAPER_CLOCK
+    """Clock of the controller, which defines the window."""
 
     @property
     def force(self) -> FootageSeries:
@@ -67,7 +68,11 @@ that the plant does not compute."""
 
 
 def film(
-    plant: Plant, key: PRNGKeyArray, commands: Command, reference: FootageSeries | None = None
+    plant: Plant,
+    key: PRNGKeyArray,
+    commands: Command,
+    reference: FootageSeries | None = None,
+    clock: ActionClock = PAPER_CLOCK,
 ) -> Footage:
     """Simulate the plant from rest, with one command per tick ``(ticks,)``; `reference` is the one
     that the commands track."""
@@ -75,7 +80,7 @@ def film(
     issued = Command(jnp.asarray(angle, jnp.float32), jnp.asarray(velocity, jnp.float32))
     shots = jax.jit(lambda: shoot(plant, plant.init(key), issued))()
     command, seen = jax.tree.map(np.asarray, (issued, shots))
-    return develop(plant, command, seen, reference)
+    return develop(plant, command, seen, reference, clock)
 
 
 def shoot(plant: Plant, state: State, commands: Command) -> Shots:
@@ -93,7 +98,11 @@ def shoot(plant: Plant, state: State, commands: Command) -> Shots:
 
 
 def develop(
-    plant: Plant, command: Command, shots: Shots, reference: FootageSeries | None
+    plant: Plant,
+    command: Command,
+    shots: Shots,
+    reference: FootageSeries | None,
+    clock: ActionClock,
 ) -> Footage:
     """Convert a recorded simulation to footage, as NumPy arrays; raises PlantError for values that
     are not finite and for wrong shapes."""
@@ -122,16 +131,19 @@ def develop(
     length = float(np.linalg.norm(np.diff(points[0], axis=0), axis=1).sum())
     # Thickness of the default fin, scaled to this length.
     thickness = fin.thickness(np.linspace(0, fin.length_m, points.shape[1])) * length / fin.length_m
+    window = clock.window_ticks
+    average = moving_average(force, window) if len(force) >= window else np.zeros((0, 2))
     return Footage(
         command=command,
         reading=reading,
         true_force=None if true_force is None else np.asarray(true_force),
-        average=moving_average(force) if len(force) >= WINDOW else np.zeros((0, 2)),
+        average=average,
         shape=points,
         length_m=length,
         shape_known=shape is not None,
         thickness=np.asarray(plant.fin.thickness) if isinstance(plant, Tank) else thickness,
         reference=reference,
+        clock=clock,
     )
 
 

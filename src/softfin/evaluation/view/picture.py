@@ -19,7 +19,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Polygon
 from scipy.interpolate import CubicHermiteSpline
 
-from softfin.core.action_clock import MAX_ACTION_TICKS, WINDOW
+from softfin.core.action_clock import ActionClock
 from softfin.core.plant import Plant, State, rest_command
 from softfin.core.quantities import AXES, TICK_S, AnyArray, Command, Limits
 from softfin.evaluation.view.footage import (
@@ -127,8 +127,9 @@ class Picture:
             return fin_outline(self.footage.shape[max(tick - ago, 0)], self.footage.thickness)
 
         def mean(tick: int) -> ForceArrow:
-            # The first window ends at tick WINDOW - 1.
-            return self.footage.average[tick + 1 - WINDOW] if tick + 1 >= WINDOW else np.zeros(2)
+            # The first window ends at tick `window` - 1.
+            window = self.footage.clock.window_ticks
+            return self.footage.average[tick + 1 - window] if tick + 1 >= window else np.zeros(2)
 
         def add_arrow(
             colour: str,
@@ -218,17 +219,18 @@ class Picture:
         angle.set(ylabel="angle [rad]", ylim=self.scale.angle)
         # The true force is not a measurement, so label it differently.
         is_read = self.footage.true_force is None
+        window = self.footage.clock.window_ticks
         force, blue = ("force", "measured") if is_read else ("true force", "angle, true force")
         for i, axes in enumerate(forces):
             if self.footage.reference is not None:
                 self._trace(axes, ORANGE, 1.6, partial(_reference, axis=i), style="steps-pre")
             self._trace(axes, BLUE, 0.9, partial(_force, axis=i))
-            self._trace(axes, BLACK, 1.8, partial(_average, axis=i), start=WINDOW - 1)
+            self._trace(axes, BLACK, 1.8, partial(_average, axis=i), start=window - 1)
             axes.set(ylabel=f"{force} {AXES[i]} [N]", ylim=self.scale.force)
         for axes in panels:
             axes.set_xlim(0, self._seconds)
             axes.tick_params(labelbottom=axes is panels[-1])
-        keys = {"target": ORANGE, blue: BLUE, "mean over 2 s": BLACK}
+        keys = {"target": ORANGE, blue: BLUE, f"mean over {window * TICK_S:g} s": BLACK}
         lines = [
             Line2D([], [], color=colour, linewidth=2, label=label) for label, colour in keys.items()
         ]
@@ -305,8 +307,11 @@ class EpisodeFilm:
     task.
     """
 
-    def __init__(self, plant: Plant, seconds: float, greatest_reference_n: float) -> None:
+    def __init__(
+        self, plant: Plant, seconds: float, greatest_reference_n: float, clock: ActionClock
+    ) -> None:
         self._plant = plant
+        self._clock = clock
         self._limits = Limits(*plant.limits)
         self._seconds = seconds
         self._shoot = jax.jit(partial(shoot, plant))
@@ -331,8 +336,8 @@ class EpisodeFilm:
     ) -> EpisodePart:
         # Always simulate the longest action, so that one compiled program suffices; a tick does not
         # depend on later ones, which are cut off.
-        angle = jnp.full(MAX_ACTION_TICKS, command.angle, jnp.float32)
-        velocity = jnp.full(MAX_ACTION_TICKS, command.velocity, jnp.float32)
+        angle = jnp.full(self._clock.max_ticks, command.angle, jnp.float32)
+        velocity = jnp.full(self._clock.max_ticks, command.velocity, jnp.float32)
         commands = Command(angle, velocity)
         recorded = (commands, self._shoot(state, commands))
         command, shots = jax.tree.map(lambda x: np.asarray(x)[:ticks], recorded)
@@ -345,7 +350,7 @@ class EpisodeFilm:
             assert self._rest is not None
             parts = [self._rest]
         command, shots, reference = jax.tree.map(lambda *parts: np.concatenate(parts), *parts)
-        footage = develop(self._plant, command, shots, reference)
+        footage = develop(self._plant, command, shots, reference, self._clock)
         greatest = max_sizes(footage)
         outgrown = greatest > self._greatest
         if self._picture is None or outgrown.any():

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 from pydantic import Field
 
-from softfin.control.controller import Controller
-from softfin.core.action_clock import ACTION_RATE_HZ, ACTION_TICKS, action_ticks
+from softfin.control.controller import Controller, controller_clock
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError
 from softfin.core.plant import Plant, check_commands
@@ -45,11 +45,11 @@ def stroke_gait(config: StrokeGaitConfig, limits: Limits, ticks: int) -> Command
     # A stroke of 2 A in two thirds of an action: velocity = 2 A rate / (2 / 3).
     velocity = config.velocity_rad_s
     if velocity is None:
-        default = 2 * config.amplitude_rad * ACTION_RATE_HZ / (2 / 3)
+        default = 2 * config.amplitude_rad * PAPER_CLOCK.rate_hz / (2 / 3)
         velocity = min(max(default, limits.velocity_min), limits.velocity_max)
     # Rounded up, so that the actions cover all ticks.
-    actions = -(-ticks // min(ACTION_TICKS))
-    sides = np.repeat(np.resize((1.0, -1.0), actions), action_ticks(actions))[:ticks]
+    actions = -(-ticks // min(PAPER_CLOCK.ticks))
+    sides = np.repeat(np.resize((1.0, -1.0), actions), PAPER_CLOCK.action_ticks(actions))[:ticks]
     angle = config.centre_rad + config.amplitude_rad * sides
     command = Command(angle.astype(np.float32), np.full(ticks, velocity, np.float32))
     check_commands(limits, command)
@@ -104,7 +104,7 @@ def record_footage(
         # The recording has no shapes of the fin, so simulate again: the plant is pure and moves in
         # exactly the same way under the same commands and key.
         held: Command = jax.tree.map(lambda x: x[0, 0, :ticks], recording.command)
-        return film(plant, key, held, asked[:ticks])
+        return film(plant, key, held, asked[:ticks], controller_clock(controller))
     if config.next_references:
         raise ConfigurationError(
             "later references are set without a first one; set a controller and a reference"

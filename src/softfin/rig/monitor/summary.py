@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Float64
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.json_object import JsonObject
 from softfin.core.printable import printable
 from softfin.core.quantities import TICK_S
@@ -22,7 +22,7 @@ at 1 kHz."""
 MAX_CHARACTERS = 300
 """Maximum number of characters of an event's text that are shown."""
 
-WINDOW_S = WINDOW * TICK_S
+WINDOW_S = PAPER_CLOCK.window_ticks * TICK_S
 """Averaging window of the mean force [s]; the same as in an evaluation."""
 
 MAX_NUMBER = 1e100

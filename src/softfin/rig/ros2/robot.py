@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from softfin.core.action_clock import ACTION_TICKS
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.clock import REAL, Clock
 from softfin.core.errors import ConfigurationError, DeviceError, RigError, SafetyStop
 from softfin.rig.machine import Wrench
@@ -128,7 +128,7 @@ class RobotNode:
                 f"{self.robot.name}: accepts wrenches on {self.config.reference_topic}"
             )
             # 33, 33 and 34 ticks: three actions per second.
-            for ticks in itertools.cycle(ACTION_TICKS):
+            for ticks in itertools.cycle(PAPER_CLOCK.ticks):
                 self.send_references()
                 for _ in range(ticks):
                     pace.wait()

@@ -10,7 +10,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from softfin.core.action_clock import ACTION_RATE_HZ
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.canvas import with_canvas
 from softfin.core.json_object import JsonObject
 from softfin.core.quantities import RATE_HZ, AnyArray
@@ -50,7 +50,7 @@ def record_to_dict(robot: RobotConfig, record: Record) -> JsonObject:
     frames = np.arange(0, len(record.time), FRAME_TICKS)
     # The last tick of an action still belongs to it.
     actions = np.minimum(
-        (record.time[frames] * ACTION_RATE_HZ - 1e-6).astype(int), len(record.asked) - 1
+        (record.time[frames] * PAPER_CLOCK.rate_hz - 1e-6).astype(int), len(record.asked) - 1
     )
     series = {
         "position": _rounded(record.body.position[frames], 4),
@@ -93,7 +93,7 @@ def _rounded(values: AnyArray, digits: int) -> list[float]:
 def _recent_mean(wrench: np.ndarray) -> np.ndarray:
     """Return the mean over the two strokes before each tick, which is the net effect of the fins on
     the body."""
-    ticks = round(2 * RATE_HZ / ACTION_RATE_HZ)
+    ticks = round(2 * RATE_HZ / PAPER_CLOCK.rate_hz)
     # Running mean from differences of the cumulative sum.
     total = np.cumsum(np.concatenate([np.zeros((1, 6)), wrench]), axis=0)
     end = np.arange(len(wrench)) + 1

@@ -18,7 +18,7 @@ import numpy as np
 from dtaidistance import dtw
 from jaxtyping import Float, PRNGKeyArray
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, Plant, State, check_commands, roll
@@ -291,7 +291,7 @@ def score_segments(
     scores["angle_dtw_mae_rad"], scores["angle_dtw_mae_scaled"] = map(float, distances[0])
     force_distances = np.mean(distances[1:], axis=0).tolist()
     scores["force_dtw_mae_n"], scores["force_dtw_mae_scaled"] = force_distances
-    if angle.shape[1] < WINDOW:
+    if angle.shape[1] < PAPER_CLOCK.window_ticks:
         return HorizonScores(scores, None, None)
     mean_errors = moving_average(np.asarray(predicted.force)) - moving_average(force)
     size = np.abs(mean_errors)

@@ -16,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
-from softfin.core.action_clock import MAX_ACTION_TICKS
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Ticks, rest_command
@@ -102,11 +101,10 @@ class Surrogate(eqx.Module):
         return self._held(state, command, ticks, ticks)
 
     def hold_action(
-        self, state: SurrogateState, command: Command, ticks: Ticks
+        self, state: SurrogateState, command: Command, ticks: Ticks, rows: int
     ) -> tuple[SurrogateState, Reading]:
-        """Hold the command for an action, computed as a batch of the fixed size
-        `MAX_ACTION_TICKS`."""
-        return self._held(state, command, MAX_ACTION_TICKS, ticks)
+        """Hold the command for an action, computed as a batch of the fixed size `rows`."""
+        return self._held(state, command, rows, ticks)
 
     def _held(
         self, state: SurrogateState, command: Command, rows: int, ticks: Ticks

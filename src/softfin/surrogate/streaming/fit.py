@@ -17,7 +17,7 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray, PyTree
 from pydantic import Field, PositiveInt, model_validator
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.compilation import jit
 from softfin.core.configuration import Configuration
 from softfin.core.errors import LogError
@@ -318,13 +318,13 @@ def split_streaming(
         LogError: there are too few logs or rows, or a channel never changes.
     """
     training, held_out = hold_out(logs, config.held_out)
-    needed = config.burn_in + WINDOW
+    needed = config.burn_in + PAPER_CLOCK.window_ticks
     holding = [log for log in held_out if log.rows >= needed]
     if not holding:
         raise LogError(
             f"held-out logs: none of {len(held_out)} has {needed} rows, which intervals for the "
-            f"mean over {WINDOW} samples after burn_in = {config.burn_in} require; record longer "
-            "logs"
+            f"mean over {PAPER_CLOCK.window_ticks} samples after burn_in = {config.burn_in} "
+            "require; record longer logs"
         )
     return training, holding, measure_scales(training), Table.of(training, config.ticks)
 

@@ -16,7 +16,7 @@ import yaml
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from softfin.core.action_clock import WINDOW
+from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ConfigurationError, LogError
 from softfin.core.json_object import JsonObject
@@ -235,8 +235,13 @@ def calibration_figure(
         panels[0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.3, 0.98), borderaxespad=0)
         panels[-1].set_xlabel("time [s]")
         # Only complete windows.
-        end = test.warm_up + (measured.shape[1] - test.warm_up) // WINDOW * WINDOW
-        windows = (-1, WINDOW, len(FITTED_CHANNELS))
+        end = (
+            test.warm_up
+            + (measured.shape[1] - test.warm_up)
+            // PAPER_CLOCK.window_ticks
+            * PAPER_CLOCK.window_ticks
+        )
+        windows = (-1, PAPER_CLOCK.window_ticks, len(FITTED_CHANNELS))
         ours = modelled[:, test.warm_up : end].reshape(windows).mean(axis=1)
         theirs = measured[:, test.warm_up : end].reshape(windows).mean(axis=1)
         axes = parts[1].subplots()

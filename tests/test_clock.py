@@ -1,0 +1,59 @@
+"""Another clock than the paper's goes through the whole pipeline: map, training, evaluation."""
+
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from softfin.control.controller import Measured
+from softfin.control.disturbance_observer import DisturbanceObserver
+from softfin.control.store import load_controller
+from softfin.core.action_clock import ActionClock
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
+from softfin.learning.configuration import fit_to_reach, for_clock
+from softfin.stages.controllers import train
+from tests.plants import StrokeFin
+from tests.stages.test_training import PPO, QUICK
+
+CLOCKS = (ActionClock.at(6), ActionClock.at(10, 1), ActionClock.at(2.5, 1.2))
+
+
+def _trained(clock: ActionClock, out: Path) -> Path:
+    train(StrokeFin(), out, partial(fit_to_reach, for_clock(QUICK, clock)))
+    return out
+
+
+@pytest.mark.parametrize("clock", CLOCKS, ids=str)
+def test_a_controller_of_another_clock(clock: ActionClock, tmp_path: Path) -> None:
+    controller = load_controller(_trained(clock, tmp_path / "out"))
+    assert controller.clock == clock
+    assert controller.step.gaits.gait_actions == clock.window_actions
+    observed = DisturbanceObserver(controller)
+    assert observed.clock == clock
+    config = EvaluateConfig(seconds=4, seeds=1, references=((1, 0),))
+    summary = score_controller(observed, StrokeFin(), config).summary()
+    assert summary["conditions"]["window_samples"] == clock.window_ticks
+    assert summary["conditions"]["action_rate_hz"] == pytest.approx(clock.rate_hz)
+    # The same step in NumPy, on a robot.
+    state = controller.init()
+    for _ in range(clock.window_actions + 1):
+        state, command = controller.act(state, Measured(0.0, (0.0, 0.0)), (1.0, 0.0))
+    jitted = jax.jit(
+        lambda state: controller.act(
+            state, Measured(jax.numpy.float32(0), jax.numpy.zeros(2)), jax.numpy.array([1.0, 0.0])
+        )
+    )
+    state = controller.init()
+    for _ in range(clock.window_actions + 1):
+        state, traced = jitted(state)
+    np.testing.assert_allclose(traced.angle, command.angle, atol=1e-4)
+
+
+def test_durations_of_a_preset_do_not_depend_on_the_clock() -> None:
+    clock = ActionClock.at(6)
+    for preset in (QUICK, PPO):
+        config = for_clock(preset, clock)
+        assert config.task.reference_actions == 2 * preset.task.reference_actions
+        assert config.num_updates == preset.num_updates
