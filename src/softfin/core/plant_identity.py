@@ -151,7 +151,8 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
         whole: Plant = eqx.combine(arrays, static)
         state = whole.init(key)
         own = getattr(whole, "hold_action", None)
-        ticks, rows = PAPER_CLOCK.ticks[0], PAPER_CLOCK.max_ticks
+        ticks = PAPER_CLOCK.ticks[0]
+        rows = PAPER_CLOCK.max_ticks
         held = [] if own is None else [own(state, command, jnp.int32(ticks), rows)]
         if isinstance(whole, EnsemblePlant):
             member = whole.member(jnp.int32(0))
@@ -162,7 +163,7 @@ def _program(plant: Plant, arrays: PyTree, static: PyTree) -> str:
             ]
         if isinstance(whole, TrueForcePlant):
             held.append(whole.true_force(state))
-        return [whole.advance(state, command, ticks) for ticks in (1, PAPER_CLOCK.ticks[0])] + held
+        return [whole.advance(state, command, count) for count in (1, ticks)] + held
 
     try:
         limits = [float(limit) for limit in plant.limits]
