@@ -1,157 +1,111 @@
-"""How fast a controller can react: settling time against ripple, with other action rates and other
-windows.
+"""How fast a controller can react: settling time against ripple, over action clocks.
 
     python studies/faster_reaction.py surrogate RUN
 
-softfin acts 3 times a second and judges by the mean force over six actions, 2 s. Both are
-constants, in `softfin.core.action_clock`: every row here is trained and judged in processes in
-which they are others. Gaits are found by the mean over their six actions in each row; the policies
-add to them what they learn by the mean over the window. All are judged in the tank, each policy
-with the noise and drift of its own seed, gaits with those of the first seed. Writes
-faster_reaction.json.
+Finds gaits for each clock and, for some, trains single controllers as well. All are evaluated in
+the tank by the true force, each policy with the noise and drift of its own seed, gaits with those
+of the first seed. Writes faster_reaction.json; what an earlier run has finished is not repeated.
 """
 
 import argparse
 import json
-import subprocess
 import sys
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
+
+from softfin.core.action_clock import ActionClock
+from softfin.evaluation.evaluate import EvaluateConfig
+from softfin.evaluation.results import EvaluationSummary
+from softfin.gaits.force_map import MapConfig
+from softfin.learning.configuration import choose_preset, fit_to_reach, for_clock
+from softfin.stages.controllers import find_gaits, train
+from softfin.stages.evaluation import evaluate
+from softfin.storage.registry import find_plant
+
+RATES_HZ = (2, 3, 4, 5, 6, 8, 10)
+WINDOWS_S = (0.5, 0.6, 0.75, 1, 1.5, 2)
+MIN_ACTIONS = 4
+"""Minimum number of actions in a window: two strokes to each side."""
+TRAINED = ("3 Hz, window of 2 s", "6 Hz, window of 1 s", "8 Hz, window of 0.75 s")
+"""Clocks for which single controllers are trained too."""
 
 
-class Clock(NamedTuple):
-    """Ticks of 10 ms that the actions of one second are held, and actions whose mean force
-    counts."""
-
-    ticks: tuple[int, ...]
-    window: int
-
-    @property
-    def samples(self) -> int:
-        """Samples of the window."""
-        return sum(self.ticks) * self.window // len(self.ticks)
+def list_clocks() -> dict[str, ActionClock]:
+    """Return the clocks of the study by name: as many strokes to one side as to the other."""
+    clocks = {}
+    for rate_hz in RATES_HZ:
+        for window_s in WINDOWS_S:
+            clock = ActionClock.at(rate_hz, window_s)
+            if clock.window_actions >= MIN_ACTIONS and clock.window_actions % 2 == 0:
+                clocks[str(clock)] = clock
+    return clocks
 
 
-THREE = (33, 33, 34)
-SIX = (17, 16, 17, 17, 16, 17)
-ROWS = {
-    f"{kind}, {name}": (kind, clock)
-    for kind in ("gaits", "single")
-    for name, clock in {
-        "3 Hz, 2 s": Clock(THREE, 6),
-        "3 Hz, 1 s": Clock(THREE, 3),
-        "6 Hz, 1 s": Clock(SIX, 6),
-    }.items()
-}
-
-BOX = "{low: [0.4, -1.6], high: [3.6, 1.6]}"
-"""References that a single controller is trained for, its margin included [N]."""
-
-UNDER = """
-import softfin.core.action_clock as clock, sys
-ticks, window = {clock}
-clock.ACTION_TICKS, clock.MAX_ACTION_TICKS, clock.ACTION_RATE_HZ = ticks, max(ticks), float(len(ticks))
-clock.WINDOW = sum(ticks) * window // len(ticks)
-from softfin.cli import main
-main(sys.argv[1:])
-"""
-
-
-def softfin(clock: Clock, *words: str) -> None:
-    """Run a command of softfin under a clock."""
-    subprocess.run([sys.executable, "-c", UNDER.format(clock=tuple(clock)), *words], check=True)
-
-
-def judged(
-    surrogate: Path, out: Path, kind: str, clock: Clock, seeds: range
-) -> list[dict[str, Any]]:
-    """Train and judge the controllers of a row; what is there from a run before is left as it
-    is."""
-    whole = clock._replace(window=6)
-    trained = out / "controllers"
-    force_map = out.parent / f"map-{len(clock.ticks)}-hz"
-    if kind == "gaits" and not trained.exists():
-        given = ("--controller", "gaits", "--range", "paper", "--out", str(trained))
-        softfin(whole, "train", str(surrogate), *given)
-    if kind == "single" and not force_map.exists():
-        softfin(whole, "map", str(surrogate), "--set", f"box={BOX}", "--out", str(force_map))
-    if kind == "single" and not trained.exists():
-        # The task's window is a multiple of 8 samples.
-        window = f"task.window_samples={clock.samples // 8 * 8}"
-        softfin(
-            clock,
-            "train",
-            str(surrogate),
-            "--controller",
-            "single",
-            "--range",
-            "paper",
-            "--algorithm",
-            "gradient",
-            "--set",
-            window,
-            "--seed",
-            str(seeds[0]),
-            "--seeds",
-            str(len(seeds)),
-            "--map",
-            str(force_map),
-            "--out",
-            str(trained),
-        )
-    if kind == "gaits" or len(seeds) == 1:
-        controllers = {seeds[0]: trained}
-    else:
-        controllers = {seed: trained / f"seed-{seed}" for seed in seeds}
-    return [
-        score(one, out / f"evaluation-{seed}", clock, seed) for seed, one in controllers.items()
-    ]
-
-
-def score(controller: Path, out: Path, clock: Clock, seed: int) -> dict[str, Any]:
-    """Error, ripple, and the longest settling time of four steps."""
+def train_controllers(
+    kind: str, clock: ActionClock, surrogate: Path, out: Path, seeds: Sequence[int]
+) -> dict[int, Path]:
+    """Return the folders of the controllers of one row by seed, training what is missing."""
+    if kind == "gaits":
+        if not out.exists():
+            find_gaits(str(surrogate), out, MapConfig(clock=clock))
+        return {seeds[0]: out}
     if not out.exists():
-        softfin(
-            clock,
-            "evaluate",
-            str(controller),
-            "--plant",
-            "tank",
-            "--repeats",
-            "1",
-            "--seed",
-            str(seed),
-            "--moving",
-            "step",
-            "--out",
-            str(out),
-        )
-    found = json.loads((out / "evaluation.json").read_text())
-    steps = [row["longest_settling_s"] for row in found["moving"]]
+        preset, _ = choose_preset(find_plant(str(surrogate)))
+        train(str(surrogate), out, partial(fit_to_reach, for_clock(preset, clock)), seeds=seeds)
+    if len(seeds) == 1:
+        return {seeds[0]: out}
+    return {seed: out / f"seed-{seed}" for seed in seeds}
+
+
+def score(controller: Path, out: Path, seed: int) -> dict[str, Any]:
+    """Return a controller's reach, error, ripple, and the longest settling time of four steps."""
+    if out.exists():
+        summary: EvaluationSummary = json.loads((out / "evaluation.json").read_text())
+    else:
+        config = EvaluateConfig(seeds=1, seed=seed, moving=("step",))
+        summary = evaluate(controller, "tank", out, config)
+    steps = [row["longest_settling_s"] for row in summary["moving"]]
     scores = {
-        name: [found["mean"][axis][f"{name}_n"] for axis in "xy"]
+        name: [summary["mean"][axis][f"{name}_n"] for axis in "xy"]
         for name in ("error", "std", "raw_std")
     }
-    return {"seed": seed, **scores, "settling_s": None if None in steps else max(steps)}
+    return {
+        "seed": seed,
+        "reach": summary["conditions"]["reach_n"],
+        **scores,
+        "settling_s": None if None in steps else max(steps),
+    }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("surrogate", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--seeds", type=int, default=5, help="number of policies in each row")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first")
-    parser.add_argument("--tiny", action="store_true", help="gaits alone: does it work at all?")
+    parser.add_argument("--seeds", type=int, default=5, help="number of policies per row")
+    parser.add_argument("--seed", type=int, default=0, help="first seed")
+    parser.add_argument("--tiny", action="store_true", help="only gaits at 3 and 6 Hz, for a test")
     words = parser.parse_args()
     seeds = range(words.seed, words.seed + words.seeds)
+    clocks = list_clocks()
+    rows = [("gaits", name) for name in clocks] + [("single", name) for name in TRAINED]
+    if words.tiny:
+        rows = [("gaits", name) for name in TRAINED[:2]]
     written: dict[str, list[dict[str, Any]]] = {}
-    for name, (kind, clock) in ROWS.items():
-        if words.tiny and kind != "gaits":
-            continue
-        folder = words.out / name.replace(", ", "-").replace(" ", "")
-        written[name] = judged(words.surrogate, folder, kind, clock, seeds)
-        sys.stdout.write(f"{name}: {json.dumps(written[name])}\n")
-    (words.out / "faster_reaction.json").write_text(json.dumps(written))
+    for kind, name in rows:
+        key = f"{kind}, {name}"
+        folder = words.out / key.replace(", ", "-").replace(" ", "-")
+        controllers = train_controllers(
+            kind, clocks[name], words.surrogate, folder / "controllers", seeds
+        )
+        written[key] = [
+            score(controller, folder / f"evaluation-{seed}", seed)
+            for seed, controller in controllers.items()
+        ]
+        sys.stdout.write(f"{key}: {json.dumps(written[key])}\n")
+        sys.stdout.flush()
+        (words.out / "faster_reaction.json").write_text(json.dumps(written))
 
 
 if __name__ == "__main__":

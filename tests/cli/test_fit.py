@@ -6,6 +6,9 @@ import pytest
 
 from softfin.cli import main
 from softfin.cli.surrogates import warning
+from softfin.core.action_clock import ActionClock
+from softfin.core.errors import ConfigurationError
+from softfin.stages.controllers import propose_clock
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
 from softfin.surrogate import FitConfig, StreamingConfig
@@ -164,3 +167,19 @@ def test_an_unfinished_run_is_not_lost(capsys, tmp_path, dataset, monkeypatch):
         "contains an unfinished run; continue with --resume, or discard it with --overwrite"
         in fails(capsys, *words)
     )
+
+
+def test_the_clock_for_the_fin_is_proposed(capsys, tmp_path, dataset, asked, monkeypatch):
+    monkeypatch.setattr("softfin.stages.surrogates.stroke_time", lambda logs: 0.12)
+    out = tmp_path / "s"
+    assert "stroke time 0.12 s: softfin train --clock auto would use 8 Hz" in run(
+        capsys, "fit", dataset, "--out", str(out)
+    )
+    assert propose_clock(str(out)) == ActionClock.at(8, 0.75)
+
+
+def test_no_clock_is_proposed_without_strokes(capsys, tmp_path, dataset, asked):
+    out = tmp_path / "s"
+    assert "stroke time" not in run(capsys, "fit", dataset, "--out", str(out))
+    with pytest.raises(ConfigurationError, match=r"stroke time of .* is unknown; use a rate"):
+        propose_clock(str(out))

@@ -39,6 +39,11 @@ def test_a_map_is_a_folder_and_a_summary(capsys, tmp_path):
     [
         (["tank", "--set", "spacing_n=0"], "spacing_n = 0: Input should be greater than 0"),
         (["tank", "--set", "survey.direction=8"], "did you mean 'directions'?"),
+        (
+            ["tank", "--clock", "auto"],
+            "--clock auto: the stroke time of tank is unknown; use a rate",
+        ),
+        (["tank", "--clock", "6;1"], "--clock 6;1: must be paper, auto, a rate in Hz such as 6"),
         (["tank", "--set", "box={low: [1, 0], high: [0, 1]}"], "must not be greater than high"),
     ],
 )

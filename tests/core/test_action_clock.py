@@ -53,3 +53,13 @@ def test_a_clock_within_a_pytree_has_no_leaves() -> None:
     tree = (PAPER_CLOCK, jax.numpy.ones(2))
     assert len(jax.tree.leaves(tree)) == 1
     assert jax.jit(lambda tree: tree)(tree)[0] == PAPER_CLOCK
+
+
+@pytest.mark.parametrize(
+    ("stroke_s", "rate_hz", "window_s"),
+    [(0.12, 8, 0.75), (0.23, 4, 1.5), (0.31, 3, 2), (0.51, 2, 3), (0.001, 10, 0.6), (9, 1, 6)],
+)
+def test_the_clock_of_a_stroke_time(
+    stroke_s: float | int, rate_hz: float | int, window_s: float | int
+) -> None:
+    assert ActionClock.for_strokes(stroke_s) == ActionClock.at(rate_hz, window_s)

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from softfin.learning.configuration import TrainConfig
 
 
+AUTO = "auto"
+"""Value of --clock: the clock for the fin's stroke time."""
 MAP = "map"
 PAPER = "paper"
 """Values of --range: all forces that the fin can produce (the default), and the paper's range."""
@@ -44,11 +46,12 @@ class MapArguments(Configured):
     out: Out
     """Output folder for map.json, the gaits and the figure."""
     clock: Annotated[str, Option("HZ[,S]")] | None = None
-    """Actions per second and window of the gaits [s], or paper (default: paper, which is 3,2)."""
+    """Actions per second and window of the gaits [s]; paper for 3,2 (default); auto for the fin's
+    stroke time in its logs."""
 
     def check(self) -> None:
         """Reject a clock that does not exist."""
-        asked_clock(self.clock)
+        check_clock(self.clock)
         super().check()
 
     def __call__(self) -> None:
@@ -56,7 +59,7 @@ class MapArguments(Configured):
         from softfin.gaits.reachable import force_decimals
         from softfin.stages.controllers import map_forces
 
-        config = self.configured(MapConfig(clock=asked_clock(self.clock)))
+        config = self.configured(MapConfig(clock=asked_clock(self.clock, self.plant)))
         with progress() as report:
             summary = map_forces(
                 self.plant, self.out, config, overwrite=self.overwrite, progress=report
@@ -97,8 +100,8 @@ class TrainArguments(Configured):
     """Range of target forces [N]: map for all forces that the fin can produce (default), or paper
     for 0.5,-1.5,3.5,1.5."""
     clock: Annotated[str, Option("HZ[,S]")] | None = None
-    """Actions per second and window of the mean force [s], or paper (default: paper, which is
-    3,2)."""
+    """Actions per second and window of the mean force [s]; paper for 3,2 (default); auto for the
+    fin's stroke time in its logs."""
     map: Annotated[Path, folder_option("map")] | None = None
     """Folder of this surrogate's map, written by softfin map (default: compute one)."""
     steps: int | None = None
@@ -119,7 +122,7 @@ class TrainArguments(Configured):
     def check(self) -> None:
         """Reject options that exclude each other."""
         asked_seeds(self.seed, self.seeds)
-        asked_clock(self.clock)
+        check_clock(self.clock)
         if self.range not in (None, MAP, PAPER):
             read_range(self.range)
         if self.cells is not None:
@@ -154,7 +157,7 @@ class TrainArguments(Configured):
         within = asked_range(self.range)
         seeds = asked_seeds(self.seed, self.seeds)
         if self.controller == "gaits":
-            usual = MapConfig(clock=asked_clock(self.clock))
+            usual = MapConfig(clock=asked_clock(self.clock, self.surrogate))
             lattice = self.configured(usual, box=within and within.model_dump())
             # With a map, a changed grid is passed on only so that `find_gaits` rejects it.
             given = None if self.map is not None and lattice == MapConfig() else lattice
@@ -171,7 +174,7 @@ class TrainArguments(Configured):
         # Each algorithm has its own defaults, so it is chosen before other options apply.
         preset, reason = choose_preset(find_plant(self.surrogate), self.controller, self.algorithm)
         if self.clock is not None:
-            preset = for_clock(preset, asked_clock(self.clock))
+            preset = for_clock(preset, asked_clock(self.clock, self.surrogate))
 
         def configure(forces: FinForces) -> TrainConfig:
             cells = asked_cells(
@@ -260,11 +263,22 @@ def missed_targets(scores: Sequence[JsonObject]) -> list[str]:
     ]
 
 
-def asked_clock(text: str | None) -> "ActionClock":
-    """Return the clock of ``--clock``; the paper's without it."""
+def check_clock(text: str | None) -> None:
+    """Reject a value of ``--clock`` that is not a clock."""
     from softfin.core.action_clock import ActionClock
 
-    return ActionClock() if text is None else ActionClock.parse(text)
+    if text not in (None, AUTO):
+        ActionClock.parse(text)
+
+
+def asked_clock(text: str | None, plant: str) -> "ActionClock":
+    """Return the clock of ``--clock`` for a plant; the paper's without it."""
+    from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+    from softfin.stages.controllers import propose_clock
+
+    if text is None:
+        return PAPER_CLOCK
+    return propose_clock(plant) if text == AUTO else ActionClock.parse(text)
 
 
 def asked_seeds(first: int, text: str | None) -> tuple[int, ...]:

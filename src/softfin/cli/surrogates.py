@@ -65,6 +65,7 @@ class FitArguments(LogOptions, Configured):
 
     def __call__(self) -> None:
         from softfin.cli.tables import format_table_one
+        from softfin.core.action_clock import ActionClock
         from softfin.stages.surrogates import fit
 
         config = self.configured(find_architecture(self.model).config())
@@ -83,6 +84,11 @@ class FitArguments(LogOptions, Configured):
         notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
         sys.stderr.write(printable(notes, "\n"))
         parts = [format_table_one(result["table_i"])]
+        if (stroke_s := result["stroke_s"]) is not None:
+            parts.append(
+                f"stroke time {stroke_s:.2g} s: softfin train --clock auto would use "
+                f"{ActionClock.for_strokes(stroke_s)}"
+            )
         if result["caveat"] is not None:
             parts.append(f"note: {result['caveat']}")
         self.tell({"surrogate": str(self.out), **result}, "\n\n".join(parts))

@@ -15,6 +15,10 @@ from softfin.core.errors import ConfigurationError
 from softfin.core.jax_import import when_jax_is_imported
 from softfin.core.quantities import RATE_HZ, TICK_S
 
+PROPOSED_RATES_HZ = (1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10)
+"""Rates that `for_strokes` chooses from."""
+PROPOSED_ACTIONS = 6
+"""Number of actions in the windows of `for_strokes`, as in the paper (Sec. IV-B)."""
 MAX_CYCLE_ACTIONS = 20
 """Maximum number of actions of different durations, which limits the rates that `at` accepts."""
 
@@ -61,6 +65,16 @@ class ActionClock(Configuration):
         return cls(ticks=ticks, window_actions=cycles * count)
 
     @classmethod
+    def for_strokes(cls, stroke_s: float | int) -> "ActionClock":
+        """Build the clock whose actions last about as long as a fin's strokes [s], with a window of
+        six actions.
+
+        The stroke time of the paper's fin (0.31 s in the tank) gives the paper's clock.
+        """
+        rate_hz = min(PROPOSED_RATES_HZ, key=lambda rate: abs(math.log(rate * stroke_s)))
+        return cls.at(rate_hz, PROPOSED_ACTIONS / rate_hz)
+
+    @classmethod
     def parse(cls, text: str) -> "ActionClock":
         """Parse ``paper``, a rate [Hz], or a rate and a window [s] such as ``6,1``; raises
         ConfigurationError."""
@@ -72,8 +86,8 @@ class ActionClock(Configuration):
             numbers = []
         if len(numbers) not in (1, 2) or not all(0 < number < math.inf for number in numbers):
             raise ConfigurationError(
-                f"--clock {text}: must be paper, a rate in Hz such as 6, or a rate and a window in "
-                "s such as 6,1"
+                f"--clock {text}: must be paper, auto, a rate in Hz such as 6, or a rate and a "
+                "window in s such as 6,1"
             )
         return cls.at(*numbers)
 

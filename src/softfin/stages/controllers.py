@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from softfin.control.store import save_gaits
+from softfin.core.action_clock import ActionClock
 from softfin.core.choices import EngineName
 from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.json_object import JsonObject
@@ -30,6 +31,20 @@ from softfin.surrogate.channels import learnt_from
 
 MakeConfig = Callable[[FinForces], TrainConfig]
 """Function that returns the configuration for the forces that a fin can make."""
+
+
+def propose_clock(plant: str) -> ActionClock:
+    """Return the clock for the stroke time of the fin that a surrogate was fitted to; raises
+    ConfigurationError if it is unknown."""
+    stroke_s = None
+    if artifacts.is_kind(Path(plant), "surrogate"):
+        stroke_s = artifacts.load_description(Path(plant), "surrogate").get("stroke_s")
+    if stroke_s is None:
+        raise ConfigurationError(
+            f"--clock auto: the stroke time of {plant} is unknown; use a rate in Hz such as 3, or "
+            "fit a surrogate to logs of this fin (softfin fit)"
+        )
+    return ActionClock.for_strokes(stroke_s)
 
 
 def map_forces(

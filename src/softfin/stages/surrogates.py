@@ -12,6 +12,7 @@ from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Log, command_limits
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
+from softfin.data.stroke_time import stroke_time
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import Dataset
 from softfin.storage.registry import find_plant, plant_name
@@ -94,6 +95,7 @@ def fit(
             overwrite=overwrite,
             configuration=metadata["configuration"],
             training_range=ranges(opened.train),
+            stroke_s=stroke_time(opened.train),
             fin=description.get("fin"),
         )
     run_directory.finish()
@@ -105,6 +107,7 @@ def fit(
         "table_i": written["scores"],
         "issues": summary["counts"],
         "columns": summary["columns"],
+        "stroke_s": written.get("stroke_s"),
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
     }
 

@@ -1,0 +1,38 @@
+"""A fin's stroke time: how long its shaft takes to reach a new commanded angle."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from softfin.core.quantities import TICK_S, Log
+
+ARRIVED = 0.9
+"""Fraction of the way to a commanded angle at which a stroke counts as finished."""
+MIN_STROKE_RAD = 0.3
+"""Minimum change of angle that counts as a stroke [rad]; smaller ones end before the drive has
+accelerated."""
+MIN_STROKES = 10
+"""Minimum number of strokes for a median."""
+
+
+def stroke_time(logs: Sequence[Log]) -> float | None:
+    """Return the median time from a new commanded angle until the shaft has covered 90% of the way
+    [s]; None if the logs have fewer than 10 strokes, or if most of them were cut short.
+
+    A stroke that the next command cuts short counts as longer than any other.
+    """
+    times = []
+    for log in logs:
+        command = np.asarray(log.command.angle)
+        angle = np.asarray(log.reading.angle)
+        starts = np.flatnonzero(np.diff(command)) + 1
+        for start, end in zip(starts, [*starts[1:], len(command)], strict=True):
+            way = command[start] - angle[start]
+            if abs(way) < MIN_STROKE_RAD:
+                continue
+            arrived = np.flatnonzero((angle[start:end] - angle[start]) / way >= ARRIVED)
+            times.append(arrived[0] * TICK_S if len(arrived) else np.inf)
+    if len(times) < MIN_STROKES:
+        return None
+    median = float(np.median(times))
+    return round(median, 3) if np.isfinite(median) else None
