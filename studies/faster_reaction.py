@@ -4,7 +4,9 @@
 
 Finds gaits for each clock and, for some, trains single controllers as well. All are evaluated in
 the tank by the true force, each policy with the noise and drift of its own seed, gaits with those
-of the first seed. Writes faster_reaction.json; what an earlier run has finished is not repeated.
+of the first seed. Ripple is the standard deviation of the force's mean over the clock's own window,
+and over 2 s for all clocks. Writes faster_reaction.json; what an earlier run has finished is not
+repeated.
 """
 
 import argparse
@@ -15,21 +17,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from softfin.core.action_clock import ActionClock
-from softfin.evaluation.evaluate import EvaluateConfig
-from softfin.evaluation.results import EvaluationSummary
+import numpy as np
+
+from softfin.control.store import load_controller
+from softfin.core.action_clock import PAPER_CLOCK, ActionClock
+from softfin.core.quantities import AXES, RATE_HZ
+from softfin.core.window import moving_average
+from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.gaits.force_map import MapConfig
 from softfin.learning.configuration import choose_preset, fit_to_reach, for_clock
 from softfin.stages.controllers import find_gaits, train
-from softfin.stages.evaluation import evaluate
 from softfin.storage.registry import find_plant
 
-RATES_HZ = (2, 3, 4, 5, 6, 8, 10)
-WINDOWS_S = (0.5, 0.6, 0.75, 1, 1.5, 2)
+RATES_HZ = (2, 3, 4, 6, 8, 10)
+WINDOWS_S = (0.5, 0.6, 0.75, 1, 2)
 MIN_ACTIONS = 4
 """Minimum number of actions in a window: two strokes to each side."""
 TRAINED = ("3 Hz, window of 2 s", "6 Hz, window of 1 s", "8 Hz, window of 0.75 s")
 """Clocks for which single controllers are trained too."""
+START_S = 2
+"""Time after the first window that is not counted as ripple, because the fin starts [s]."""
 
 
 def list_clocks() -> dict[str, ActionClock]:
@@ -62,21 +69,25 @@ def train_controllers(
 def score(controller: Path, out: Path, seed: int) -> dict[str, Any]:
     """Return a controller's reach, error, ripple, and the longest settling time of four steps."""
     if out.exists():
-        summary: EvaluationSummary = json.loads((out / "evaluation.json").read_text())
-    else:
-        config = EvaluateConfig(seeds=1, seed=seed, moving=("step",))
-        summary = evaluate(controller, "tank", out, config)
+        scores: dict[str, Any] = json.loads(out.read_text())
+        return scores
+    config = EvaluateConfig(seeds=1, seed=seed, moving=("step",))
+    evaluation = score_controller(load_controller(controller), find_plant("tank"), config)
+    summary = evaluation.summary()
+    force = np.asarray(evaluation.recording.force, np.float64)
+    ripple = moving_average(force, PAPER_CLOCK.window_ticks)[:, :, RATE_HZ * START_S :].std(axis=2)
     steps = [row["longest_settling_s"] for row in summary["moving"]]
     scores = {
-        name: [summary["mean"][axis][f"{name}_n"] for axis in "xy"]
-        for name in ("error", "std", "raw_std")
-    }
-    return {
         "seed": seed,
         "reach": summary["conditions"]["reach_n"],
-        **scores,
-        "settling_s": None if None in steps else max(steps),
+        "error": [summary["mean"][axis]["error_n"] for axis in AXES],
+        "own_ripple": [summary["mean"][axis]["std_n"] for axis in AXES],
+        "ripple": ripple.mean(axis=(0, 1)).tolist(),
+        "raw_std": [summary["mean"][axis]["raw_std_n"] for axis in AXES],
+        "settling": None if None in steps else max(steps),
     }
+    out.write_text(json.dumps(scores))
+    return scores
 
 
 def main() -> None:
@@ -100,7 +111,7 @@ def main() -> None:
             kind, clocks[name], words.surrogate, folder / "controllers", seeds
         )
         written[key] = [
-            score(controller, folder / f"evaluation-{seed}", seed)
+            score(controller, folder / f"scores-{seed}.json", seed)
             for seed, controller in controllers.items()
         ]
         sys.stdout.write(f"{key}: {json.dumps(written[key])}\n")

@@ -11,6 +11,7 @@ from softfin.control.controller import Measured
 from softfin.control.disturbance_observer import DisturbanceObserver
 from softfin.control.store import load_controller
 from softfin.core.action_clock import ActionClock
+from softfin.core.errors import ConfigurationError
 from softfin.evaluation.evaluate import EvaluateConfig, score_controller
 from softfin.learning.configuration import fit_to_reach, for_clock
 from softfin.stages.controllers import train
@@ -49,6 +50,13 @@ def test_a_controller_of_another_clock(clock: ActionClock, tmp_path: Path) -> No
     for _ in range(clock.window_actions + 1):
         state, traced = jitted(state)
     np.testing.assert_allclose(traced.angle, command.angle, atol=1e-4)
+
+
+def test_an_experiment_shorter_than_the_window_is_refused(tmp_path: Path) -> None:
+    controller = load_controller(_trained(ActionClock.at(2, 6), tmp_path / "out"))
+    config = EvaluateConfig(seconds=6, seeds=1, references=((1, 0),))
+    with pytest.raises(ConfigurationError, match=r"seconds = 6: too short .*; use at least 7"):
+        score_controller(controller, StrokeFin(), config)
 
 
 def test_durations_of_a_preset_do_not_depend_on_the_clock() -> None:

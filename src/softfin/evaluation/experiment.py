@@ -1,6 +1,6 @@
 """The paper's experiment: starting from rest, a controller tracks a reference force on a plant.
 
-The controller acts three times per second (paper Sec. IV).
+The controller acts three times per second (paper Sec. IV), or at the rate of its own clock.
 
 References may be constant or moving. All references and seeds run in parallel in one compiled
 program, which records every tick of 10 ms.
@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Key, PRNGKeyArray
 from softfin.control.controller import Controller, ControllerState, Measured, controller_clock
 from softfin.core.action_clock import PAPER_CLOCK, ActionClock
 from softfin.core.compilation import jit
-from softfin.core.errors import PlantError
+from softfin.core.errors import ConfigurationError, PlantError
 from softfin.core.plant import (
     Plant,
     State,
@@ -30,7 +30,12 @@ from softfin.core.plant_identity import jit_argument
 from softfin.core.quantities import RATE_HZ, AnyArray, Command, Limits, Reading
 
 MIN_SECONDS = 3
-"""Shortest experiment [s]; the first window of the moving average takes 2 s."""
+"""Shortest experiment with the paper's clock [s]; see `min_seconds`."""
+
+
+def min_seconds(clock: ActionClock) -> int:
+    """Return the shortest experiment [s]: the first window, and up to a second of further ones."""
+    return clock.window_ticks // RATE_HZ + 1
 
 
 ReferenceSeries: TypeAlias = Float[AnyArray, "references *ticks 2"]
@@ -113,11 +118,20 @@ def run_together(
     keys: Key[Array, "seeds"],
 ) -> list[ExperimentRecording]:
     """Run several sets of references, each with its own duration [s]; on a simulated plant, all run
-    in one program."""
+    in one program.
+
+    Raises ConfigurationError if one is too short for a window of the controller's clock.
+    """
     series = [(np.asarray(references, np.float32), seconds) for references, seconds in experiments]
+    clock = controller_clock(controller)
+    shortest = min(seconds for _, seconds in series)
+    if shortest < min_seconds(clock):
+        raise ConfigurationError(
+            f"seconds = {shortest}: too short for this controller's clock ({clock}); use at least "
+            f"{min_seconds(clock)}"
+        )
     if isinstance(plant, RealTime):
         return [plant.experiments(asked, seconds, len(keys)) for asked, seconds in series]
-    clock = controller_clock(controller)
     actions = clock.actions_within(max(seconds for _, seconds in series) * RATE_HZ)
     # Tick at which each action starts and the controller observes the reference.
     starts = np.cumsum([0, *clock.action_ticks(actions)])[:-1]

@@ -11,13 +11,13 @@ from typing import NamedTuple, TypeAlias, cast
 import numpy as np
 from jaxtyping import Float
 
-from softfin.control.controller import Controller
+from softfin.control.controller import Controller, controller_clock
 from softfin.control.references import nearest_trackable, reachable_set
 from softfin.core.choices import MovingReference
 from softfin.core.errors import CoverageError
 from softfin.core.quantities import AXES, RATE_HZ
 from softfin.core.window import moving_error
-from softfin.evaluation.experiment import MIN_SECONDS, ExperimentRecording, independent
+from softfin.evaluation.experiment import ExperimentRecording, independent, min_seconds
 from softfin.evaluation.range_errors import controller_range
 from softfin.evaluation.results import MovingRow, StepResponse, TrackingErrors, score_keys
 from softfin.evaluation.scores import SETTLED_N, score, settled_band, step_responses
@@ -269,5 +269,6 @@ def plan_moving(
         (moving_signals(kind, cell, reachable), SIGNALS[kind][2]) for kind in dict.fromkeys(kinds)
     ]
     if recorded is not None:
-        groups.append(((recorded,), max(recorded.seconds, MIN_SECONDS)))
+        shortest = min_seconds(controller_clock(controller))
+        groups.append(((recorded,), max(recorded.seconds, shortest)))
     return [MovingPlan.of(controller, signals, seconds, strict) for signals, seconds in groups]
