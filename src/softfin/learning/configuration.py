@@ -195,8 +195,10 @@ def choose_preset(
 
 def for_clock(config: TrainConfig, clock: ActionClock) -> TrainConfig:
     """Return a preset for another clock: numbers of actions change with the rate, so that their
-    durations stay the same, and so does the number of updates."""
-    ratio = clock.rate_hz / config.task.clock.rate_hz
+    durations stay the same, and so does the number of updates. With a longer window, durations are
+    longer by the same factor."""
+    own = config.task.clock
+    ratio = clock.rate_hz / own.rate_hz * max(1, clock.window_ticks / own.window_ticks)
     cycle = len(clock.ticks)
 
     def actions(count: int) -> int:
