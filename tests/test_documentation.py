@@ -313,6 +313,7 @@ def stop_at_work(monkeypatch):
         raise Parsed
 
     monkeypatch.setattr("softfin.stages.collect.collect", work)
+    monkeypatch.setattr("softfin.stages.controllers.find_gaits", work)
     monkeypatch.setattr(Dataset, "open", work)
     monkeypatch.setattr(subprocess, "Popen", work)
 

@@ -17,6 +17,7 @@ from results.parts.common import Work
 from results.steps import Runner, step
 
 from tests.documents import ROOT
+from tests.plants import StrokeFin
 from tests.test_documentation import understood
 
 STEPS = {each.name: each for part in parts((0,)).values() for each in part.steps}
@@ -171,34 +172,31 @@ def test_the_study_of_faster_reaction_trains_and_judges_with_the_seeds_that_it_i
     )
     study = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(study)
-    commands = []
+    trained = []
 
-    def note(clock, *words):
-        commands.append(words)
-        if words[0] == "evaluate":
-            folder = tmp_path / words[-1]
-            folder.mkdir(parents=True)
-            axis = {"error_n": 1.0, "std_n": 1.0, "raw_std_n": 1.0}
-            found = {"moving": [{"longest_settling_s": 2.0}], "mean": {"x": axis, "y": axis}}
-            (folder / "evaluation.json").write_text(json.dumps(found))
+    def train(plant, out, make_config, seeds):
+        trained.append(tuple(seeds))
 
-    monkeypatch.setattr(study, "softfin", note)
+    def score(controller, out, seed):
+        assert controller.name in (f"seed-{seed}", "controllers")
+        return {"seed": seed}
+
+    monkeypatch.setattr(study, "find_gaits", lambda *_: None)
+    monkeypatch.setattr(study, "find_plant", lambda name: StrokeFin())
+    monkeypatch.setattr(study, "train", train)
+    monkeypatch.setattr(study, "score", score)
+    (tmp_path / "run").mkdir()
     monkeypatch.setattr(
         sys,
         "argv",
         ["faster_reaction", "surrogate", str(tmp_path / "run"), "--seeds", "2", "--seed", "9"],
     )
     study.main()
-    for words in commands:
-        line = " ".join(words)
-        if "--algorithm" in words:
-            assert " --seed 9 --seeds 2 " in line
-        elif words[0] == "evaluate":
-            assert " --seed 10 " in line if "seed-10" in words[1] else " --seed 9 " in line
+    assert trained == [(9, 10)] * len(study.TRAINED)
     written = json.loads((tmp_path / "run" / "faster_reaction.json").read_text())
     seeds = {name: [row["seed"] for row in rows] for name, rows in written.items()}
-    assert seeds == {
-        name: [9] if kind == "gaits" else [9, 10] for name, (kind, _) in study.ROWS.items()
+    assert seeds == {f"gaits {name}": [9] for name in study.CLOCKS} | {
+        f"single {name}": [9, 10] for name in study.TRAINED
     }
 
 

@@ -322,12 +322,12 @@ def faster(seeds: Sequence[int]) -> Part:
 
     def read(work: Work) -> Figures:
         figures: Figures = {}
-        for name, rows in work.json("faster/faster_reaction.json").items():
-            key = name.replace(",", "")
+        for key, rows in work.json("faster/faster_reaction.json").items():
             own = [row["seed"] for row in rows]
             figures[f"{key}.settling"] = figure(
-                "s", [row["settling_s"] for row in rows], own, "median"
+                "s", [row["settling"] for row in rows], own, "median"
             )
+            figures[f"{key}.reach"] = figure("N", [row["reach"] for row in rows], own)
             for score in ("error", "std", "raw_std"):
                 figures[f"{key}.{score}"] = figure("N", [row[score] for row in rows], own)
         return figures

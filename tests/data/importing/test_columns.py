@@ -197,7 +197,10 @@ def test_without_a_column_of_time_the_rate_must_be_told():
     [
         ({"columns": "angel=position"}, "columns.angel.* Input should be 'time', .*'angle'"),
         ({"columns": "angle"}, "use NAME=VALUE"),
-        ({"topics": "wrnch=/w"}, "topics.wrnch.* Input should be 'command', 'joint' or 'wrench'"),
+        (
+            {"topics": "wrnch=/w"},
+            "topics.wrnch.* Input should be 'command', 'joint', 'wrench' or 'current'",
+        ),
         (
             {"angles": "grad"},
             "'grad' is not a unit of command_angle; must be one of rad, mrad, deg, turn; ",
