@@ -13,7 +13,6 @@ from softfin.rig.stop import StopRequest
 from tests.cli.terminal import Terminal
 from tests.cli.test_cli import fails
 from tests.control.folders import folder_option
-from tests.patience import wait_until
 from tests.rig.bags import counts_of, events_of
 from tests.rig.rigs import filed, over_sockets, simulated
 
@@ -268,7 +267,7 @@ def test_a_key_stops_a_fin_that_moves_by_itself(command, key, controller, elsewh
         # The word between is coloured, as everything in quotes above a progress bar.
         terminal.wait_for(" and press Enter: ")
         terminal.type("move\n")
-        wait_until(lambda: elsewhere.drive.state is State.OPERATION_ENABLED)
+        terminal.wait_until(lambda: elsewhere.drive.state is State.OPERATION_ENABLED)
         terminal.type("faster\n")
         terminal.wait_for("the commands are fixed; press Enter alone to stop the fin")
         terminal.type(key)
