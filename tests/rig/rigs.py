@@ -90,9 +90,10 @@ def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
 
 
 @contextmanager
-def over_sockets(path: Path) -> Iterator[EmulatedRig]:
-    """A rig in real time and its file, for the command line in another process."""
-    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL) as behind:
+def over_sockets(path: Path, sensor: str = "axia80") -> Iterator[EmulatedRig]:
+    """A rig in real time and its file, for the command line in another process; a sensor that sends
+    lines is on a pseudo-terminal."""
+    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL, sensor=sensor) as behind:
         values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
         values["drive"] |= {"heartbeat_s": 1.0, "sync_s": 0.02, "zero_needed": False}
         path.write_text(yaml.safe_dump(values))
@@ -120,4 +121,5 @@ def patient() -> Iterator[None]:
     judged then."""
     with pytest.MonkeyPatch.context() as patches:
         patches.setattr("softfin.rig.devices.axia80.sensor.SILENT_S", 2.0)
+        patches.setattr("softfin.rig.devices.lines.sensor.SILENT_S", 2.0)
         yield
