@@ -8,10 +8,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from tests.patience import HANG_S, wait_until
+from tests.patience import HANG_S
 
 ROOT = Path(__file__).parents[2]
 
@@ -50,20 +50,6 @@ class Terminal:
         deadline = time.monotonic() + HANG_S
         while words not in self.said:
             assert self._read(deadline), f"ended without {words!r}: {self.said}"
-
-    def wait_until(self, is_true: Callable[[], object]) -> None:
-        """Until it is true; fails at once, with what was said, if the process ends before."""
-        reached = False
-
-        def is_over() -> bool:
-            nonlocal reached
-            # Asked first: what is true when the process has ended may be its doing.
-            has_ended = self._process.poll() is not None
-            reached = bool(is_true())
-            return reached or has_ended
-
-        wait_until(is_over)
-        assert reached, f"ended with {self.ended()}: {self.said}"
 
     def type(self, text: str) -> None:
         os.write(self._master, text.encode())

@@ -1,6 +1,7 @@
 """Emulated rigs for tests: in simulated time, but for the few that are reached over sockets from
 another process."""
 
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -93,7 +94,11 @@ def filed(behind: EmulatedRig, path: Path, **safety: Any) -> Iterator[Path]:
 def over_sockets(path: Path, sensor: str = "axia80") -> Iterator[EmulatedRig]:
     """A rig in real time and its file, for the command line in another process; a sensor that sends
     lines is on a pseudo-terminal."""
-    with patient(), EmulatedRig(fin=SimpleFin(), clock=REAL, sensor=sensor) as behind:
+    with (
+        patient(),
+        unshared_loopback(),
+        EmulatedRig(fin=SimpleFin(), clock=REAL, sensor=sensor) as behind,
+    ):
         values = behind.values(safety=SAFETY | WIDE, settle_s=0.1)
         values["drive"] |= {"heartbeat_s": 1.0, "sync_s": 0.02, "zero_needed": False}
         path.write_text(yaml.safe_dump(values))
@@ -113,6 +118,17 @@ def prove(path: Path) -> None:
         faulted_after_s=config.drive.heartbeat_s,
     )
     save_record(config.file, RigRecord(stop_proof=proof))
+
+
+@contextmanager
+def unshared_loopback() -> Iterator[None]:
+    """Put emulated Axia80s at an address of their own. A sensor streams to whoever asked last, and
+    a client whose sensor is gone keeps asking: in other tests on this computer, that may be at the
+    same port. All of 127/8 is local."""
+    address = ".".join(["127", *(str(secrets.randbelow(253) + 1) for _ in range(3))])
+    with pytest.MonkeyPatch.context() as patches:
+        patches.setattr("softfin.rig.devices.axia80.emulated_sensor.LOOPBACK", address)
+        yield
 
 
 @contextmanager
