@@ -23,7 +23,7 @@ from softfin.data.checks.statistics import (
 )
 from softfin.data.importing.clocks import NamedLog
 from softfin.data.importing.importing import ANGLES, SIGNED, ImportConfig, compose_frames
-from softfin.data.importing.names import DYNAMIXEL
+from softfin.data.importing.names import DYNAMIXEL_UNIT
 from softfin.data.issues import Issue, Severity, counted
 
 STUCK_S = 1.0
@@ -51,9 +51,9 @@ OFFSET_SHARE = 0.2
 force."""
 
 COUNTS_FIX = (
-    f"--angles {DYNAMIXEL} --angle-zero {CENTER} for a Dynamixel of the X series that rests at "
-    f"{CENTER}; for another drive, convert them in the file: angle = (count - count at rest) * 2 * "
-    "pi / counts per turn; velocities are also in the drive's own unit"
+    f"--angles {DYNAMIXEL_UNIT} --angle-zero {CENTER} for a Dynamixel of the X series that rests "
+    f"at {CENTER}; for another drive, convert them in the file: angle = (count - count at rest) * "
+    "2 * pi / counts per turn; velocities are also in the drive's own unit"
 )
 """Fix for raw register values of a drive; the conversion factors are in the drive's manual."""
 

@@ -18,7 +18,7 @@ from softfin.core.errors import LogError
 from softfin.data.importing.importing import FURTHER_KINDS, NO_COLUMN, ImportConfig, turned
 from softfin.data.importing.names import (
     CHANNELS,
-    DYNAMIXEL,
+    DYNAMIXEL_UNIT,
     FURTHER,
     KINDS,
     SI,
@@ -190,7 +190,7 @@ def converted(
     for channel, values in channels.items():
         kind = KINDS[channel]
         unit = (units or {}).get(channel) or stated_unit(channel, config) or SI[kind]
-        if unit == DYNAMIXEL or unit in MODELS:
+        if unit == DYNAMIXEL_UNIT or unit in MODELS:
             values = _signed(values, REGISTER_BITS[kind])
         if kind == "angle":
             values = values - config.angle_zero

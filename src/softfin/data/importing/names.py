@@ -35,7 +35,7 @@ KINDS: dict[str, str] = {
 RPM = 2 * math.pi / 60
 """One revolution per minute [rad/s]."""
 
-DYNAMIXEL = "dynamixel"
+DYNAMIXEL_UNIT = "dynamixel"
 """Unit of values as in the registers of a Dynamixel of the X series. That of the current differs
 between the models, so it is called by the model's name."""
 
@@ -46,7 +46,7 @@ UNITS: dict[str, dict[str, float]] = {
         "mrad": 1e-3,
         "deg": math.pi / 180,
         "turn": 2 * math.pi,
-        DYNAMIXEL: 2 * math.pi / TICKS_PER_TURN,
+        DYNAMIXEL_UNIT: 2 * math.pi / TICKS_PER_TURN,
     },
     "velocity": {
         "rad/s": 1.0,
@@ -54,7 +54,7 @@ UNITS: dict[str, dict[str, float]] = {
         "deg/s": math.pi / 180,
         "turn/s": 2 * math.pi,
         "rpm": RPM,
-        DYNAMIXEL: VELOCITY_UNIT_RPM * RPM,
+        DYNAMIXEL_UNIT: VELOCITY_UNIT_RPM * RPM,
     },
     "force": {
         "N": 1.0,
@@ -70,7 +70,7 @@ UNITS: dict[str, dict[str, float]] = {
         "mA": 1e-3,
         **{name: model.current_unit_a for name, model in MODELS.items()},
     },
-    "voltage": {"V": 1.0, "mV": 1e-3, DYNAMIXEL: VOLTAGE_UNIT_V},
+    "voltage": {"V": 1.0, "mV": 1e-3, DYNAMIXEL_UNIT: VOLTAGE_UNIT_V},
 }
 """Conversion factors to the SI unit, by quantity and unit; the SI unit comes first."""
 
