@@ -13,9 +13,15 @@ from softfin.core.errors import DeviceError, RigError
 from softfin.core.printable import printable
 from softfin.core.quantities import RATE_HZ
 from softfin.rig.device import CheckResult, ForceReading
-from softfin.rig.devices.lines.config import LinesConfig
-from softfin.rig.devices.lines.parser import LineCounter, LineParser, Record
-from softfin.rig.devices.lines.transport import LineReader, open_transport
+from softfin.rig.devices.lines.config import COUNTERS, LinesConfig
+from softfin.rig.devices.lines.parser import (
+    CLOCK_ERRORS,
+    LagWatch,
+    LineCounter,
+    LineParser,
+    Record,
+)
+from softfin.rig.devices.lines.transport import LineReader, TimedLine, open_transport
 from softfin.rig.filter import AntiAlias
 from softfin.rig.lock import DeviceLock
 from softfin.rig.machine import Wrench, rotated, rotation
@@ -57,6 +63,11 @@ class LinesSensor:
     def _reset(self) -> None:
         self.records = self.lost = self.late = self.malformed = 0
         self._counter = LineCounter(self.config)
+        self._lag = LagWatch(CLOCK_ERRORS.get(self.config.counter or "", 0.0))
+        self._count_s: float | None = None
+        """Time that one count lasts, once it is known [s]; None if the lines have no counter."""
+        self._sources: list[str] = []
+        """The first two addresses from which records came."""
         self.times = StreamClock(self.config.rate_hz)
         self._filter: AntiAlias | None = None
         if self.config.is_filtered:
@@ -109,6 +120,7 @@ class LinesSensor:
             is_serial = self.config.port is not None
             self._reader = LineReader(transport, self.config.rate_hz, self.clock, is_serial)
             self._await_lines()
+            self._start_lag_watch()
             self.read()
         except BaseException:
             self.close()
@@ -132,7 +144,7 @@ class LinesSensor:
         # Not `while reader.lines`: more may arrive as fast as they are processed.
         for _ in range(len(reader.lines)):
             line = reader.lines.popleft()
-            if self._take(line.text):
+            if self._take(line):
                 newest = line.time
         if newest is not None:
             self._taken = newest
@@ -178,10 +190,17 @@ class LinesSensor:
                 f"disconnected ({self._reader.trouble}); check its cable and supply, then start "
                 "again"
             )
-        if self._counter.has_restarted:
+        if len(self._sources) > 1:
+            lines.append(self._two_sources())
+        elif self._counter.has_restarted:
             lines.append(
                 "its counter went back, so it restarted, or two sensors send to the same address; "
                 "check its supply and cable"
+            )
+        if self._lag.is_lagging:
+            lines.append(
+                f"its lines arrive {self._lag.lag_s:.2f} s later than before, so they fill a "
+                "buffer; send fewer or shorter lines, or increase baud, then start again"
             )
         if self._malformed_in_a_row >= MALFORMED_LINES:
             lines.append(
@@ -226,10 +245,28 @@ class LinesSensor:
             raise DeviceError(f"{self.name}: not open; open it first")
         return self._reader
 
-    def _take(self, text: bytes) -> bool:
+    def _two_sources(self) -> str:
+        return (
+            f"records come from {' and '.join(self._sources)}, so two sensors send to this port, "
+            "or it restarted; give each its own udp_port, then start again"
+        )
+
+    def _start_lag_watch(self) -> None:
+        counter = self.config.counter
+        if counter is not None:
+            # The rate of the lines may differ from the file by 10%.
+            is_line = counter == "count"
+            self._count_s = 1 / self.times.rate_hz if is_line else COUNTERS[counter]
+
+    def _take(self, line: TimedLine) -> bool:
         """Process a line; return whether it is a new record."""
-        self.records += 1
+        text = line.text
         record = self._parser.parse(text)
+        if record is not None and line.source not in self._sources[:2]:
+            self._sources = [*self._sources, line.source][:2]
+        if not line.is_expected:
+            return False
+        self.records += 1
         if record is None:
             self.malformed += 1
             self._malformed_in_a_row += 1
@@ -245,6 +282,8 @@ class LinesSensor:
         if self.config.counter is not None:
             self.lost += steps - 1
             self._missing += steps - 1
+        if self._count_s is not None:
+            self._lag.take(self._counter.total * self._count_s, line.time)
         self._put(record)
         return True
 
@@ -292,6 +331,11 @@ class LinesSensor:
     def _await_lines(self) -> None:
         config = self.config
         if not self._wait(lambda: self._newest is not None, FIRST_LINE_S):
+            if self._sources:
+                others = " and ".join(self._sources)
+                raise DeviceError(
+                    f"{self.name}: records come only from {others}; check address and udp_port"
+                )
             problem = f"no line within {FIRST_LINE_S:g} s"
             if self.malformed:
                 problem = f"no line with columns {', '.join(config.columns)}, e.g. "
@@ -308,6 +352,8 @@ class LinesSensor:
             return is_measured and abs(self.times.rate_hz / config.rate_hz - 1) <= 0.1
 
         if not self._wait(fits, 5.0 + shortest_s):
+            if len(self._sources) > 1:
+                raise RigError(f"{self.name}: {self._two_sources()}")
             raise RigError(
                 f"{self.name}: sends {self.times.rate_hz:.0f} lines per second, but rate_hz is "
                 f"{config.rate_hz:g}; change one of them"
