@@ -59,6 +59,19 @@ class TrueForcePlant(Plant, Protocol):
 
 
 @runtime_checkable
+class NoisyPlant(Plant, Protocol):
+    """A plant for which the noise of the force measurements is known."""
+
+    @property
+    def mean_force_noise_n(self) -> float:
+        """Standard deviation of the mean force over 2 s, as measured, about the one that the
+        commands determine [N].
+
+        White noise averages out over the window, but drift remains.
+        """
+
+
+@runtime_checkable
 class ForceInterval(Protocol):
     """Prediction interval for an ensemble's mean force over one window."""
 

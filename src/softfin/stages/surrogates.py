@@ -4,12 +4,15 @@ tank."""
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant import EnsemblePlant, NoisyPlant, Plant
 from softfin.core.progress import Progress, silent
 from softfin.core.quantities import Log, command_limits
+from softfin.core.window import window_means
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.storage import artifact as artifacts
@@ -46,7 +49,7 @@ def fit(
     progress: Progress = silent,
 ) -> JsonObject:
     """Fit a surrogate to logs, score it on the test logs, and write it; returns Table I, issue
-    counts and a caveat.
+    counts, a caveat, and a warning if noise hides the force in the logs.
 
     The class of the configuration selects the architecture: `StreamingConfig` (the default),
     `FitConfig` for the paper's networks, or that of an installed package.
@@ -106,7 +109,29 @@ def fit(
         "issues": summary["counts"],
         "columns": summary["columns"],
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
+        "warning": _noise_warning(out, surrogate, opened.train),
     }
+
+
+def _noise_warning(out: Path, surrogate: Plant, logs: Sequence[Log]) -> str | None:
+    """Return a warning if the noise of the mean force hides the force in the logs; None if it does
+    not, or if it is unknown."""
+    if not isinstance(surrogate, NoisyPlant):
+        return None
+    noise_n = surrogate.mean_force_noise_n
+    means = np.concatenate([window_means(np.asarray(log.reading.force)) for log in logs])
+    if not means.size:
+        return None
+    # The larger axis: fins may produce much more force along one of them.
+    measured_n = float(np.sqrt(np.mean(means**2, axis=0)).max())
+    # The measured mean square is that of the force plus that of the noise.
+    if measured_n**2 >= 2 * noise_n**2:
+        return None
+    return (
+        f"{out}: the mean force over 2 s has a noise of {noise_n:.2g} N, more than the force in the "
+        f"logs ({measured_n:.2g} N rms with noise); use a more sensitive force sensor or stronger "
+        "strokes, record more logs and fit them"
+    )
 
 
 def _check_commands(dataset: Path, train: Sequence[Log]) -> None:

@@ -7,6 +7,7 @@ rest and the true force is zero. The defaults are assumed and correct only in or
 `IDEAL` disables all of them. The drive and the water also use the helper functions of this module.
 """
 
+import math
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
@@ -130,6 +131,11 @@ class Sensor(eqx.Module):
             self.range,
             self.zero_time,
         ) = config_arrays(config)
+
+    def mean_noise(self, samples: int) -> float:
+        """Return the standard deviation of the mean of `samples` readings [N]. White noise averages
+        out; the drift is slower than any window."""
+        return math.hypot(float(self.noise) / math.sqrt(samples), float(self.drift))
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
         """Return the state at rest after zeroing, with a drift sampled from its stationary

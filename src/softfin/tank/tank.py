@@ -16,6 +16,7 @@ from softfin.core.configuration import Configuration
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import check_commands
 from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.core.window import PAPER_WINDOW
 from softfin.tank.chain import PlanarVector, Scalar
 from softfin.tank.drive import AMPERE_PER_NM, Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState, Mount
@@ -85,6 +86,11 @@ class Tank(eqx.Module):
         self.limits = PAPER_LIMITS._replace(
             velocity_min=config.drive.slowest_rad_s, velocity_max=config.drive.fastest_rad_s
         )
+
+    @property
+    def mean_force_noise_n(self) -> float:
+        """Noise of the mean force over the evaluation window [N]."""
+        return self.sensor.mean_noise(PAPER_WINDOW)
 
     def init(self, key: PRNGKeyArray) -> TankState:
         """Return the state of a fin at rest at angle 0 with a zeroed sensor; the key determines the

@@ -91,6 +91,12 @@ class StreamingSurrogate(eqx.Module):
         """Number of members."""
         return int(self.members.force.offset.shape[0])
 
+    @property
+    def mean_force_noise_n(self) -> float:
+        """Root mean square error of the mean force on the held-out logs [N]: noise, drift, and the
+        error of the fit."""
+        return self.interval.floor_n
+
     def init(self, key: PRNGKeyArray) -> StreamingState:
         """Return the state after a long rest at angle 0. The key is not used."""
         return StreamingState(jnp.int32(0), self.rest)
