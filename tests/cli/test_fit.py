@@ -8,7 +8,7 @@ from softfin.cli import main
 from softfin.cli.surrogates import warning
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
-from softfin.surrogate import FitConfig, StreamingConfig
+from softfin.surrogate import FitConfig, StreamingConfig, StreamingSurrogate, load_surrogate
 from softfin.surrogate.registry import find_fitted_architecture
 from tests.surrogate.streaming import small
 
@@ -80,6 +80,29 @@ def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked
     description = artifacts.load_description(out, "surrogate")
     assert description["configuration"] == json.loads(json.dumps(config.model_dump(mode="json")))
     assert description["scores"] == said["table_i"]
+
+
+@pytest.mark.parametrize(("floor_n", "warned"), [(0.01, False), (50.0, True)])
+def test_noise_that_hides_the_force_is_a_warning(
+    capsys, tmp_path, dataset, monkeypatch, floor_n, warned
+):
+    def fit(logs, config, seed, run_directory, progress):
+        run_directory.log().close()
+        fitted = small.surrogate()
+        interval = fitted.interval.model_copy(update={"floor_n": floor_n})
+        return StreamingSurrogate(fitted.members, fitted.limits, interval, fitted.familiarity)
+
+    fit_with(monkeypatch, fit)
+    out = tmp_path / "s"
+    main(["fit", dataset, "--out", str(out), "--json"])
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)["warning"]
+    assert (found is not None) == warned
+    assert load_surrogate(out).mean_force_noise_n == floor_n
+    told = (
+        f"warning: {out}: the mean force over 2 s has a noise of 50 N, more than the force in the"
+    )
+    assert (told in captured.err) == warned
 
 
 def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):

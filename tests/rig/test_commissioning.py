@@ -196,9 +196,7 @@ def test_a_failure_in_a_step_is_found_there(site, number):
         (2.5, 0.04, "0.04", "0.392"),
     ],
 )
-def test_the_weight_suits_the_force_limit_unless_it_is_given(
-    site, limit_n, given_kg, kg, newtons
-):
+def test_the_weight_suits_the_force_limit_unless_it_is_given(site, limit_n, given_kg, kg, newtons):
     site.values["safety"] |= {"force_peak_n": limit_n, "force_sustained_n": limit_n / 2}
     site.pass_until(3)
     step = site.run(3, given_kg)

@@ -23,6 +23,9 @@ from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
 
+EXPERIMENT_S = 30.0
+"""Duration of the paper's experiments [s]; the sensor is zeroed before each one."""
+
 
 class TankConfig(Configuration):
     """All parameters of a tank."""
@@ -89,8 +92,8 @@ class Tank(eqx.Module):
 
     @property
     def mean_force_noise_n(self) -> float:
-        """Noise of the mean force over the evaluation window [N]."""
-        return self.sensor.mean_noise(PAPER_WINDOW)
+        """Noise of the mean force over the evaluation window, at the end of an experiment [N]."""
+        return self.sensor.mean_noise(PAPER_WINDOW, EXPERIMENT_S)
 
     def init(self, key: PRNGKeyArray) -> TankState:
         """Return the state of a fin at rest at angle 0 with a zeroed sensor; the key determines the
