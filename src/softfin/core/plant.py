@@ -36,11 +36,10 @@ class Plant(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """Limits of the accepted commands, which include angle 0 [rad, rad/s]; outside them,
-        readings are meaningless."""
+        """Limits of the accepted commands [rad, rad/s]; outside them, readings are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """Return the state of a fin at rest at angle 0, time 0. The key determines everything
+        """Return the state of a fin at rest at `limits.rest_angle`, time 0. The key determines everything
         random (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
@@ -158,8 +157,8 @@ def _tick_with_true_force(
 
 
 def rest_command(limits: Limits) -> Command:
-    """Return the command that keeps a fin at rest at angle 0: angle 0 at the lowest velocity."""
-    return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
+    """Return the command that keeps a fin at rest: its rest angle at the lowest velocity."""
+    return Command(jnp.float32(limits.rest_angle), jnp.float32(limits.velocity_min))
 
 
 def hold_action(

@@ -11,7 +11,7 @@ from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import EnsemblePlant, NoisyPlant, Plant
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import Log, command_limits
+from softfin.core.quantities import MAX_ANGLE_RAD, Log, command_limits
 from softfin.core.window import window_means
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
@@ -138,7 +138,8 @@ def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
     """Raise LogError if no fin can have the training commands' range."""
     limits = command_limits(train)
     if problem := limits.problem(one_velocity=True):
-        hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""
+        largest = max(abs(limits.angle_min), abs(limits.angle_max))
+        hint = "; if they are in degrees, use --angles deg" if largest > MAX_ANGLE_RAD else ""
         raise LogError(f"{dataset}: the training commands: {problem}{hint}")
 
 

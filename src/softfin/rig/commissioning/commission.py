@@ -17,7 +17,7 @@ from softfin.rig.commissioning.form import (
     save_form,
 )
 from softfin.rig.commissioning.operator import Operator
-from softfin.rig.commissioning.steps import StepContext, choose_weight, run_step
+from softfin.rig.commissioning.steps import StepContext, check_range, choose_weight, run_step
 from softfin.rig.config import RigConfig
 from softfin.rig.record import date_and_time
 
@@ -35,10 +35,11 @@ def commission_step(
     rig's file.
 
     `weight_kg` is the mass of the weight that pulls on the force sensor in step 3; the default
-    suits the rig's force limit. Raises ConfigurationError if it exceeds this limit, or if an
-    earlier step has not been passed.
+    suits the rig's force limit. Raises ConfigurationError if it exceeds this limit, if the fin
+    cannot swing about angle 0, or if an earlier step has not been passed.
     """
     known_kg = choose_weight(config, weight_kg)
+    check_range(config)
     form = load_form(rig)
     missing = form.next_step(config)
     if missing is not None and missing < number:

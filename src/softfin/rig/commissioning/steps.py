@@ -165,6 +165,17 @@ def choose_weight(config: RigConfig, weight_kg: float | None = None) -> float:
     return weight_kg
 
 
+def check_range(config: RigConfig) -> None:
+    """Raise ConfigurationError if the fin cannot swing about angle 0, as most steps require."""
+    low, high, *_ = config.drive.limits
+    if not low <= -SMALL_RAD < SMALL_RAD <= high:
+        raise ConfigurationError(
+            f"commissioning: swings the fin by at least {SMALL_RAD:g} rad to both sides of angle 0, "
+            f"but its range is {low:g} to {high:g} rad; widen drive.angle_min_rad and "
+            "angle_max_rad, or carry out the steps of docs/commissioning.md by hand"
+        )
+
+
 def asked(operator: Operator, what: str, question: str) -> Item:
     """Ask a question that must be answered with yes."""
     answer = operator.confirm(question)
