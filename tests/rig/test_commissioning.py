@@ -220,6 +220,14 @@ def test_a_weight_beyond_the_force_limit_is_refused_before_the_step(site, weight
     assert site.operator.asked == []
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.2, 1.2), (-1.5, -0.3), (-0.2, 1.2)])
+def test_a_fin_that_cannot_swing_about_angle_0_is_refused_before_any_step(site, low, high):
+    site.values["drive"] |= {"angle_min_rad": low, "angle_max_rad": high}
+    with pytest.raises(ConfigurationError, match=rf"its range is {low} to {high} rad; widen drive"):
+        site.run(1)
+    assert site.operator.asked == []
+
+
 def test_a_shaft_that_a_person_stopped_does_not_move_again(site):
     site.pass_until(5)
     site.operator.interrupts.add("full strokes")

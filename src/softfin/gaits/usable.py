@@ -27,6 +27,6 @@ def check_usable(plant: Plant, reachable: Reachable) -> None:
     if reach_n < noise_n:
         raise PlantError(
             f"this fin's reach of {reach_n:.2g} N is below the noise of its mean force, "
-            f"{noise_n:.2g} N over 2 s; use a more sensitive force sensor or stronger strokes, "
-            "record more logs and fit them"
+            f"{noise_n:.2g} N over 2 s (with drift and the error of a fit); use a more sensitive "
+            "force sensor or faster strokes, record more logs, or fit longer"
         )

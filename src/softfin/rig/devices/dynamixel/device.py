@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from softfin.core.clock import Clock
+from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import Limits
 from softfin.rig.bus import BusConfig
 from softfin.rig.device import DriveType, EmulatedDevice
