@@ -39,8 +39,8 @@ class Plant(Protocol):
         """Limits of the accepted commands [rad, rad/s]; outside them, readings are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """Return the state of a fin at rest at `limits.rest_angle`, time 0. The key determines everything
-        random (sensor noise, conditions)."""
+        """Return the state of a fin at rest at `limits.rest_angle`, time 0. The key determines
+        everything random (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (`ticks` is static) and read after

@@ -17,8 +17,8 @@ def check_usable(plant: Plant, reachable: Reachable) -> None:
         )
     if reachable.area() < (LINE_WIDTH * reachable.radius.max()) ** 2:
         raise PlantError(
-            "this plant's mean forces lie on a line, but softfin controls x and y; check its model, "
-            "and that both axes of the force are measured"
+            "this plant's mean forces lie on a line, but softfin controls x and y; check its "
+            "model, and that both axes of the force are measured"
         )
     if not isinstance(plant, NoisyPlant):
         return

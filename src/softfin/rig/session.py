@@ -51,8 +51,8 @@ stops during a suspend, so afterwards no tick is late and no reading looks old, 
 fin moved unsupervised."""
 
 HOMING_S = 10.0
-"""Longest time to reach the rest angle [s]; from +-90 degrees, this takes 1.6 s at 1 rad/s. A slower
-fin is allowed twice the time that it needs."""
+"""Longest time to reach the rest angle [s]; from 90 degrees away, this takes 1.6 s at 1 rad/s. A
+slower fin is allowed twice the time that it needs."""
 
 
 class Session:

@@ -390,9 +390,10 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
                 f"{limits.angle_max:.3g} rad and do not include 0"
             )
             fix = (
-                f"if the fin cannot point along -x, its experiments will start at "
-                f"{limits.rest_angle:.3g} rad; otherwise measure angles from there: on a rig, run "
-                "softfin rig zero --arm; in logs, subtract the offset from the angle and its command"
+                f"if the fin cannot point along -x, its experiments start at "
+                f"{limits.rest_angle:.3g} rad; otherwise measure angles from there: on a rig, turn "
+                "the fin there and run softfin rig zero --arm; in logs, subtract the offset from "
+                "the angle and its command"
             )
             yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
     steps = []

@@ -170,8 +170,8 @@ def check_range(config: RigConfig) -> None:
     low, high, *_ = config.drive.limits
     if not low <= -SMALL_RAD < SMALL_RAD <= high:
         raise ConfigurationError(
-            f"commissioning: swings the fin by at least {SMALL_RAD:g} rad to both sides of angle 0, "
-            f"but its range is {low:g} to {high:g} rad; widen drive.angle_min_rad and "
+            f"commissioning: swings the fin by at least {SMALL_RAD:g} rad to both sides of angle "
+            f"0, but its range is {low:g} to {high:g} rad; widen drive.angle_min_rad and "
             "angle_max_rad, or carry out the steps of docs/commissioning.md by hand"
         )
 
@@ -285,7 +285,8 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
         decimals = force_decimals(weight_n)
         for number, axis in enumerate("xy"):
             operator.wait(
-                f"Pull with {context.weight_kg:g} kg along +{axis} (see docs/rig.md for its direction)"
+                f"Pull with {context.weight_kg:g} kg along +{axis} "
+                "(see docs/rig.md for its direction)"
             )
             force = rig.sensor.measured(1.0)[0][:3]
             error = max(
