@@ -41,8 +41,8 @@ def test_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(capsys, 
     dataset, surrogate, force_map, controller = (
         str(tmp_path / name) for name in ("dataset", "surrogate", "map", "controller")
     )
-    run(capsys, "collect", "--plant", tank, "--logs", "3", "--test-logs", "1", "--rows", "700",
-        "--out", dataset)  # fmt: skip
+    logs = ("--logs", "3", "--test-logs", "1", "--rows", "700")
+    run(capsys, "collect", "--plant", tank, *logs, "--out", dataset)
     data = Dataset.open(tmp_path / "dataset")
     for log in data.load([*data.train, *data.test]):
         assert abs(log.reading.angle[0] - LOW) < 0.03

@@ -267,8 +267,8 @@ class OpenLoopSearch(NamedTuple):
         if self.limits.rest_angle != 0:
             raise RunError(
                 f"inverse model at {frequency:g} Hz: its constant is fitted to strokes about angle "
-                f"0, but the limits are {self.limits.angle_min:g} to {self.limits.angle_max:g} rad; "
-                "use the other baselines"
+                f"0, but the limits are {self.limits.angle_min:g} to {self.limits.angle_max:g} "
+                "rad; use the other baselines"
             )
         amplitude = np.linspace(*amplitudes, self.config.trials)
         forces = self.forces_of_sines(
