@@ -21,7 +21,10 @@ from tests.staged import COARSE, GRADIENT, MAP, STREAMING, short_search  # noqa:
 
 LOW = 0.2
 HIGH = 1.2
-SIDEWAYS = COARSE | {"drive": {"angle_min_rad": LOW, "angle_max_rad": HIGH}}
+SIDEWAYS = COARSE | {
+    "drive": {"angle_min_rad": LOW, "angle_max_rad": HIGH},
+    "sensor": {"noise_n": 0, "drift_n": 0},
+}
 
 
 def run(capsys, *words):
@@ -57,7 +60,8 @@ def test_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(capsys, 
     searching = write(tmp_path / "map.yaml", MAP | {"box": None, "spacing_n": None, "nodes": 4})
     run(capsys, "map", surrogate, "--config", searching, "--out", force_map)
     training = write(tmp_path / "train.yaml", GRADIENT)
-    run(capsys, "train", surrogate, "--map", force_map, "--config", training, "--out", controller)
+    # Not with this map: the gaits of so short a search hold only a part of the reach.
+    run(capsys, "train", surrogate, "--config", training, "--out", controller)
     trained = load_controller(tmp_path / "controller")
     assert trained.limits == plant.limits
     judged = run(
