@@ -64,9 +64,8 @@ def test_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(capsys, 
     run(capsys, "train", surrogate, "--config", training, "--out", controller)
     trained = load_controller(tmp_path / "controller")
     assert trained.limits == plant.limits
-    judged = run(
-        capsys, "evaluate", controller, "--plant", tank, "--seconds", "3", "--repeats", "1"
-    )
+    words = ("--plant", tank, "--seconds", "3", "--repeats", "1")
+    judged = run(capsys, "evaluate", controller, *words, "--out", str(tmp_path / "judged"))
     assert judged["conditions"]["start"] == "at rest"
     assert np.isfinite(judged["mean"]["x"]["error_n"])
 
