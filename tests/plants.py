@@ -156,3 +156,13 @@ class Misread(PlainFin):
 class MisreadFin(Misread):
     def advance(self, state, command, ticks):
         return super().advance(state[0], command, ticks)
+
+
+class NoisyFin(StrokeFin):
+    """The same fin, whose force sensor is known to have noise."""
+
+    noise_n: float = eqx.field(default=0.0, static=True)
+
+    @property
+    def mean_force_noise_n(self) -> float:
+        return self.noise_n

@@ -65,6 +65,17 @@ def test_a_fin_without_force_has_a_size_all_the_same() -> None:
     assert circle(0).size == 1
 
 
+@pytest.mark.parametrize("across", [0.0, 0.02])
+def test_the_size_of_a_fin_whose_forces_lie_on_a_line_follows_its_length(across: float) -> None:
+    line = np.full(32, across, np.float32)
+    line[[0, 16]] = 9.6
+    region = Reachable(np.zeros(2, np.float32), line)
+    assert region.reach_n == pytest.approx(2.4)
+    assert region.size == 1
+    ten = Reachable(np.zeros(2, np.float32), 10 * line)
+    assert ten.size == 10
+
+
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_map_has_the_same_gaits_for_forces_that_are_proportional(scale: float) -> None:
     usual = mapped(1.0)

@@ -72,8 +72,9 @@ def _stroke(plant: Plant) -> Command:
     """Return a command within the limits that moves the plant: halfway from rest to the farther
     limit."""
     limits = Limits(*plant.limits)
-    furthest = max(limits.angle_max, limits.angle_min, key=abs)
-    return Command(jnp.float32(furthest / 2), jnp.float32(limits.velocity_max))
+    rest = limits.rest_angle
+    furthest = max(limits.angle_max, limits.angle_min, key=lambda angle: abs(angle - rest))
+    return Command(jnp.float32((rest + furthest) / 2), jnp.float32(limits.velocity_max))
 
 
 def _corners(plant: Plant) -> Iterator[Command]:

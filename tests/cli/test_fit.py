@@ -11,7 +11,7 @@ from softfin.core.errors import ConfigurationError
 from softfin.stages.controllers import propose_clock
 from softfin.storage import artifact as artifacts
 from softfin.storage.dataset import write_dataset
-from softfin.surrogate import FitConfig, StreamingConfig
+from softfin.surrogate import FitConfig, StreamingConfig, StreamingSurrogate, load_surrogate
 from softfin.surrogate.registry import find_fitted_architecture
 from tests.surrogate.streaming import small
 
@@ -83,6 +83,27 @@ def test_the_model_is_the_one_that_is_asked_for(capsys, tmp_path, dataset, asked
     description = artifacts.load_description(out, "surrogate")
     assert description["configuration"] == json.loads(json.dumps(config.model_dump(mode="json")))
     assert description["scores"] == said["table_i"]
+
+
+@pytest.mark.parametrize(("floor_n", "warned"), [(0.01, False), (50.0, True)])
+def test_noise_that_hides_the_force_is_a_warning(
+    capsys, tmp_path, dataset, monkeypatch, floor_n, warned
+):
+    def fit(logs, config, seed, run_directory, progress):
+        run_directory.log().close()
+        fitted = small.surrogate()
+        interval = fitted.interval.model_copy(update={"floor_n": floor_n})
+        return StreamingSurrogate(fitted.members, fitted.limits, interval, fitted.familiarity)
+
+    fit_with(monkeypatch, fit)
+    out = tmp_path / "s"
+    main(["fit", dataset, "--out", str(out), "--json"])
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)["warning"]
+    assert (found is not None) == warned
+    assert load_surrogate(out).mean_force_noise_n == floor_n
+    told = f"warning: {out}: the mean force over 2 s has a noise of 50 N (with drift"
+    assert (told in captured.err) == warned
 
 
 def test_people_are_told_table_i(capsys, tmp_path, dataset, asked):

@@ -5,12 +5,15 @@ import sys
 import numpy as np
 import pytest
 
+from softfin.control.policy import rest_action
+from softfin.core.plant import rest_command
 from softfin.core.quantities import (
     PAPER_LIMITS,
     Command,
     Limits,
     Log,
     Reading,
+    action_to_command,
     command_limits,
     tick_at,
 )
@@ -63,15 +66,6 @@ def test_limits_come_back_as_they_were_described():
         ({"velocity_max_rad_s": math.inf}, "velocity_max_rad_s is inf"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.5708"),
         ({"velocity_min_rad_s": math.pi}, "velocity_min < velocity_max"),
-        (
-            {"angle_min_rad": 0.2},
-            "0.2, angle_max_rad is 1.5708; angle 0, at which a fin rests, must be within them; "
-            ".*rig zero",
-        ),
-        (
-            {"angle_max_rad": -0.2},
-            "angle_max_rad is -0.2; angle 0, at which a fin rests, must be within them",
-        ),
         ({"angle_min_rad": "0"}, "angle_min_rad is '0'; it must be a number"),
         ({"angle_min_rad": None}, "angle_min_rad is missing; it must be a number"),
         ({"velocity_max_rad_s": True}, "velocity_max_rad_s is True; it must be a number"),
@@ -81,6 +75,18 @@ def test_limits_come_back_as_they_were_described():
 def test_limits_that_no_fin_has_are_refused_with_what_is_allowed(changes, words):
     with pytest.raises(ValueError, match=words):
         Limits.of({**DESCRIBED, **changes})
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rest"),
+    [(-1.0, 0.5, 0.0), (0.0, 1.0, 0.0), (0.2, 1.2, 0.2), (-1.5, -0.3, -0.3)],
+)
+def test_a_fin_rests_at_0_or_at_the_end_of_its_range_closest_to_it(low, high, rest):
+    limits = Limits(low, high, 1.0, 2.0)
+    assert limits.problem() is None
+    assert limits.rest_angle == rest
+    assert action_to_command(limits, rest_action(limits)).angle == pytest.approx(rest, abs=1e-9)
+    assert float(rest_command(limits).angle) == pytest.approx(rest)
 
 
 def test_a_fin_of_one_velocity_can_be_learnt_but_not_trained_for():
@@ -109,7 +115,7 @@ def log_of_commands(*angles):
 def test_a_range_of_commands_that_ends_near_rest_ends_there(angles, ends):
     limits = command_limits([log_of_commands(angles[0]), log_of_commands(angles[1])])
     assert limits == Limits(*ends, 2.0, 2.0)
-    assert (limits.problem(one_velocity=True) is None) == (ends[0] <= 0 <= ends[1])
+    assert limits.problem(one_velocity=True) is None
 
 
 @pytest.mark.parametrize(

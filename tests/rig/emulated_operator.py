@@ -25,7 +25,8 @@ class EmulatedOperator:
         self.answers: dict[str, Any] = {}
         """Answer by a word of the question; otherwise yes, and what the data sheets of the emulated
         rig say."""
-        self.weight_n = 9.81
+        self.weight_kg: float | None = None
+        """The weight at hand; None for the one that is named."""
         self.turn_rad_per_deg = math.pi / 180
         self.ignores: set[str] = set()
         """Instructions, by a word, that are not followed."""
@@ -50,7 +51,9 @@ class EmulatedOperator:
             self._turned_rad = 0.0
         if axis := re.search(r"along \+([xy])", instruction):
             # A weight pulls the mount: the fin's force on it.
-            self._wrench = tuple(self.weight_n if name == axis[1] else 0.0 for name in "xyzabc")
+            named = re.search(r"Pull with (\S+) kg", instruction)
+            weight_n = 9.81 * (self.weight_kg or float(named[1]))
+            self._wrench = tuple(weight_n if name == axis[1] else 0.0 for name in "xyzabc")
         elif "weight off" in instruction:
             self._wrench = (0.0,) * 6
         if "put everything back" in instruction:

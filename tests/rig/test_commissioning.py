@@ -72,9 +72,9 @@ class Site:
     def config(self):
         return RigConfig.build(self.values, "rig.yaml")
 
-    def run(self, number):
+    def run(self, number, weight_kg=None):
         return commission_step(
-            self.file, self.config, number, self.operator, self.behind.clock, HOUR_S
+            self.file, self.config, number, self.operator, self.behind.clock, HOUR_S, weight_kg
         )
 
     def pass_until(self, number):
@@ -184,6 +184,48 @@ def test_a_failure_in_a_step_is_found_there(site, number):
     assert form.next_step(site.config) == number
     assert "failed" in form_file(site.file).with_suffix(".md").read_text()
     assert f"step {number} of 8" in form.warning(site.config)
+
+
+@pytest.mark.parametrize(
+    ("limit_n", "given_kg", "kg", "newtons"),
+    [
+        (30.0, None, "1", "9.81"),
+        (2.5, None, "0.1", "0.981"),
+        (0.3, None, "0.01", "0.0981"),
+        (300.0, None, "10", "98.1"),
+        (2.5, 0.04, "0.04", "0.392"),
+    ],
+)
+def test_the_weight_suits_the_force_limit_unless_it_is_given(site, limit_n, given_kg, kg, newtons):
+    site.values["safety"] |= {"force_peak_n": limit_n, "force_sustained_n": limit_n / 2}
+    site.pass_until(3)
+    step = site.run(3, given_kg)
+    pulls = [told for told in site.operator.asked if told.startswith("Pull")]
+    assert [pull.split(" along")[0] for pull in pulls] == [f"Pull with {kg} kg"] * 2
+    weights = [item for item in step.items if item.what.startswith("weight")]
+    assert all(item.passed and item.required.startswith(f"+{newtons} N") for item in weights)
+
+
+def test_another_weight_than_the_one_named_is_found(site):
+    site.pass_until(3)
+    site.operator.weight_kg = 0.105
+    assert {*failures(site.run(3))} == {"weight along x", "weight along y"}
+
+
+@pytest.mark.parametrize("weight_kg", [0.0, 0.3, float("nan")])
+def test_a_weight_beyond_the_force_limit_is_refused_before_the_step(site, weight_kg):
+    site.pass_until(3)
+    with pytest.raises(ConfigurationError, match=r"--weight \S+: .* = 2\.5 N; use up to 0\.25 kg"):
+        site.run(3, weight_kg)
+    assert site.operator.asked == []
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.2, 1.2), (-1.5, -0.3), (-0.2, 1.2)])
+def test_a_fin_that_cannot_swing_about_angle_0_is_refused_before_any_step(site, low, high):
+    site.values["drive"] |= {"angle_min_rad": low, "angle_max_rad": high}
+    with pytest.raises(ConfigurationError, match=rf"its range is {low} to {high} rad; widen drive"):
+        site.run(1)
+    assert site.operator.asked == []
 
 
 def test_a_shaft_that_a_person_stopped_does_not_move_again(site):
@@ -376,6 +418,7 @@ class TestCommand:
         ("options", "told"),
         [
             ([], "nothing moves without --arm"),
+            (["--arm", "--weight", "5"], "use up to 0.25 kg"),
             (["--arm", "--yes"], "--yes: commissioning needs an operator; leave out --yes"),
             (["--arm", "--step", "9"], "--step 9: unknown step; use a number from 1 to 8"),
         ],

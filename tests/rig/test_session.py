@@ -392,6 +392,19 @@ def test_a_fin_goes_to_rest_slowly_and_one_that_is_held_does_not_come_to_rest():
             session.rest(0.5)
 
 
+def test_a_fin_that_may_not_go_to_angle_0_rests_at_the_end_of_its_range():
+    made = Made()
+    made.machine.limits = made.machine.limits._replace(angle_min=0.4)
+    made.machine.turn(1.0)
+    with made.session as session:
+        session.activate()
+        session.rest(0.5)
+        assert made.machine.angle == pytest.approx(0.4)
+        made.machine.altered = lambda sample: sample._replace(angle=0.6)
+        with pytest.raises(SafetyStop, match=r"did not come to rest at angle 0\.4 within 10 s"):
+            session.rest(0.5)
+
+
 def test_at_rest_the_zero_of_the_force_is_measured():
     """Once the water has come to rest: in the second half of the wait."""
     made = Made()

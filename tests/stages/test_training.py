@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from softfin.control.store import load_controller
-from softfin.core.errors import ArtifactError, ConfigurationError
+from softfin.core.errors import ArtifactError, ConfigurationError, PlantError
 from softfin.core.quantities import Command
 from softfin.gaits.gait import FinForces
 from softfin.learning.configuration import GRADIENT_SINGLE, SINGLE, TrainConfig, fit_to_reach
 from softfin.stages.controllers import train
-from tests.plants import StrokeFin
+from tests.plants import NoisyFin, StrokeFin
 
 QUICK = GRADIENT_SINGLE.changed(
     (
@@ -114,6 +114,16 @@ def test_a_fixed_range_out_of_reach_is_refused_too(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"range x 5 \.\. 6, .* its reach is x "):
         train(StrokeFin(), tmp_path / "out", config)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_reach_below_the_noise_leaves_nothing_behind(tmp_path: Path) -> None:
+    said = Said()
+    with pytest.raises(PlantError, match=r"reach of \S+ N is below the noise"):
+        train(NoisyFin(noise_n=9.0), tmp_path / "out", partial(fit_to_reach, QUICK), progress=said)
+    assert said.stages == ["survey"]
+    with pytest.raises(PlantError, match=r"reach of \S+ N is below the noise"):
+        train(NoisyFin(noise_n=9.0), tmp_path / "out", QUICK)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_output_that_exists_is_refused_before_any_search(tmp_path: Path) -> None:

@@ -205,10 +205,6 @@ def test_a_plant_may_know_its_true_force():
         (object(), "has no limits, init, advance"),
         (Backwards(), "angle_min < angle_max"),
         (
-            StrictFin(Limits(0.2, 2.8, 1.0, 2.0)),
-            "angle 0, at which a fin rests, must be within them; measure all angles",
-        ),
-        (
             Broken(lambda s, r: (s, r._replace(force=r.force[:, 0]))),
             r"reading.force has shape \(33,\) for 33 ticks",
         ),

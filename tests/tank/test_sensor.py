@@ -47,6 +47,16 @@ def test_noise_is_white_and_of_its_standard_deviation():
     assert np.abs(np.corrcoef(reading.T)[0, 1]) < 0.03
 
 
+@pytest.mark.parametrize("zero_s", [0.0, 2.0])
+@pytest.mark.parametrize("drift_n", [0.0, 0.05])
+def test_the_noise_of_a_mean_is_what_many_sensors_measure(drift_n, zero_s):
+    config = with_only(noise_n=0.2, drift_n=drift_n, drift_s=40.0, zero_s=zero_s)
+    keys = jax.random.split(jax.random.key(3), 500)
+    readings = jax.vmap(read, in_axes=(None, None, 0))(Sensor(config), jnp.zeros((1500, 2)), keys)
+    measured = float(jnp.std(readings[:, -200:].mean(axis=1)))
+    assert Sensor(config).mean_noise(200, 14.0) == pytest.approx(measured, rel=0.06)
+
+
 def test_zeroing_is_what_a_mean_at_rest_would_be():
     """Against a sensor that is never zeroed and read at rest for 2 s, whose mean is then subtracted
     by hand."""

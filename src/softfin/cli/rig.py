@@ -119,11 +119,14 @@ class RigCommissionArguments(Armed, CommandOptions):
     """Rig configuration file."""
     step: int | None = None
     """Number of the step to run (default: the first one not yet passed)."""
+    weight: float | None = None
+    """Mass of the weight for step 3 in kg (default: 1 for a force limit of 30 N, in proportion)."""
 
     def __call__(self) -> None:
         from softfin.rig.commissioning.commission import commission_step
         from softfin.rig.commissioning.form import STEP_TITLES, form_file, load_form
         from softfin.rig.commissioning.operator import TerminalOperator
+        from softfin.rig.commissioning.steps import choose_weight
 
         config = load_rig(self.rig)
         if config.emulation is not None:
@@ -137,13 +140,16 @@ class RigCommissionArguments(Armed, CommandOptions):
             )
         if self.yes:
             raise ConfigurationError("--yes: commissioning needs an operator; leave out --yes")
+        weight_kg = choose_weight(config, self.weight)
         self.confirm(RobotSetup(Rig(config), config.safety), COMMISSIONING, proves=True)
         operator = TerminalOperator()
         number = self.step or load_form(self.rig).next_step(config)
         while number is not None:
             # Some steps power the motor here, others move it from a child process.
             with interrupted_by_signals():
-                step = commission_step(self.rig, config, number, operator, REAL)
+                step = commission_step(
+                    self.rig, config, number, operator, REAL, weight_kg=weight_kg
+                )
             if not step.passed:
                 failed = next(item.what for item in step.items if not item.passed)
                 raise DeviceError(

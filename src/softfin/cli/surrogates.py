@@ -82,6 +82,8 @@ class FitArguments(LogOptions, Configured):
                 progress=report,
             )
         notes = self.columns_read(result["columns"]) + warning(result["issues"], self.dataset)
+        if result["warning"] is not None:
+            notes += f"warning: {result['warning']}\n"
         sys.stderr.write(printable(notes, "\n"))
         parts = [format_table_one(result["table_i"])]
         if (stroke_s := result["stroke_s"]) is not None:

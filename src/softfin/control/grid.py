@@ -71,7 +71,7 @@ class GridStep:
     """Lower corners of the cells ``(cells, 2)`` [N]."""
     high: Array
     rest: tuple[float, float] = field(metadata=STATIC)
-    """Action that keeps the fin at angle 0."""
+    """Action that keeps the fin at its rest angle."""
     observation: PolicyObservation = field(metadata=STATIC)
     switching: SwitchingConfig = field(metadata=STATIC)
     gaits: GaitTable | None = None

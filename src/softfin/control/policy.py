@@ -236,5 +236,7 @@ def _gaits(arrays: NamedArrays, observation: PolicyObservation) -> GaitTable | N
 
 
 def rest_action(limits: Limits) -> tuple[float, float]:
-    """Return the action in [-1, 1]^2 that keeps the fin at angle 0."""
-    return 2 * (0.0 - limits.angle_min) / (limits.angle_max - limits.angle_min) - 1, -1.0
+    """Return the action in [-1, 1]^2 that keeps the fin at its rest angle."""
+    return 2 * (limits.rest_angle - limits.angle_min) / (
+        limits.angle_max - limits.angle_min
+    ) - 1, -1.0

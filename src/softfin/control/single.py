@@ -32,7 +32,7 @@ class SingleStep:
     kind: ClassVar[str] = "single"
     network: PolicyNetwork
     rest: tuple[float, float] = field(metadata=STATIC)
-    """Action that keeps the fin at angle 0."""
+    """Action that keeps the fin at its rest angle."""
     observation: PolicyObservation = field(metadata=STATIC)
     gaits: GaitTable | None = None
     """Gaits to which the policy adds its actions, if any."""

@@ -36,12 +36,11 @@ class Plant(Protocol):
 
     @property
     def limits(self) -> Limits:
-        """Limits of the accepted commands, which include angle 0 [rad, rad/s]; outside them,
-        readings are meaningless."""
+        """Limits of the accepted commands [rad, rad/s]; outside them, readings are meaningless."""
 
     def init(self, key: PRNGKeyArray) -> State:
-        """Return the state of a fin at rest at angle 0, time 0. The key determines everything
-        random (sensor noise, conditions)."""
+        """Return the state of a fin at rest at `limits.rest_angle`, time 0. The key determines
+        everything random (sensor noise, conditions)."""
 
     def advance(self, state: State, command: Command, ticks: int) -> tuple[State, Reading]:
         """Hold the scalar command for `ticks` samples of 10 ms (`ticks` is static) and read after
@@ -56,6 +55,19 @@ class TrueForcePlant(Plant, Protocol):
     def true_force(self, state: State) -> Float[Array, "2"]:
         """Return the mean force of the fin on its mount over the last tick, (x, y) [N], without
         sensor errors."""
+
+
+@runtime_checkable
+class NoisyPlant(Plant, Protocol):
+    """A plant for which the noise of the force measurements is known."""
+
+    @property
+    def mean_force_noise_n(self) -> float:
+        """Standard deviation of the mean force over 2 s, as measured, about the one that the
+        commands determine [N].
+
+        White noise averages out over the window, but drift remains.
+        """
 
 
 @runtime_checkable
@@ -145,8 +157,8 @@ def _tick_with_true_force(
 
 
 def rest_command(limits: Limits) -> Command:
-    """Return the command that keeps a fin at rest at angle 0: angle 0 at the lowest velocity."""
-    return Command(jnp.float32(0.0), jnp.float32(limits.velocity_min))
+    """Return the command that keeps a fin at rest: its rest angle at the lowest velocity."""
+    return Command(jnp.float32(limits.rest_angle), jnp.float32(limits.velocity_min))
 
 
 def hold_action(

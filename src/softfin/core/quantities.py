@@ -107,13 +107,6 @@ REST_TOLERANCE_RAD = 0.03
 """Distance from angle 0 within which an angle is treated as 0 [rad]; random commands rarely come
 closer to the end of a range."""
 
-REST_FIX = (
-    "measure all angles, including the limits, from the fin's rest position; on a rig, turn the "
-    "fin there and run softfin rig zero --arm; in logs, set it with --angle-zero"
-)
-"""Suggested fix for an angle range that excludes angle 0, where every experiment, episode and log
-starts and ends."""
-
 ALLOWED_LIMITS = (
     f"a fin's limits must be finite, with -{MAX_ANGLE_RAD:.3f} <= angle_min < angle_max <= "
     f"{MAX_ANGLE_RAD:.3f} rad and "
@@ -153,9 +146,10 @@ class Limits(NamedTuple):
         return limits
 
     @property
-    def contains_rest(self) -> bool:
-        """Whether angle 0, the fin's rest position, may be commanded."""
-        return self.angle_min <= 0 <= self.angle_max
+    def rest_angle(self) -> float:
+        """Angle at which every experiment, episode and log starts [rad]: 0, where the fin points
+        along -x, or the end of the range that is closest to 0."""
+        return min(max(0.0, self.angle_min), self.angle_max)
 
     def problem(self, one_velocity: bool = False) -> str | None:
         """Describe the problem with these limits and the allowed values; None if a fin can have
@@ -179,12 +173,6 @@ class Limits(NamedTuple):
             return (
                 f"limits: {', '.join(f'{name} is {value:g}' for name, value in named.items())}; "
                 f"{ALLOWED_LIMITS}"
-            )
-        if not self.contains_rest:
-            return (
-                f"limits: angle_min_rad is {self.angle_min:g}, angle_max_rad is "
-                f"{self.angle_max:g}; angle 0, at which "
-                f"a fin rests, must be within them; {REST_FIX}"
             )
         return None
 

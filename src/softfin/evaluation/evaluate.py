@@ -140,7 +140,7 @@ class Evaluation:
                 "window_samples": self.recording.clock.window_ticks,
                 "rate_hz": RATE_HZ,
                 "action_rate_hz": self.recording.clock.rate_hz,
-                "start": "at rest at angle 0",
+                "start": "at rest",
                 "judged_by": judged_force(self.recording),
                 "confidence": CONFIDENCE,
                 "still_below_rad_s": STILL_RAD_S,

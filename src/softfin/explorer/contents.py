@@ -71,6 +71,7 @@ def tank_data(tank: Tank) -> JsonObject:
         "water": _numbers(tank.water),
         "cold_water": _numbers(cold),
         "sensor": _numbers(tank.sensor),
+        "rest_rad": tank.limits.rest_angle,
     }
 
 

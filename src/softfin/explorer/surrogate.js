@@ -104,7 +104,7 @@ class ForceNet {
   }
 }
 
-/* An ensemble, long at rest at angle 0. */
+/* An ensemble, long at rest. */
 class StreamingSurrogate {
   constructor(description) {
     const arrays = Object.fromEntries(Object.entries(description.arrays).map(([name, array]) => [name, decoded(array)]));

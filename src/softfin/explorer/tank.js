@@ -121,10 +121,10 @@ function condensed(matrix, right) {
 }
 
 class Drive {
-  constructor(parameters) {
+  constructor(parameters, angle) {
     Object.assign(this, parameters);
-    Object.assign(this, { profileAngle: 0, profileVelocity: 0, angle: 0, rate: 0 });
-    this.waiting = Array.from({ length: parameters.dead_ticks }, () => ({ angle: 0, velocity: 0 }));
+    Object.assign(this, { profileAngle: angle, profileVelocity: 0, angle, rate: 0 });
+    this.waiting = Array.from({ length: parameters.dead_ticks }, () => ({ angle, velocity: 0 }));
   }
 
   receive(command) {
@@ -165,10 +165,10 @@ class Drive {
 }
 
 class Fin {
-  constructor(parameters) {
+  constructor(parameters, angle) {
     Object.assign(this, parameters);
     const n = this.plates = parameters.stiffness.length;
-    Object.assign(this, { angles: zeros(n), rates: zeros(n), accelerations: zeros(n), earlier: zeros(n) });
+    Object.assign(this, { angles: Array(n).fill(angle), rates: zeros(n), accelerations: zeros(n), earlier: zeros(n) });
   }
 
   /* The shaft and the outer end of each plate [m]. */
@@ -292,12 +292,12 @@ class Water {
   }
 }
 
-/* A tank with its fin at rest at angle 0. */
+/* A tank with its fin at rest. */
 class Tank {
   constructor(description) {
     this.description = description;
-    this.drive = new Drive(description.drive);
-    this.fin = new Fin(description.fin);
+    this.drive = new Drive(description.drive, description.rest_rad);
+    this.fin = new Fin(description.fin, description.rest_rad);
     this.waters = { own: new Water(description.water), cold: new Water(description.cold_water) };
     this.flow = { stream: [0, 0], excursion: zeros(this.fin.plates), square: zeros(this.fin.plates) };
     this.filtered = [0, 0];

@@ -22,6 +22,7 @@ from softfin.gaits.gait import ForceMap, GaitSearchResult, GaitTable
 from softfin.gaits.reachable import Cell, Reachable, directions
 from softfin.gaits.search import GaitConfig, find_gaits
 from softfin.gaits.simulate import ReportSearch, Survey, SurveyConfig, missing_gradient, survey
+from softfin.gaits.usable import check_usable
 from softfin.storage import artifact as artifacts
 
 MAP_KIND = "map"
@@ -91,7 +92,7 @@ def find_force_map(
     the gaits reach.
 
     Raises:
-        PlantError: the plant has no gradient.
+        PlantError: the plant has no gradient, or its forces cannot be controlled.
     """
     if (reason := missing_gradient(plant)) is not None:
         raise PlantError(
@@ -107,6 +108,7 @@ def find_force_map(
         surveyed = survey(
             plant, config.survey, lambda done, note: notify(start * done, note), config.clock
         )
+    check_usable(plant, surveyed.reachable)
     empty = config.empty_table(surveyed.reachable)
     gaits = find_gaits(
         plant,

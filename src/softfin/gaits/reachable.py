@@ -42,6 +42,10 @@ PAPER_PEAK_N = 13.0
 """Peak of the force of the paper's fin on one axis under random commands, in the virtual tank [N].
 At a rig, where the reach is unknown before the first logs, the peak determines the fin's size."""
 
+MIN_REACH_SHARE = 0.25
+"""Minimum reach, as a fraction of the largest radius of a region. A fin whose forces lie on a line
+has a region without area, but its tolerances must still suit the length of the line."""
+
 DECADE_SIZES = (1.0, 2.0, 5.0, 10.0)
 """Fin sizes within a decade. Sizes are rounded to these, so that scaled tolerances are round
 numbers and do not depend on a reach's last digits."""
@@ -288,8 +292,10 @@ class Reachable(NamedTuple):
 
     @property
     def reach_n(self) -> float:
-        """Reach of the fin [N]: the radius of the circle with the area of the region."""
-        return float(np.sqrt(self.area() / np.pi))
+        """Reach of the fin [N]: the radius of the circle with the area of the region, and at least
+        `MIN_REACH_SHARE` of its largest radius."""
+        circle_n = float(np.sqrt(self.area() / np.pi))
+        return max(circle_n, MIN_REACH_SHARE * float(np.max(self.radius)))
 
     @property
     def size(self) -> float:

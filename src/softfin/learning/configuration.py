@@ -18,6 +18,7 @@ from softfin.core.plant import EnsemblePlant, Plant
 from softfin.gaits.gait import FinForces, GaitTable
 from softfin.gaits.reachable import Cell, Cells, Reachable, bounding_box
 from softfin.gaits.simulate import missing_gradient
+from softfin.gaits.usable import check_usable
 from softfin.learning.gradient import GradientConfig
 from softfin.learning.policy import PolicyConfig
 from softfin.learning.ppo import PPOConfig
@@ -282,6 +283,7 @@ def check(
     Raises:
         ConfigurationError: they are incompatible, the fin can produce none of the forces of a cell,
             or the number of steps is less than one rollout.
+        PlantError: the fin's forces cannot be controlled.
     """
     if not seeds or len(set(seeds)) != len(seeds):
         raise ConfigurationError(f"seeds {list(seeds)}: use at least one seed, without duplicates")
@@ -313,6 +315,7 @@ def check(
         )
     if forces is None:
         return
+    check_usable(plant, forces.reachable)
     _check_reach(config.cells, forces.reachable)
     if config.begins_as_gaits and forces.gaits is not None and forces.clock != task.clock:
         raise ConfigurationError(

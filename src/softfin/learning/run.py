@@ -82,7 +82,7 @@ class OneMember(eqx.Module):
         return self.ensemble.limits
 
     def init(self, key: PRNGKeyArray) -> MemberState:
-        """Return a random member at rest at angle 0."""
+        """Return a random member at rest."""
         index = jax.random.randint(key, (), 0, self.ensemble.size)
         return index, self.ensemble.member(index).init(jax.random.fold_in(key, 1))
 

@@ -236,7 +236,8 @@ def _check_motion(drive: Drive, pace: Pace) -> None:
 
 def _check_refusal(drive: Drive, when: str) -> None:
     try:
-        drive.command(Target(0.0, drive.config.limits.velocity_min))
+        limits = drive.config.limits
+        drive.command(Target(limits.rest_angle, limits.velocity_min))
     except DeviceError:
         return
     _fail(drive, f"accepted a command {when}", "it must raise DeviceError")

@@ -42,7 +42,8 @@ enough: after a pause, the first records are old ones from the socket, an empty 
 to fill, and an intermittent fault could return when the motor is on."""
 
 STILL_RAD = 0.03
-"""Angle and angular velocity below which the shaft is at rest at angle 0 [rad, rad/s]."""
+"""Distance from the rest angle, and angular velocity, below which the shaft is at rest [rad,
+rad/s]."""
 
 SUSPENDED_S = 0.05
 """Longest suspension of the computer that does not stop an active session [s]. The monotonic clock
@@ -50,8 +51,8 @@ stops during a suspend, so afterwards no tick is late and no reading looks old, 
 fin moved unsupervised."""
 
 HOMING_S = 10.0
-"""Longest time to reach angle 0 [s], which takes 1.6 s at 1 rad/s. A slower fin is allowed twice
-the time that it needs."""
+"""Longest time to reach the rest angle [s]; from 90 degrees away, this takes 1.6 s at 1 rad/s. A
+slower fin is allowed twice the time that it needs."""
 
 
 class Session:
@@ -281,26 +282,27 @@ class Session:
         return [self.tick() for _ in range(ticks)]
 
     def rest(self, seconds: float) -> MeasuredForce:
-        """Move slowly to angle 0 and wait for `seconds` until the water is calm.
+        """Move slowly to the rest angle and wait for `seconds` until the water is calm.
 
         Return the mean force (x, y) over the second half of the wait [N]. The true force is zero
         then, so this is the sensor's offset for the next experiment. Drift changes the offset, so
         it is measured before each experiment.
         """
         slowest = self.machine.limits.velocity_min
+        angle = self.machine.limits.rest_angle
         sample = self.newest or self.tick()
-        longest = max(HOMING_S, 2 * abs(sample.angle) / slowest)
-        self.command(Target(0.0, slowest))
+        longest = max(HOMING_S, 2 * abs(sample.angle - angle) / slowest)
+        self.command(Target(angle, slowest))
         for _ in range(round(longest * RATE_HZ)):
             sample = self.tick()
-            if abs(sample.angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
+            if abs(sample.angle - angle) < STILL_RAD and abs(sample.velocity) < STILL_RAD:
                 break
         else:
             self.abort(
                 Trip(
                     "rest",
-                    f"the shaft did not come to rest at angle 0 within {longest:.3g} s (it is at "
-                    f"{sample.angle:.3f} rad); check for a blocked fin",
+                    f"the shaft did not come to rest at angle {angle:.3g} within {longest:.3g} s "
+                    f"(it is at {sample.angle:.3f} rad); check for a blocked fin",
                 )
             )
         samples = [self.tick() for _ in range(round(seconds * RATE_HZ))]

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from softfin.core.action_clock import PAPER_CLOCK
 from softfin.core.errors import PlantError
-from softfin.core.quantities import RATE_HZ, Command
+from softfin.core.quantities import PAPER_LIMITS, RATE_HZ, Command
 from softfin.core.randomness import named_key
 from softfin.robot.fin_driver import MOVING, FinGaits
 from softfin.tank import Tank, TankState
@@ -33,7 +33,17 @@ STREAM_M_S = 0.05
 
 def find_fin_gaits(tank: Tank) -> FinGaits:
     """Simulate strokes about angle 0, and keep those for which the mean force increases with the
-    amplitude."""
+    amplitude.
+
+    Raises:
+        PlantError: the drive limits the angle, or fewer than two amplitudes are left.
+    """
+    if tank.limits[:2] != PAPER_LIMITS[:2]:
+        raise PlantError(
+            f"robot: the tank limits the angle to {tank.limits.angle_min:g} .. "
+            f"{tank.limits.angle_max:g} rad, but the fins of a robot turn to any angle; remove "
+            "drive.angle_min_rad and drive.angle_max_rad from the tank's file"
+        )
     amplitudes = jnp.asarray(STROKES_RAD)
 
     def mean_force(velocity_m_s: tuple[float, float]) -> np.ndarray:

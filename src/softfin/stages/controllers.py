@@ -8,7 +8,7 @@ from pathlib import Path
 from softfin.control.store import save_gaits
 from softfin.core.action_clock import ActionClock
 from softfin.core.choices import EngineName
-from softfin.core.errors import ConfigurationError, PlantError
+from softfin.core.errors import ConfigurationError
 from softfin.core.json_object import JsonObject
 from softfin.core.plant import Plant
 from softfin.core.plant_identity import identity
@@ -18,6 +18,7 @@ from softfin.gaits.force_map import MapConfig, check_star, find_force_map, load_
 from softfin.gaits.gait import FinForces
 from softfin.gaits.reachable import PAPER_REFERENCES, PAPER_SIZED
 from softfin.gaits.simulate import missing_gradient, survey
+from softfin.gaits.usable import check_usable
 from softfin.learning.configuration import TrainConfig, check, choose_preset, fit_to_reach
 from softfin.learning.controllers import save_controller, write_learning
 from softfin.learning.ray_training import check_cluster, train_on_ray
@@ -247,10 +248,7 @@ def _find_forces(
         settings = settings.model_copy(update={"pushes": 0})
     surveyed = survey(plant, settings, partial(progress, "survey"), proposal.task.clock)
     forces = FinForces(surveyed.reachable)
-    if not forces.reachable.radius.any():
-        raise PlantError(
-            "this plant produces no mean force, whatever its commands; check its model"
-        )
+    check_usable(plant, forces.reachable)
     # References that the fin cannot reach are reported before the search for gaits, which takes
     # most of the time.
     config = make_config(forces)

@@ -4,12 +4,15 @@ tank."""
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from softfin.core.configuration import Configuration
 from softfin.core.errors import ArtifactError, LogError
 from softfin.core.json_object import JsonObject
-from softfin.core.plant import EnsemblePlant, Plant
+from softfin.core.plant import EnsemblePlant, NoisyPlant, Plant
 from softfin.core.progress import Progress, silent
-from softfin.core.quantities import Log, command_limits
+from softfin.core.quantities import MAX_ANGLE_RAD, Log, command_limits
+from softfin.core.window import window_means
 from softfin.data.importing.importing import ImportConfig
 from softfin.data.recordings import open_logs
 from softfin.data.stroke_time import stroke_time
@@ -47,7 +50,7 @@ def fit(
     progress: Progress = silent,
 ) -> JsonObject:
     """Fit a surrogate to logs, score it on the test logs, and write it; returns Table I, issue
-    counts and a caveat.
+    counts, a caveat, and a warning if noise hides the force in the logs.
 
     The class of the configuration selects the architecture: `StreamingConfig` (the default),
     `FitConfig` for the paper's networks, or that of an installed package.
@@ -109,14 +112,37 @@ def fit(
         "columns": summary["columns"],
         "stroke_s": written.get("stroke_s"),
         "caveat": surrogate.interval.caveat() if isinstance(surrogate, EnsemblePlant) else None,
+        "warning": _noise_warning(out, surrogate, opened.train),
     }
+
+
+def _noise_warning(out: Path, surrogate: Plant, logs: Sequence[Log]) -> str | None:
+    """Return a warning if the noise of the mean force hides the force in the logs; None if it does
+    not, or if it is unknown."""
+    if not isinstance(surrogate, NoisyPlant):
+        return None
+    noise_n = surrogate.mean_force_noise_n
+    means = np.concatenate([window_means(np.asarray(log.reading.force)) for log in logs])
+    if not means.size:
+        return None
+    # The larger axis: fins may produce much more force along one of them.
+    measured_n = float(np.sqrt(np.mean(means**2, axis=0)).max())
+    # The measured mean square is that of the force plus that of the noise.
+    if measured_n**2 >= 2 * noise_n**2:
+        return None
+    return (
+        f"{out}: the mean force over 2 s has a noise of {noise_n:.2g} N (with drift and the error "
+        f"of the fit), more than the force in the logs ({measured_n:.2g} N rms with noise); use a "
+        "more sensitive force sensor or faster strokes, record more logs, or fit longer"
+    )
 
 
 def _check_commands(dataset: Path, train: Sequence[Log]) -> None:
     """Raise LogError if no fin can have the training commands' range."""
     limits = command_limits(train)
     if problem := limits.problem(one_velocity=True):
-        hint = "; if they are in degrees, use --angles deg" if limits.contains_rest else ""
+        largest = max(abs(limits.angle_min), abs(limits.angle_max))
+        hint = "; if they are in degrees, use --angles deg" if largest > MAX_ANGLE_RAD else ""
         raise LogError(f"{dataset}: the training commands: {problem}{hint}")
 
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from pydantic import Field
 
 from softfin.core.configuration import Configuration
-from softfin.core.quantities import TICK_S, Command
+from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command
 from softfin.tank.chain import Scalar
 from softfin.tank.fin import Shaft
 from softfin.tank.sensor import config_arrays, to_multiple
@@ -39,6 +39,10 @@ class DriveConfig(Configuration):
     assumed reduction of 111:1.
     """
 
+    angle_min_rad: float = PAPER_LIMITS.angle_min
+    """Minimum angle that the drive accepts [rad] (paper, Sec. III-A)."""
+    angle_max_rad: float = PAPER_LIMITS.angle_max
+    """Maximum angle that the drive accepts [rad] (paper, Sec. III-A)."""
     slowest_rad_s: float = Field(1.0, gt=0)
     """Minimum profile velocity that the drive accepts [rad/s] (paper, Sec. III-A)."""
     fastest_rad_s: float = Field(7.1, gt=0)
@@ -60,6 +64,10 @@ class DriveConfig(Configuration):
     """Backlash of the gearbox from end to end [rad]; catalogues state 0.003 to 0.017."""
     encoder_step_rad: float = Field(2.83e-5, ge=0)
     """Encoder resolution [rad], for 2000 counts per turn at 111:1; 0 for no quantization."""
+
+
+LIMIT_FIELDS = ("angle_min_rad", "angle_max_rad", "slowest_rad_s", "fastest_rad_s")
+"""Limits of the commands; the other fields of `DriveConfig` are physical parameters."""
 
 
 class DriveState(NamedTuple):
@@ -101,13 +109,16 @@ class Drive(eqx.Module):
             self.torque_limit,
             self.backlash,
             self.encoder_step,
-        ) = config_arrays(config, without=("slowest_rad_s", "fastest_rad_s"))
+        ) = config_arrays(config, without=LIMIT_FIELDS)
 
-    def rest(self) -> DriveState:
-        """Return the state at rest at angle 0, with a queue of commands to stay there."""
+    def rest(self, angle_rad: float = 0.0) -> DriveState:
+        """Return the state at rest at an angle, with a queue of commands to stay there."""
         zero = jnp.zeros_like(self.lag)
-        waiting = jnp.zeros(DEAD_TICKS, zero.dtype)
-        return DriveState(zero, zero, zero, zero, zero, Command(waiting, waiting))
+        angle = jnp.full_like(zero, angle_rad)
+        waiting = Command(
+            jnp.full(DEAD_TICKS, angle_rad, zero.dtype), jnp.zeros(DEAD_TICKS, zero.dtype)
+        )
+        return DriveState(angle, zero, angle, zero, zero, waiting)
 
     def receive(self, state: DriveState, command: Command) -> tuple[DriveState, Command]:
         """Add a command to the queue; also return the command that the profile follows in the next

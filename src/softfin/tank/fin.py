@@ -207,10 +207,10 @@ class Fin(eqx.Module):
         self.inertia = Moments(zeroth, first, second, along=zeroth)
         self.thickness = jnp.asarray(config.thickness(np.arange(config.plates + 1) * plate))
 
-    def rest(self) -> FinState:
-        """Return the state of a straight fin at rest at angle 0."""
+    def rest(self, angle_rad: float = 0.0) -> FinState:
+        """Return the state of a straight fin at rest at an angle."""
         still = jnp.zeros_like(self.stiffness)
-        return FinState(still, still, still, still)
+        return FinState(jnp.full_like(still, angle_rad), still, still, still)
 
     def shape(self, state: FinState) -> Float[Array, "points 2"]:
         """Return the positions of the shaft and of each plate's outer end, in the tank's axes

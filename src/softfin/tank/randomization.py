@@ -159,7 +159,7 @@ class RandomizedTank(eqx.Module):
         return self.tank.limits
 
     def init(self, key: PRNGKeyArray) -> RandomizedTankState:
-        """Sample a tank and return it with its fin at rest at angle 0."""
+        """Sample a tank and return it with its fin at rest."""
         parameters, own = jax.random.split(key)
         tank = sample_tank(self.tank, parameters, self.widths)
         return tank, tank.init(own)

@@ -7,6 +7,7 @@ rest and the true force is zero. The defaults are assumed and correct only in or
 `IDEAL` disables all of them. The drive and the water also use the helper functions of this module.
 """
 
+import math
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
@@ -130,6 +131,23 @@ class Sensor(eqx.Module):
             self.range,
             self.zero_time,
         ) = config_arrays(config)
+
+    def mean_noise(self, samples: int, seconds: float) -> float:
+        """Return the standard deviation of the mean of `samples` readings, `seconds` after zeroing
+        [N].
+
+        White noise averages out. The drift d is slower than the mean, and only its change since
+        zeroing counts: var(d(t) - d(0)) = 2 drift^2 (1 - exp(-t / drift_time)).
+        """
+        noise = float(self.noise)
+        drift = float(self.drift)
+        variance = noise**2 / samples
+        if self.zero_time > 0:
+            variance += noise**2 / max(float(self.zero_time) / TICK_S, 1.0)
+            variance -= 2 * drift**2 * math.expm1(-seconds / float(self.drift_time))
+        else:
+            variance += drift**2
+        return math.sqrt(variance)
 
     def rest(self, key: PRNGKeyArray) -> SensorState:
         """Return the state at rest after zeroing, with a drift sampled from its stationary

@@ -15,12 +15,16 @@ from pydantic import Field
 from softfin.core.configuration import Configuration
 from softfin.core.log_channels import CURRENT_CHANNEL, LOAD_CHANNELS
 from softfin.core.plant import check_commands
-from softfin.core.quantities import PAPER_LIMITS, TICK_S, Command, Limits, Reading
+from softfin.core.quantities import TICK_S, Command, Limits, Reading
+from softfin.core.window import PAPER_WINDOW
 from softfin.tank.chain import PlanarVector, Scalar
-from softfin.tank.drive import AMPERE_PER_NM, Drive, DriveConfig, DriveState
+from softfin.tank.drive import AMPERE_PER_NM, LIMIT_FIELDS, Drive, DriveConfig, DriveState
 from softfin.tank.fin import Fin, FinConfig, FinState, Mount
 from softfin.tank.hydrodynamics import Flow, Water, WaterConfig
 from softfin.tank.sensor import Sensor, SensorConfig, SensorState
+
+EXPERIMENT_S = 30.0
+"""Duration of the paper's experiments [s]; the sensor is zeroed before each one."""
 
 
 class TankConfig(Configuration):
@@ -72,8 +76,7 @@ class Tank(eqx.Module):
     sensor: Sensor
     steps_per_tick: int = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
-    """Command limits: the paper's angles (Sec. III-A), and the velocities in the drive's
-    configuration."""
+    """Command limits, from the drive's configuration."""
 
     def __init__(self, config: TankConfig | None = None):
         config = config or TankConfig()
@@ -82,19 +85,22 @@ class Tank(eqx.Module):
         self.water = Water(config.water, config.fin)
         self.sensor = Sensor(config.sensor)
         self.steps_per_tick = config.steps_per_tick
-        self.limits = PAPER_LIMITS._replace(
-            velocity_min=config.drive.slowest_rad_s, velocity_max=config.drive.fastest_rad_s
-        )
+        self.limits = Limits(*(getattr(config.drive, name) for name in LIMIT_FIELDS))
+
+    @property
+    def mean_force_noise_n(self) -> float:
+        """Noise of the mean force over the evaluation window, at the end of an experiment [N]."""
+        return self.sensor.mean_noise(PAPER_WINDOW, EXPERIMENT_S)
 
     def init(self, key: PRNGKeyArray) -> TankState:
-        """Return the state of a fin at rest at angle 0 with a zeroed sensor; the key determines the
-        sensor's drift and noise."""
+        """Return the state of a fin at rest with a zeroed sensor; the key determines the sensor's
+        drift and noise."""
         drift, noise = jax.random.split(key)
         sensor = self.sensor.rest(drift)
         return TankState(
             jnp.int32(0),
-            self.drive.rest(),
-            self.fin.rest(),
+            self.drive.rest(self.limits.rest_angle),
+            self.fin.rest(self.limits.rest_angle),
             self.water.rest(),
             sensor,
             jnp.zeros_like(sensor.drift),

@@ -190,7 +190,7 @@ class ForceTracking:
         plant_key, reference_key, key = jax.random.split(key, 3)
         return TaskState(
             plant=self.plant.init(plant_key),
-            angle=jnp.float32(0),
+            angle=jnp.float32(self.plant.limits.rest_angle),
             reference=references.draw(reference_key),
             drift=jnp.zeros(2),
             references=references,

@@ -135,6 +135,13 @@ def test_recalibration_finds_the_constant_of_a_fin_that_obeys_the_model():
     assert fin.fitted_constant(1.1, (0.1, 1.2)) == pytest.approx(5.0)
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.2, 1.2), (-1.5, -0.3)])
+def test_a_fin_that_cannot_reach_angle_0_has_no_constant(low, high):
+    fin = Obedient(AnalyticFin(), Limits(low, high, 1.0, 3.0), SearchConfig(), 0)
+    with pytest.raises(RunError, match=rf"strokes about angle 0, .* are {low} to {high} rad; use"):
+        fin.fitted_constant(1.1, (0.1, 1.2))
+
+
 def test_a_fin_that_pulls_has_no_constant():
     fin = Obedient(AnalyticFin(), PAPER_LIMITS, SearchConfig(trials=1), 0)
     fin.gain = -1.0

@@ -342,10 +342,6 @@ def test_another_joint_is_told_at_once_by_its_name():
             "limits: angle_min_rad is 2, angle_max_rad is 1.5",
         ),
         (
-            {"limits": CONFIG["limits"] | {"angle_min_rad": 0.2}},
-            "angle 0, at which a fin rests, must be within them",
-        ),
-        (
             {"limits": CONFIG["limits"] | {"velocity_max_rad_s": 9000.0}},
             "velocity_max_rad_s is 9000; ",
         ),

@@ -19,6 +19,21 @@ from tests.surrogate.streaming import small
 BURN_IN = 7
 
 
+def test_the_floor_is_the_noise_of_the_mean_force():
+    """White noise averages out over a window, and an offset of each log, like a drift, does not."""
+    random = np.random.default_rng(0)
+    shape = (3, 20 * PAPER_CLOCK.window_ticks, 2)
+    for white_n, offset_n, floor_n in ((0.5, 0.0, 0.5 / np.sqrt(200)), (0.5, 0.3, 0.3)):
+        logs = []
+        for noise in random.normal(0, white_n, shape):
+            log = log_of(np.zeros((20, 2)))
+            offset = np.array([offset_n, -offset_n])
+            force = np.asarray(log.reading.force) + np.pad(noise + offset, ((7, 5), (0, 0)))
+            logs.append(log._replace(reading=log.reading._replace(force=force)))
+        said = [said_of([np.zeros((20, 2))])] * 3
+        assert calibrated(said, logs, BURN_IN).floor_n == pytest.approx(floor_n, rel=0.15)
+
+
 def log_of(means):
     """With these mean forces in its windows, behind the burn-in."""
     force = np.concatenate(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softfin.core.dynamixel import CENTER
-from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, REST_FIX, TICK_S, command_limits
+from softfin.core.quantities import AXES, MAX_ANGLE_RAD, RATE_HZ, TICK_S, command_limits
 from softfin.data.checks.alignment import MIN_ALIGNED_S, measure_rate
 from softfin.data.checks.statistics import (
     REST_RATE_RAD_S,
@@ -376,8 +376,8 @@ def check_lags(statistics: Sequence[LogStatistics], config: ImportConfig) -> Ite
 
 
 def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
-    """Find a dataset without test logs, and training commands that do not contain the rest angle or
-    that cover too little of their own range."""
+    """Find a dataset without test logs, and training commands that do not contain angle 0 or that
+    cover too little of their own range."""
     if not any(one.part == "test" for one in logs):
         fix = "select some with --test PATTERN, or put them into a folder named test"
         yield Issue("note", "no test logs", "all logs", "no test logs", fix)
@@ -386,12 +386,18 @@ def check_dataset(logs: Sequence[NamedLog]) -> Iterator[Issue]:
         limits = command_limits(training)
         # Larger values are not in radians; check_degrees and check_counts report that.
         is_in_radians = max(abs(limits.angle_min), abs(limits.angle_max)) <= MAX_ANGLE_RAD
-        if is_in_radians and limits.angle_min < limits.angle_max and not limits.contains_rest:
+        if is_in_radians and limits.angle_min < limits.angle_max and limits.rest_angle != 0:
             message = (
                 f"the commanded angles range from {limits.angle_min:.3g} to "
-                f"{limits.angle_max:.3g} rad and do not include 0, the fin's rest angle"
+                f"{limits.angle_max:.3g} rad and do not include 0"
             )
-            yield Issue("error", "no rest", "all logs", message, REST_FIX, "command_angle")
+            fix = (
+                f"if the fin cannot point along -x, its experiments start at "
+                f"{limits.rest_angle:.3g} rad; otherwise measure angles from there: on a rig, turn "
+                "the fin there and run softfin rig zero --arm; in logs, subtract the offset from "
+                "the angle and its command"
+            )
+            yield Issue("warning", "no rest", "all logs", message, fix, "command_angle")
     steps = []
     for log in training:
         pairs = np.stack(log.command, axis=1).astype(np.float64)

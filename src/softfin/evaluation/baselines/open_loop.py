@@ -263,7 +263,13 @@ class OpenLoopSearch(NamedTuple):
 
     def fitted_constant(self, frequency: float, amplitudes: tuple[float, float]) -> float:
         """Fit the inverse model's constant [N s2] to the fin by least squares; raises RunError if
-        the force opposes the model's direction."""
+        the force opposes the model's direction, or if the fin cannot make strokes about angle 0."""
+        if self.limits.rest_angle != 0:
+            raise RunError(
+                f"inverse model at {frequency:g} Hz: its constant is fitted to strokes about angle "
+                f"0, but the limits are {self.limits.angle_min:g} to {self.limits.angle_max:g} "
+                "rad; use the other baselines"
+            )
         amplitude = np.linspace(*amplitudes, self.config.trials)
         forces = self.forces_of_sines(
             np.stack([0 * amplitude, amplitude, np.full_like(amplitude, frequency)], axis=1)

@@ -17,7 +17,7 @@ from softfin.rig.commissioning.form import (
     save_form,
 )
 from softfin.rig.commissioning.operator import Operator
-from softfin.rig.commissioning.steps import StepContext, run_step
+from softfin.rig.commissioning.steps import StepContext, check_range, choose_weight, run_step
 from softfin.rig.config import RigConfig
 from softfin.rig.record import date_and_time
 
@@ -29,12 +29,17 @@ def commission_step(
     operator: Operator,
     clock: Clock,
     hour_s: float = 3600.0,
+    weight_kg: float | None = None,
 ) -> SignedStep:
     """Run one step of a rig's commissioning, have it signed, and add it to the form next to the
     rig's file.
 
-    Raises ConfigurationError if an earlier step has not been passed.
+    `weight_kg` is the mass of the weight that pulls on the force sensor in step 3; the default
+    suits the rig's force limit. Raises ConfigurationError if it exceeds this limit, if the fin
+    cannot swing about angle 0, or if an earlier step has not been passed.
     """
+    known_kg = choose_weight(config, weight_kg)
+    check_range(config)
     form = load_form(rig)
     missing = form.next_step(config)
     if missing is not None and missing < number:
@@ -47,7 +52,8 @@ def commission_step(
     folder = bag_folder(rig) / f"step-{number}-{_attempts(form, number) + 1}"
     operator.tell(f"Step {number} of {len(STEP_TITLES)}: {STEP_TITLES[number]}")
     items = run_step(
-        number, StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s)
+        number,
+        StepContext(config, operator, folder, clock, np.random.default_rng(), hour_s, known_kg),
     )
     step = SignedStep(
         number=number,

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from softfin.core.clock import Clock
-from softfin.core.errors import RigError, SafetyStop, SoftfinError
+from softfin.core.errors import ConfigurationError, RigError, SafetyStop, SoftfinError
 from softfin.core.quantities import RATE_HZ
-from softfin.gaits.reachable import PAPER_PEAK_N, round_size
+from softfin.gaits.reachable import PAPER_PEAK_N, force_decimals, round_size
 from softfin.rig.check import check_currents, check_rig
 from softfin.rig.commissioning.form import Item
 from softfin.rig.commissioning.motion import (
@@ -37,6 +37,7 @@ from softfin.rig.devices.epos2.drive import Epos2
 from softfin.rig.machine import Target
 from softfin.rig.prove import check_proof, prove_stop
 from softfin.rig.rig import Rig, zero_angle, zero_force
+from softfin.rig.safety import FORCE_PEAK_N
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.rig.stop import StopRequest
 
@@ -47,6 +48,7 @@ RECEIVE_BUFFER_SETTING = Path("/proc/sys/net/core/rmem_max")
 
 ANGLE_TOLERANCE_RAD = 0.02
 WEIGHT_KG = 1.0
+"""Default weight for a rig with the default of `safety.force_peak_n` [kg]."""
 WEIGHT_GRAVITY_M_S2 = 9.81
 WEIGHT_TOLERANCE = 0.02
 
@@ -126,6 +128,8 @@ class StepContext:
     random: np.random.Generator
     hour_s: float = 3600.0
     """Duration of the long motion [s]; shorter only in tests."""
+    weight_kg: float = WEIGHT_KG
+    """Mass of the known weight that pulls on the force sensor [kg]."""
 
     @property
     def is_simulated(self) -> bool:
@@ -139,6 +143,37 @@ class StepContext:
     def bag(self, name: str) -> Path:
         """Return the path of a recording file for this step."""
         return self.folder / f"{name}.mcap"
+
+
+def choose_weight(config: RigConfig, weight_kg: float | None = None) -> float:
+    """Return the mass of the known weight for step 3 [kg]: the given one, or one that suits
+    `safety.force_peak_n`.
+
+    Raises:
+        ConfigurationError: its force exceeds that limit, which protects the sensor.
+    """
+    peak_n = config.safety.force_peak_n
+    if weight_kg is None:
+        return WEIGHT_KG * round_size(peak_n / FORCE_PEAK_N)
+    weight_n = weight_kg * WEIGHT_GRAVITY_M_S2
+    # Written so that NaN fails.
+    if not 0 < weight_n <= peak_n:
+        raise ConfigurationError(
+            f"--weight {weight_kg:g}: must be positive, and its force ({weight_n:.3g} N) at most "
+            f"safety.force_peak_n = {peak_n:g} N; use up to {peak_n / WEIGHT_GRAVITY_M_S2:.2g} kg"
+        )
+    return weight_kg
+
+
+def check_range(config: RigConfig) -> None:
+    """Raise ConfigurationError if the fin cannot swing about angle 0, as most steps require."""
+    low, high, *_ = config.drive.limits
+    if not low <= -SMALL_RAD < SMALL_RAD <= high:
+        raise ConfigurationError(
+            f"commissioning: swings the fin by at least {SMALL_RAD:g} rad to both sides of angle "
+            f"0, but its range is {low:g} to {high:g} rad; widen drive.angle_min_rad and "
+            "angle_max_rad, or carry out the steps of docs/commissioning.md by hand"
+        )
 
 
 def asked(operator: Operator, what: str, question: str) -> Item:
@@ -246,19 +281,22 @@ def measure_by_hand(context: StepContext) -> Iterator[Item]:
     rig = context.rig()
     rig.sensor.open()
     try:
-        weight_n = WEIGHT_KG * WEIGHT_GRAVITY_M_S2
+        weight_n = context.weight_kg * WEIGHT_GRAVITY_M_S2
+        decimals = force_decimals(weight_n)
         for number, axis in enumerate("xy"):
             operator.wait(
-                f"Pull with {WEIGHT_KG:g} kg along +{axis} (see docs/rig.md for its direction)"
+                f"Pull with {context.weight_kg:g} kg along +{axis} "
+                "(see docs/rig.md for its direction)"
             )
             force = rig.sensor.measured(1.0)[0][:3]
             error = max(
                 abs(value - (weight_n if place == number else 0.0))
                 for place, value in enumerate(force)
             )
-            value = ", ".join(f"{value:+.2f}" for value in force)
+            value = ", ".join(f"{value:+.{decimals}f}" for value in force)
             required = (
-                f"+{weight_n:.2f} N along {axis}, 0 along the other axes, +-{WEIGHT_TOLERANCE:.0%}"
+                f"+{weight_n:.{decimals}f} N along {axis}, 0 along the other axes, "
+                f"+-{WEIGHT_TOLERANCE:.0%}"
             )
             passed = error <= WEIGHT_TOLERANCE * weight_n
             yield Item(

@@ -70,10 +70,11 @@ class Surrogate(eqx.Module):
         return Limits(angle.data_min, angle.data_max, velocity.data_min, velocity.data_max)
 
     def init(self, key: PRNGKeyArray) -> SurrogateState:
-        """Return the state of a fin that has been at rest at angle 0 for a full window. The key is
-        not used."""
-        rest = self._scaled(rest_command(self.limits))
-        angle = jnp.full(self.window, self.scaling.scaled(ANGLE, jnp.float32(0)))
+        """Return the state of a fin that has been at rest for a full window. The key is not
+        used."""
+        command = rest_command(self.limits)
+        rest = self._scaled(command)
+        angle = jnp.full(self.window, self.scaling.scaled(ANGLE, command.angle))
         return SurrogateState(jnp.int32(0), jnp.tile(rest[:, None], self.window), angle)
 
     def warm(self, history: Log) -> SurrogateState:

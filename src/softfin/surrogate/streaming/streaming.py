@@ -60,7 +60,7 @@ class StreamingSurrogate(eqx.Module):
     members: Member
     """Stacked members."""
     rest: MemberState
-    """Stacked states of the members after a long rest at angle 0."""
+    """Stacked states of the members after a long rest."""
     familiarity: Familiarity
     interval: Interval = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
@@ -84,15 +84,21 @@ class StreamingSurrogate(eqx.Module):
         command = rest_command(limits)
         waiting = jax.tree.map(lambda value: jnp.full(MAX_DELAY, value), command)
         passed = jax.tree.map(lambda value: jnp.full(SETTLED, value), command)
-        self.rest = _after(members, Motion(jnp.zeros(()), jnp.zeros(())), waiting, passed)
+        self.rest = _after(members, Motion(command.angle, jnp.zeros(())), waiting, passed)
 
     @property
     def size(self) -> int:
         """Number of members."""
         return int(self.members.force.offset.shape[0])
 
+    @property
+    def mean_force_noise_n(self) -> float:
+        """Root mean square error of the mean force on the held-out logs [N]: noise, drift, and the
+        error of the fit."""
+        return self.interval.floor_n
+
     def init(self, key: PRNGKeyArray) -> StreamingState:
-        """Return the state after a long rest at angle 0. The key is not used."""
+        """Return the state after a long rest. The key is not used."""
         return StreamingState(jnp.int32(0), self.rest)
 
     def warm(self, history: Log) -> StreamingState:

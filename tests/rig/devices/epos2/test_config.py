@@ -65,11 +65,6 @@ def test_what_must_not_be_guessed_has_no_default(key: str) -> None:
         ({"heartbeat_s": 1.1}, "heartbeat_s"),
         ({"following_error_rad": 1.1}, "following_error_rad"),
         ({"angle_min_rad": 2.0}, "angle_min_rad is 2, angle_max_rad is 1.57"),
-        (
-            {"angle_min_rad": 0.2},
-            r"0\.2, angle_max_rad is 1\.57\S*; angle 0, at which a fin rests, .*softfin rig zero "
-            r"--arm",
-        ),
         ({"slowest_rad_s": 4.0}, "velocity_min_rad_s is 4, velocity_max_rad_s is 3.14"),
         ({"angle_max_rad": 100.0}, "angle_max_rad is 100; a fin's limits must be finite"),
         ({"gear_ratio": 0.05, "slowest_rad_s": 0.01}, "rounds to 0 rpm"),

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from softfin.core.clock import Clock
+from softfin.core.errors import ConfigurationError
 from softfin.core.quantities import Limits
 from softfin.rig.bus import BusConfig
 from softfin.rig.device import DriveType, EmulatedDevice
@@ -35,6 +36,11 @@ def _emulated_config(
     if real_time:
         values["heartbeat_s"] = 1.0
     if limits is not None:
+        if limits.rest_angle != 0:
+            raise ConfigurationError(
+                f"tank: its angles, {limits.angle_min:g} to {limits.angle_max:g} rad, exclude 0, "
+                "where a Dynamixel is zeroed; use --drive epos2"
+            )
         values |= {
             "angle_min_rad": limits.angle_min,
             "angle_max_rad": limits.angle_max,

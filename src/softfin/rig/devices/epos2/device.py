@@ -42,6 +42,8 @@ def _emulated_config(
             "angle_max_rad": limits.angle_max,
             "slowest_rad_s": limits.velocity_min,
             "fastest_rad_s": limits.velocity_max,
+            # The emulated fin is zeroed where it rests.
+            "zero_offset_rad": limits.rest_angle,
         }
     return Epos2Config.build(values, "emulated drive")
 

@@ -1,0 +1,88 @@
+"""A fin whose range excludes angle 0, from the tank to its controller, small."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+import yaml
+
+from softfin.cli import main
+from softfin.control.store import load_controller
+from softfin.core.errors import PlantError
+from softfin.core.plant import roll
+from softfin.core.quantities import Command
+from softfin.robot.fin_gaits import find_fin_gaits
+from softfin.storage.dataset import Dataset
+from softfin.storage.registry import find_plant
+from softfin.surrogate import load_surrogate
+from softfin.tank import Tank, TankConfig
+from tests.staged import COARSE, GRADIENT, MAP, STREAMING, short_search  # noqa: F401  # pytest finds fixtures here
+
+LOW = 0.2
+HIGH = 1.2
+SIDEWAYS = COARSE | {
+    "drive": {"angle_min_rad": LOW, "angle_max_rad": HIGH},
+    "sensor": {"noise_n": 0, "drift_n": 0},
+}
+
+
+def run(capsys, *words):
+    capsys.readouterr()
+    main([*words, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+def write(path, values):
+    path.write_text(yaml.safe_dump(values))
+    return str(path)
+
+
+@pytest.mark.usefixtures("short_search")
+def test_a_fin_that_cannot_reach_angle_0_starts_at_the_end_of_its_range(capsys, tmp_path):
+    tank = write(tmp_path / "tank.yaml", SIDEWAYS)
+    dataset, surrogate, force_map, controller = (
+        str(tmp_path / name) for name in ("dataset", "surrogate", "map", "controller")
+    )
+    logs = ("--logs", "3", "--test-logs", "1", "--rows", "700")
+    run(capsys, "collect", "--plant", tank, *logs, "--out", dataset)
+    data = Dataset.open(tmp_path / "dataset")
+    for log in data.load([*data.train, *data.test]):
+        assert abs(log.reading.angle[0] - LOW) < 0.03
+        assert min(log.command.angle) >= LOW - 1e-6
+        assert min(log.reading.angle) > LOW - 0.1
+    fitting = write(tmp_path / "fit.yaml", STREAMING | {"force_updates": 200})
+    fitted = run(capsys, "fit", dataset, "--config", fitting, "--out", surrogate)
+    assert fitted["issues"]["error"] == 0
+    assert fitted["issues"]["warning"] >= 1
+    plant = load_surrogate(tmp_path / "surrogate")
+    assert LOW - 1e-6 <= plant.limits.rest_angle < LOW + 0.1
+    searching = write(tmp_path / "map.yaml", MAP | {"box": None, "spacing_n": None, "nodes": 4})
+    run(capsys, "map", surrogate, "--config", searching, "--out", force_map)
+    training = write(tmp_path / "train.yaml", GRADIENT)
+    # Not with this map: the gaits of so short a search hold only a part of the reach.
+    run(capsys, "train", surrogate, "--config", training, "--out", controller)
+    trained = load_controller(tmp_path / "controller")
+    assert trained.limits == plant.limits
+    words = ("--plant", tank, "--seconds", "3", "--repeats", "1")
+    judged = run(capsys, "evaluate", controller, *words, "--out", str(tmp_path / "judged"))
+    assert judged["conditions"]["start"] == "at rest"
+    assert np.isfinite(judged["mean"]["x"]["error_n"])
+
+
+@pytest.mark.parametrize(("low", "high", "rest"), [(LOW, HIGH, LOW), (-1.5, -0.3, -0.3)])
+def test_a_tank_at_rest_stays_there_without_force(low, high, rest):
+    drive = {"angle_min_rad": low, "angle_max_rad": high}
+    sensor = {"noise_n": 0, "drift_n": 0}
+    tank = Tank(TankConfig.build(COARSE | {"drive": drive, "sensor": sensor}, "tank"))
+    still = Command(np.full(50, rest, np.float32), np.full(50, 1.0, np.float32))
+    _, reading = roll(tank, tank.init(jax.random.key(0)), still)
+    np.testing.assert_allclose(reading.angle, rest, atol=1e-4)
+    np.testing.assert_allclose(reading.velocity, 0, atol=1e-4)
+    np.testing.assert_allclose(reading.force, 0, atol=1e-3)
+
+
+def test_what_needs_strokes_about_angle_0_is_refused_in_one_line(tmp_path):
+    tank = find_plant(write(tmp_path / "tank.yaml", SIDEWAYS))
+    with pytest.raises(PlantError, match=r"robot: the tank limits the angle to 0\.2 \.\. 1\.2 rad"):
+        find_fin_gaits(tank)
