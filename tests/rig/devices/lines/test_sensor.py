@@ -7,7 +7,7 @@ import pytest
 from softfin.core.errors import DeviceError, RigError
 from softfin.rig.devices.lines.config import LinesConfig
 from softfin.rig.devices.lines.emulated_sensor import EmulatedLines
-from softfin.rig.devices.lines.sensor import LinesSensor
+from softfin.rig.devices.lines.sensor import lines_sensor
 from softfin.rig.simulated_clock import SimulatedClock
 from softfin.testing import check_force_sensor
 from tests.rig.still_fin import StillFin
@@ -25,7 +25,7 @@ def bench(rate_hz=320.0, **changes):
         "filter_delay_s": 0.0,
         "frame": "y,-x",
     }
-    sensor = LinesSensor(LinesConfig.build(values | emulated.address() | changes), clock)
+    sensor = lines_sensor(LinesConfig.build(values | emulated.address() | changes), clock)
     try:
         yield emulated, sensor, clock
     finally:
