@@ -37,6 +37,9 @@ MAX_LAG_S = 0.1
 """Longest time by which the newest record may be older than one period when the sensor is opened
 [s]."""
 
+KEPT_S = 2.0
+"""Time after which unread records are dropped [s]."""
+
 MALFORMED_RECORDS = 5
 """Number of consecutive unusable records that is a fault; a single one is only counted."""
 
@@ -77,6 +80,11 @@ class StreamedSensorConfig(ForceSensorConfig):
                 f"and with a delay of {self.filter_delay_s + filter_s:.3f} s, the force may be "
                 f"older; use {math.ceil(100 * needed) / 100:.2f} or more, or a faster sensor"
             )
+
+
+def queue_length(rate_hz: float) -> int:
+    """Return how many unread records a source keeps."""
+    return max(100, round(KEPT_S * rate_hz))
 
 
 class TimedWrench(NamedTuple):
@@ -161,7 +169,10 @@ class StreamedSensor:
         self._place = 0
         """Position of the latest record in the stream, counting lost ones."""
         self._newest: Float[np.ndarray, " 6"] | None = None
-        self._taken = self.clock()
+        self._received = 0
+        self._first_arrival = self._arrival = self.clock()
+        """Times at which the first and the latest usable records were processed [s]."""
+        self._taken = self._arrival
         """Time of the latest usable record [s]."""
         self._equal_records = 0
         self._force: tuple[float, Wrench] | None = None
@@ -228,6 +239,10 @@ class StreamedSensor:
         for record in records:
             self._put(record)
         if records:
+            self._arrival = self.clock()
+            if not self._received:
+                self._first_arrival = self._arrival
+            self._received += len(records)
             self._taken = records[-1].time
             self.times.stamp(self._place, self._taken)
 
@@ -267,7 +282,7 @@ class StreamedSensor:
         lines = list(self._source.complaints())
         if self._equal_records >= max(FROZEN_RECORDS, STUCK_S * self.config.rate_hz):
             lines.append("values are frozen; check the sensor, and do not round its noise away")
-        silent_s = self.clock() - self._taken
+        silent_s = self.clock() - self._arrival
         if silent_s > SILENT_S:
             unit = self._source.unit
             lines.append(f"no usable {unit} for {silent_s:.1f} s; {self._source.remedy}")
@@ -337,30 +352,38 @@ class StreamedSensor:
             raise DeviceError(f"{self.name}: {self._source.explain_silence()}")
         shortest_s = max(MEASURED_S, 5 / rate_hz)
 
-        def has_rate() -> bool:
-            return abs(self.times.rate_hz / rate_hz - 1) <= 0.1
+        def is_right(measured_hz: float) -> bool:
+            return abs(measured_hz / rate_hz - 1) <= 0.1
 
         def fits() -> bool:
             is_full = self._filter is None or self._filter.full
             is_measured = self.times.measured_s >= shortest_s and is_full
-            return is_measured and has_rate() and self._age() <= MAX_LAG_S
+            # The records of a sensor that is too slow look like those of one that loses many.
+            has_rate = is_right(self.times.rate_hz) and is_right(self._arrival_rate_hz())
+            return is_measured and has_rate and self._lag_s() <= MAX_LAG_S
 
         is_fit = self._wait(fits, 5.0 + shortest_s)
         if complaints := self.complaints():
             raise DeviceError(complaints[0])
         unit = self._source.unit
-        if not is_fit and has_rate():
+        arrival_rate_hz = self._arrival_rate_hz()
+        if not is_fit and not is_right(arrival_rate_hz):
             raise RigError(
-                f"{self.name}: the newest {unit} is {self._age():.2f} s late; check that the "
-                f"{unit}s are sent at once and that the sensor's clock runs at the right speed"
+                f"{self.name}: sends {arrival_rate_hz:.0f} {unit}s per second, but rate_hz is "
+                f"{rate_hz:g}; change one of them"
             )
         if not is_fit:
             raise RigError(
-                f"{self.name}: sends {self.times.rate_hz:.0f} {unit}s per second, but rate_hz is "
-                f"{rate_hz:g}; change one of them"
+                f"{self.name}: the newest {unit} is {self._lag_s():.2f} s late; check that "
+                f"{unit}s are sent at once and that the sensor's clock runs at the right speed"
             )
 
-    def _age(self) -> float:
+    def _arrival_rate_hz(self) -> float:
+        """Return how many usable records have arrived per second [Hz]."""
+        elapsed_s = self._arrival - self._first_arrival
+        return (self._received - 1) / elapsed_s if elapsed_s else 0.0
+
+    def _lag_s(self) -> float:
         """Return by how much the newest record is older than one period [s]."""
         return self.clock() - self._taken - 1 / self.config.rate_hz
 
