@@ -192,10 +192,13 @@ class DdsTransport:
         def publishers() -> list[str]:
             handles = reader.get_matched_publications()
             for handle in handles:
+                endpoint = None
                 if handle not in names:
                     endpoint = reader.get_matched_publication_data(handle)
+                # A publisher may leave at any time.
+                if endpoint is not None:
                     names[handle] = _name_participant(participant, endpoint.participant_key)
-            return [names[handle] for handle in handles]
+            return [names[handle] for handle in handles if handle in names]
 
         return Subscriber(
             take,

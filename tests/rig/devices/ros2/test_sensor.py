@@ -149,7 +149,7 @@ def test_a_publisher_that_is_gone_is_a_fault_at_once():
         emulated.unplug()
         run(sensor, clock, 0.01)
         assert sensor.complaints() == (
-            f"force sensor {TOPIC}: {TOPIC} no longer has a publisher; restart its driver",
+            f"force sensor {TOPIC}: no longer has a publisher; restart its driver",
         )
 
 
@@ -225,7 +225,10 @@ def test_messages_that_are_never_usable_are_a_fault(transmit, words):
 def test_messages_without_a_stamp_are_refused_with_the_reason():
     with bench() as (emulated, sensor, _):
         emulated.transmit = lambda message: (message._replace(stamp_ns=0),)
-        with pytest.raises(DeviceError, match=r"its header\.stamp is 0, .*; correct its publisher"):
+        with pytest.raises(
+            DeviceError,
+            match=r"^force sensor /ft_sensor/wrench: message rejected: its header\.stamp is 0, .*; correct its publisher",
+        ):
             sensor.open()
 
 
@@ -267,7 +270,9 @@ def test_a_wrong_rate_is_refused(actual_hz):
 def test_a_wrong_topic_is_refused_with_the_topics_that_were_found():
     with bench(topic="/wrench") as (_, sensor, _):
         found = rf"found {TOPIC} \(geometry_msgs/msg/WrenchStamped\); start its driver, or correct"
-        with pytest.raises(DeviceError, match=f"/wrench: no .*WrenchStamped within 5 s; {found}"):
+        with pytest.raises(
+            DeviceError, match=f"^force sensor /wrench: no .*WrenchStamped within 5 s; {found}"
+        ):
             sensor.open()
         with pytest.raises(DeviceError, match="not open; open it first"):
             sensor.read()
@@ -281,7 +286,7 @@ def test_two_publishers_on_one_topic_are_refused_and_are_a_fault_later_on():
         try:
             run(sensor, clock, 0.01)
             assert len(set(sensor.complaints())) == 1
-            two = rf"{TOPIC} has 2 publishers \(node \d+, node \d+\); stop all but one"
+            two = rf"{TOPIC}: has 2 publishers \(node \d+, node \d+\); stop all but one"
             with pytest.raises(DeviceError, match=two):
                 sensor.open()
         finally:

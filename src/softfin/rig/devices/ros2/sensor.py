@@ -132,26 +132,22 @@ class TopicSource:
 
     def explain_silence(self) -> str:
         """Return why the messages are rejected, or the topics that were found."""
-        return self._open_messages().explain_silence(FIRST_WAIT_S)
+        return self._without_topic(self._open_messages().explain_silence(FIRST_WAIT_S))
 
     def complaints(self) -> list[str]:
         """Return the faults of the publishers and of the messages."""
         messages = self._open_messages()
-        topic = self.config.topic
         publishers = messages.publishers()
         lines = []
         if not publishers:
-            lines.append(f"{topic} no longer has a publisher; restart its driver")
+            lines.append("no longer has a publisher; restart its driver")
         if len(publishers) > 1:
-            lines.append(
-                f"{topic} has {len(publishers)} publishers ({', '.join(publishers)}); stop all but "
-                "one"
-            )
+            names = ", ".join(publishers)
+            lines.append(f"has {len(publishers)} publishers ({names}); stop all but one")
         if self._unusable_in_a_row >= MALFORMED_RECORDS:
             lines.append(
-                messages.refusal
-                or f"{topic}: time stamps do not increase; check its driver's clock, then start "
-                "again"
+                self._without_topic(messages.refusal or "")
+                or "time stamps do not increase; check its driver's clock, then start again"
             )
         return lines
 
@@ -183,6 +179,10 @@ class TopicSource:
     def _open_messages(self) -> Subscription[Wrench]:
         assert self._messages is not None, "StreamedSensor uses open sources only"
         return self._messages
+
+    def _without_topic(self, line: str) -> str:
+        """Return a line without the topic at its start, which the sensor's name contains."""
+        return line.removeprefix(f"{self.config.topic}: ")
 
     def _read(self, message: Any) -> Wrench:
         """Return the wrench in a message; raises ValueError if it is not usable."""
