@@ -1,4 +1,4 @@
-"""What emulated sensors that stream records have in common: their pace and their noise."""
+"""Pace and noise of emulated sensors that stream records."""
 
 import threading
 from collections.abc import Callable, Iterator

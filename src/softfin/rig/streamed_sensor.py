@@ -99,12 +99,12 @@ class TimedWrench(NamedTuple):
 
 
 class RecordSource(Protocol):
-    """Where the records of one sensor come from, for `StreamedSensor`."""
+    """Source of the records of one sensor, for `StreamedSensor`."""
 
     unit: str
-    """What a record is called in messages, e.g. line."""
+    """Noun for a record in messages to the user, e.g. line."""
     remedy: str
-    """What to check if no records arrive, e.g. check its cable."""
+    """Fix if no records arrive, e.g. check its cable."""
 
     @property
     def name(self) -> str:

@@ -113,9 +113,11 @@ def test_a_growing_lag_ages_the_force():
     with bench() as (emulated, sensor, clock):
         sensor.open()
         before = run(sensor, clock, 0.5).force_time
-        emulated.transmit = lambda message: (later(message, -0.2),)
+        started = clock()
+        emulated.transmit = lambda message: (later(message, (started - clock()) / 2),)
         after = run(sensor, clock, 0.5).force_time
-        assert after - before == pytest.approx(0.5 - 0.2, abs=0.01)
+        assert after - before == pytest.approx(0.25, abs=0.01)
+        assert sensor.counters()["sensor_late"] == 0
 
 
 @pytest.mark.parametrize("speed", [0.5, 0.85])

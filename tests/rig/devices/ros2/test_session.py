@@ -30,16 +30,20 @@ def change(sensor, **fields):
     sensor.transmit = lambda message: (message._replace(**fields),)
 
 
+def lag(sensor):
+    """Each message arrives later than the one before."""
+    first_ns = []
+
+    def delay(message):
+        first_ns.append(message.stamp_ns)
+        return (message._replace(stamp_ns=(first_ns[0] + message.stamp_ns) // 2),)
+
+    sensor.transmit = delay
+
+
 FAULTS = {
     "silence": (lambda sensor: sensor.silence(), "no new force for"),
-    "lag": (
-        lambda sensor: setattr(
-            sensor,
-            "transmit",
-            lambda message: (message._replace(stamp_ns=message.stamp_ns - 300_000_000),),
-        ),
-        "no new force for",
-    ),
+    "lag": (lag, "no new force for"),
     "nonsense": (lambda sensor: change(sensor, wrench=(math.nan,) * 6), "force x is nan"),
     "old stamps": (lambda sensor: change(sensor, stamp_ns=1), "time stamps do not increase"),
     "no stamps": (lambda sensor: change(sensor, stamp_ns=0), "header.stamp is 0"),
